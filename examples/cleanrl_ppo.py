@@ -1,6 +1,6 @@
-"""PPO in one file, in the manner of CleanRL, on Gymnasium's vector env: python examples/cleanrl_ppo.py --frames 60000
+"""PPO in one file, in the style of CleanRL, on Gymnasium's vector env: python examples/cleanrl_ppo.py --frames 60000
 
-All robots are one batch in one scene. A robot whose episode ends begins the next in the same step.
+All robots form one batch in one scene. A robot whose episode ends starts the next one in the same step.
 """
 
 import argparse
@@ -27,13 +27,13 @@ class Agent(nn.Module):
         nn.init.orthogonal_(self.actor.weight, 0.01)
 
     def forward(self, pixels: Tensor) -> tuple[Categorical, Tensor]:
-        """Distribution of the actions and value of views [B, H, W, 3] uint8."""
+        """Return the action distribution and the value for views [B, H, W, 3] uint8."""
         features = self.trunk(pixels.permute(0, 3, 1, 2).float() / 255)
         return Categorical(logits=self.actor(features)), self.critic(features).squeeze(1)
 
 
 def main() -> None:
-    """Train, and print the success of the last hundred episodes."""
+    """Train, and print the success rate of the last hundred episodes."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--task", default="splatrl/Grid-v0")
     parser.add_argument("--robots", type=int, default=32)

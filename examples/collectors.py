@@ -1,6 +1,6 @@
-"""One env under TorchRL's Collector: python examples/collectors.py direct, process or ray
+"""One env with TorchRL's Collector: python examples/collectors.py direct, process or ray
 
-``ray`` needs ``pip install ray``; it begins a cluster on this machine, or joins the one that RAY_ADDRESS names.
+``ray`` needs ``pip install ray``; it starts a cluster on this machine, or joins the one at RAY_ADDRESS.
 """
 
 import argparse
@@ -12,7 +12,7 @@ import splatrl
 
 
 def main() -> None:
-    """Collect random actions of two workers with eight robots each."""
+    """Collect frames with random actions, from two workers with eight robots each (only the first for ``direct``)."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("backend", choices=("direct", "process", "ray"))
     parser.add_argument("--frames", type=int, default=640)
@@ -24,7 +24,7 @@ def main() -> None:
         settings = {"ray_init_config": cluster, "remote_configs": {"num_cpus": 1, "num_gpus": 0}}
     collector = Collector(
         makers[0] if options.backend == "direct" else makers,
-        None,  # random actions; your policy stands here
+        None,  # random actions; put your policy here
         backend=options.backend,
         backend_options=settings,
         frames_per_batch=160,

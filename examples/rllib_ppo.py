@@ -1,4 +1,4 @@
-"""PPO of RLlib on single robots: pip install 'ray[rllib]' && python examples/rllib_ppo.py --iterations 50
+"""PPO with RLlib on single-robot envs: pip install 'ray[rllib]' && python examples/rllib_ppo.py --iterations 50
 
 RLlib makes its own copies of an env, so each worker holds a scene; one batch in one process is faster.
 """
@@ -12,11 +12,11 @@ from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 from ray.tune.registry import register_env
 
 CONVOLUTIONS = [[16, 8, 4], [32, 3, 2]]
-"""Channels, side and step of each."""
+"""Channels, kernel size and stride of each layer."""
 
 
 def make(settings: dict[str, object]) -> gymnasium.Env:
-    """One robot, as floats in [0, 1]."""
+    """Make an env with one robot, whose pixels are floats in [0, 1]."""
     env = gymnasium.make("splatrl:splatrl/Grid-v0", **settings)
     space = gymnasium.spaces.Box(0.0, 1.0, env.observation_space.shape, "float32")
     return gymnasium.wrappers.TransformObservation(env, lambda view: (view / 255).astype("float32"), space)

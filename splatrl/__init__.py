@@ -1,7 +1,7 @@
 """splatrl: reinforcement learning for robots that see a captured Gaussian splatting scene.
 
-Names are imported when they are first used, so ``import splatrl`` is quick and imports neither TorchRL nor Hydra. It
-registers the tasks with Gymnasium: ``gymnasium.make("splatrl/Grid-v0")``.
+Names are imported on first use, so ``import splatrl`` is fast and imports neither TorchRL nor Hydra. It registers the
+tasks with Gymnasium: ``gymnasium.make("splatrl/Grid-v0")``.
 """
 
 from importlib import import_module

@@ -1,4 +1,4 @@
-"""Arrays from .npz files, of which none can make code run or ask for more memory than it holds."""
+"""Safe reading of .npz files: no file can run code, or claim more memory than the arrays it holds."""
 
 import zipfile
 from pathlib import Path
@@ -16,13 +16,13 @@ def read_arrays(path: Path, most: int | None = None) -> Arrays:
     """Read the arrays of a .npz file.
 
     Args:
-        path: of the file.
-        most: bytes of the arrays at most, for a file that is compressed; None for one that is not, which cannot hold
-            more than it has.
+        path: path of the file.
+        most: maximum total size of the arrays in bytes, for a compressed file; None for an uncompressed one, whose
+            arrays cannot be larger than the file.
 
     Raises:
-        FileNotFoundError: where there is none.
-        ValueError: for anything but a whole .npz of plain arrays, or for more bytes than that.
+        FileNotFoundError: if there is no such file.
+        ValueError: for anything but a complete .npz of plain arrays, or for arrays larger than that.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file of arrays")
@@ -39,8 +39,8 @@ def read_arrays(path: Path, most: int | None = None) -> Arrays:
 
 
 def _check_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
-    """Refuse an array whose header promises more than follows, for which NumPy would allocate first."""
-    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others have dictionaries of any size
+    """Refuse an array whose header promises more data than follows: NumPy would allocate it before reading."""
+    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others allow dictionaries of any size
         raise ValueError(f"{entry.filename}: expected it stored or deflated, got compression {entry.compress_type}")
     with archive.open(entry) as stream:
         version = np.lib.format.read_magic(stream)

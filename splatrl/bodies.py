@@ -1,10 +1,10 @@
-"""The shapes that a robot's body can have, in the body frame, centred at its origin."""
+"""Shapes of robot bodies, in the body frame, centred at its origin."""
 
 import math
 from dataclasses import dataclass
 
 LARGEST = 1e6
-"""Of a length, metres: in voxels it is still a number that can be counted with."""
+"""Largest length of a body, metres: small enough to be counted in voxels without overflow."""
 
 
 def _positive(name: str, value: float) -> None:

@@ -10,7 +10,7 @@ from torch import Tensor
 from splatrl.geometry import rigid
 
 MOST_PIXELS = 65536
-"""Along a side of an image."""
+"""Maximum width and height of an image."""
 
 
 @dataclass(frozen=True)
@@ -48,17 +48,17 @@ class Cameras:
         return self.camera_to_world.shape[0]
 
     def __getitem__(self, rows: slice | Tensor) -> "Cameras":
-        """The cameras of some rows: a slice, a mask or indices."""
+        """Select some rows of the batch, by a slice, a mask or indices."""
         return Cameras(self.camera_to_world[rows], self.K[rows], self.width, self.height)
 
 
 def intrinsics(fov: float, width: int, height: int) -> Tensor:
-    """Intrinsics with square pixels and a centred principal point.
+    """Return intrinsics with square pixels and a centred principal point.
 
     Args:
         fov: horizontal field of view, radians, in (0, π).
-        width: pixels.
-        height: pixels.
+        width: image width, pixels.
+        height: image height, pixels.
 
     Returns:
         K [3, 3] float32.
@@ -77,12 +77,12 @@ def look_at(
     target: Tensor | Sequence[float],
     up: Tensor | Sequence[float] = (0.0, 0.0, 1.0),
 ) -> Tensor:
-    """The pose of a camera at ``position`` that looks at ``target``.
+    """Return the pose of a camera at ``position`` that looks at ``target``.
 
     Args:
         position: [..., 3] world, metres.
-        target: [..., 3] world, metres, not at ``position``.
-        up: [..., 3] world; when it is parallel to the line of sight, +y is taken in its place.
+        target: [..., 3] world, metres, different from ``position``.
+        up: [..., 3] world; where it is parallel to the line of sight, +y is used instead.
 
     Returns:
         camera_to_world [..., 4, 4] float32.
@@ -100,17 +100,17 @@ def look_at(
 def depths_at(
     points: Tensor, depth: Tensor, camera_to_world: Tensor, K: Tensor, nearest: float
 ) -> tuple[Tensor, Tensor]:
-    """How deep points are for a camera, and how deep its image says it is there.
+    """Return the depth of points seen from a camera, and the depth that its depth image has at their pixels.
 
     Args:
         points: [M, 3] float64, world, metres.
         depth: [H, W] along the optical axis, metres.
         camera_to_world: [4, 4] float64 pose of the camera.
         K: [3, 3] float64 intrinsics for images of that size, pixels.
-        nearest: points no deeper than this are not in the image, metres.
+        nearest: points no deeper than this count as outside the image, metres.
 
     Returns:
-        [M] depth of the points; [M] what the image says, 0 where a point is not in it.
+        [M] depth of the points; [M] depth in the image, 0 for points outside it.
     """
     height, width = depth.shape
     x, y, z = ((points - camera_to_world[:3, 3]) @ camera_to_world[:3, :3]).unbind(1)
@@ -121,7 +121,7 @@ def depths_at(
 
 
 def pixel_places(depth: Tensor, camera_to_world: Tensor, K: Tensor) -> Tensor:
-    """Where what the pixels of an image show is.
+    """Unproject the pixels of a depth image into the world.
 
     Args:
         depth: [H, W] along the optical axis, metres.
@@ -129,7 +129,7 @@ def pixel_places(depth: Tensor, camera_to_world: Tensor, K: Tensor) -> Tensor:
         K: [3, 3] float64 intrinsics for images of that size, pixels.
 
     Returns:
-        [H W, 3] float64, world, metres, line by line.
+        [H · W, 3] float64, world, metres, row by row.
     """
     height, width = depth.shape
     down, across = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")

@@ -1,4 +1,4 @@
-"""Where tensors live: chosen once, where a program begins."""
+"""The device of all tensors, chosen once at a program's entry point."""
 
 from importlib.util import find_spec
 
@@ -6,14 +6,14 @@ import torch
 
 AUTO = "auto"
 KINDS = ("cpu", "cuda")
-"""Kinds of device that config groups have a node for."""
+"""Device types for which config groups may have a node."""
 
 
 def chosen_device(name: str) -> torch.device:
-    """The device with a name; a named GPU becomes PyTorch's current device.
+    """Return the device with a name; a numbered GPU also becomes PyTorch's current device.
 
     Args:
-        name: ``auto`` takes a CUDA device where there is one and the extra ``cuda`` is installed, and else the CPU; any
+        name: ``auto`` takes a CUDA device if there is one and the extra ``cuda`` is installed, otherwise the CPU; any
             other name is PyTorch's, such as cpu or cuda:1.
 
     Raises:
@@ -37,7 +37,7 @@ def chosen_device(name: str) -> torch.device:
 
 
 def device_line(device: torch.device) -> str:
-    """The chosen device, in words."""
+    """Describe the chosen device in one line."""
     if device.type == "cuda":
         return f"device: {device} ({torch.cuda.get_device_name(device)})"
     if torch.cuda.is_available() and not cuda_extra():

@@ -1,4 +1,4 @@
-"""YAML and JSON from strangers: plain values, small, and without the tricks that make a few bytes expensive."""
+"""Untrusted YAML and JSON: only plain values of limited size, and nothing that expands a few bytes to gigabytes."""
 
 import json
 import re
@@ -11,26 +11,26 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 MAX_YAML = 128 * 2**10
-"""Bytes of a YAML file; those that splatrl writes have a tenth of it."""
+"""Maximum size of a YAML file in bytes, ten times that of the files that splatrl writes."""
 MAX_JSON = 64 * 2**20
-"""Bytes of a JSON file: poses of a capture's thousands of images."""
+"""Maximum size of a JSON file in bytes, enough for the poses of a capture of thousands of images."""
 MAX_NESTS = 2**21
-"""Lists and objects in a JSON text: an empty one is two bytes that take sixty-four of memory."""
+"""Maximum number of lists and objects in a JSON text: an empty one is two bytes of text, but 64 bytes of memory."""
 MAX_DEPTH = 32
 REFERENCE = re.compile(r"\$\{[\w.]+\}")
-"""A reference to another key, such as ${robot.height}: the whole value, so that nothing grows, and no resolver."""
+"""A reference to another key, such as ${robot.height}: the entire value, so that nothing grows, and no resolver."""
 
 
 def read_yaml(path: Path, limit: int = MAX_YAML) -> Any:
-    """Read a YAML file as plain values; aliases, a few of which unfold to gigabytes, are refused.
+    """Read a YAML file as plain values; aliases are refused, because a few of them can expand to gigabytes.
 
     Args:
-        path: of the file.
-        limit: the most bytes that it may have.
+        path: path of the file.
+        limit: maximum size of the file in bytes.
 
     Raises:
-        FileNotFoundError: where there is no such file.
-        ValueError: for a file that is too large, nested too deep, not YAML, or that uses aliases.
+        FileNotFoundError: if there is no such file.
+        ValueError: for a file that is too large, nested too deeply, not YAML, or that uses aliases.
     """
     text = _text(path, limit)
     try:
@@ -43,13 +43,13 @@ def read_yaml(path: Path, limit: int = MAX_YAML) -> Any:
 
 
 def read_config(path: Path) -> DictConfig:
-    """Read a YAML file whose values may refer to other keys of it (``${robot.height}``).
+    """Read a YAML file whose values may refer to its other keys (``${robot.height}``).
 
-    Resolvers, which could read the environment or make new nodes, are refused.
+    Resolvers, which could read the environment or create nodes, are refused.
 
     Raises:
-        FileNotFoundError: where there is no such file.
-        ValueError: as by ``read_yaml``, for a resolver, or for anything but keys and values.
+        FileNotFoundError: if there is no such file.
+        ValueError: for anything that ``read_yaml`` refuses, for a resolver, or for a file that is not a mapping.
     """
     content = read_yaml(path)
     if not isinstance(content, dict):
@@ -64,32 +64,32 @@ def read_json(path: Path, limit: int = MAX_JSON) -> Any:
     """Read a JSON file.
 
     Args:
-        path: of the file.
-        limit: the most bytes that it may have.
+        path: path of the file.
+        limit: maximum size of the file in bytes.
 
     Raises:
-        FileNotFoundError: where there is no such file.
-        ValueError: for a file that is too large, nested too deep or not JSON.
+        FileNotFoundError: if there is no such file.
+        ValueError: for a file that is too large, nested too deeply or not JSON.
     """
     return parsed_json(str(path), _text(path, limit))
 
 
 def parsed_json(source: str, text: str | bytes) -> Any:
-    """The values that a JSON text holds.
+    """Parse a JSON text.
 
     Args:
-        source: what the text came from, for the message.
-        text: as text, or as bytes in UTF-8.
+        source: where the text came from, for the message.
+        text: the JSON, as a string or as UTF-8 bytes.
 
     Raises:
-        ValueError: for text that is nested too deep, holds too many lists, or is not JSON.
+        ValueError: for text that is nested too deeply, holds too many lists and objects, or is not JSON.
     """
     nests = text.count("[") + text.count("{") if isinstance(text, str) else text.count(b"[") + text.count(b"{")
     if nests > MAX_NESTS:
         raise ValueError(f"{source}: expected JSON of at most {MAX_NESTS:,} lists and objects, got {nests:,}")
     try:
         return json.loads(text)
-    except (ValueError, RecursionError) as error:  # broken JSON, broken UTF-8 and numbers of thousands of digits
+    except (ValueError, RecursionError) as error:  # invalid JSON or UTF-8, or numbers with thousands of digits
         raise ValueError(f"{source}: expected JSON, got {error}") from error
 
 
@@ -107,7 +107,7 @@ def _text(path: Path, limit: int) -> str:
 
 
 def _check_events(text: str) -> None:
-    """Refuse what may unfold, by a pass over the text that builds nothing."""
+    """Refuse aliases and deep nesting in one pass over the parser's events, before any object is built."""
     depth = 0
     for event in yaml.parse(text, Loader=yaml.SafeLoader):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
@@ -118,7 +118,7 @@ def _check_events(text: str) -> None:
 
 
 def _texts(node: Any) -> Iterator[str]:
-    """Every text among plain values, keys too."""
+    """Yield every string among plain values, including keys."""
     if isinstance(node, str):
         yield node
     elif isinstance(node, dict | list):

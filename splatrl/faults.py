@@ -1,4 +1,4 @@
-"""Errors that a device finds, and the host reads later: a step must not wait for them."""
+"""Errors that kernels record on the device and the host reads later, so that a step need not synchronise."""
 
 from typing import Protocol, runtime_checkable
 
@@ -9,10 +9,10 @@ _CLEAR = torch.iinfo(torch.int32).max
 
 @runtime_checkable
 class Faulty(Protocol):
-    """Something that records errors on its device."""
+    """An object that records errors on its device."""
 
     def raise_faults(self) -> None:
-        """Wait for the device, and raise the errors recorded since the last call.
+        """Wait for the device, and raise any error recorded since the last call.
 
         Raises:
             ValueError: names the first row of a batch that was refused, and what was expected.
@@ -21,10 +21,10 @@ class Faulty(Protocol):
 
 
 class FaultFlag:
-    """The lowest row of any batch that a kernel refused.
+    """Records the lowest row of a batch that a kernel has refused.
 
     Attributes:
-        flag: [1] int32 on the device; a kernel lowers it to the row (``atomicMin``).
+        flag: [1] int32 on the device; a kernel lowers it to the refused row (``atomicMin``).
     """
 
     def __init__(self, device: torch.device | str) -> None:

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and the folder of those that can be rebuilt."""
+"""Atomic files and folders, damaged and untrusted files, and the cache folder."""
 
 import fcntl
 import os
@@ -15,9 +15,9 @@ from typing import BinaryIO
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """A binary file to write to, which takes the place of ``path`` once the block ends well.
+    """Open a binary file that replaces ``path`` atomically once the block succeeds.
 
-    Until then it has a temporary name beside it; a block that raises leaves ``path`` as it was.
+    Until then it has a temporary name in the same folder; if the block raises, ``path`` stays as it was.
     """
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}.tmp")
     try:
@@ -26,7 +26,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(temporary, path)
-    except OSError as error:  # a disk that is full says so without a name
+    except OSError as error:  # the error for a full disk names no file
         raise OSError(error.errno, f"cannot write: {error.strerror or error}", str(path)) from error
     finally:
         with suppress(OSError):
@@ -34,7 +34,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
 
 def remove_stale(folder: Path) -> None:
-    """Remove temporary files that a killed process left in a folder, which no other process may be writing to."""
+    """Remove temporary files that a killed process left in a folder; no other process may be writing to it."""
     for path in folder.iterdir():
         if re.fullmatch(r".+\.[0-9a-f]{8}\.tmp", path.name) and path.is_file():
             path.unlink()
@@ -42,12 +42,12 @@ def remove_stale(folder: Path) -> None:
 
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
-    """A block in which no other process may be in the same block with the same folder.
+    """Lock a folder, so that only one process at a time can be in this block for it.
 
-    The system frees the folder when the process ends, however it ends.
+    The system releases the lock when the process ends, however it ends.
 
     Raises:
-        ValueError: where another process is.
+        ValueError: if another process holds the lock.
     """
     held = os.open(folder, os.O_RDONLY)
     try:
@@ -64,8 +64,8 @@ def new_folder(path: Path) -> Iterator[Path]:
     """Make a folder that gets its name only when the block succeeds; a block that raises leaves nothing behind.
 
     Raises:
-        OSError: that names the path, where it cannot be written.
-        ValueError: if something of that name exists.
+        OSError: if the folder cannot be written; the error names the path.
+        ValueError: if the path exists already.
     """
     if path.exists():
         raise ValueError(f"{path}: expected a new folder, found one")
@@ -74,7 +74,7 @@ def new_folder(path: Path) -> Iterator[Path]:
     try:
         yield temporary
         os.rename(temporary, path)
-    except OSError as error:  # a disk that is full says so without a name
+    except OSError as error:  # the error for a full disk names no file
         if error.errno is None:
             raise
         told = f"cannot write: {os.strerror(error.errno)}" if error.filename is None else error.strerror
@@ -85,13 +85,13 @@ def new_folder(path: Path) -> Iterator[Path]:
 
 
 def require_room(folder: Path, size: int = 1) -> None:
-    """Refuse to go on where nothing can be written into a folder, or its disk has not so many bytes left.
+    """Check that a folder is writable and that its disk has a number of bytes left.
 
-    What takes long asks before it begins; and what is written through mapped memory would end the process on a full
-    disk, instead of raising an error.
+    Long computations call this before they begin. So does code that writes through memory-mapped files, for which a
+    full disk would kill the process instead of raising an error.
 
     Raises:
-        OSError: that names the folder.
+        OSError: if not; the error names the folder.
     """
     try:
         with tempfile.TemporaryFile(dir=folder) as stream:
@@ -105,12 +105,12 @@ def require_room(folder: Path, size: int = 1) -> None:
 def refusing(path: Path, expected: str) -> Iterator[None]:
     """Turn whatever a decoder raises for a damaged file into a ValueError that names the file.
 
-    Decoders of images, archives and videos raise more than a dozen types, from IndexError to LZMAError. A file that is
-    not there, a library that is missing and memory that runs out stay what they are.
+    Decoders of images, archives and videos raise more than a dozen exception types, from IndexError to LZMAError.
+    Errors for a missing file, a missing library or a lack of memory pass through unchanged.
 
     Args:
-        path: of the file.
-        expected: what it should have been, for the message.
+        path: path of the file.
+        expected: what the file should have been, for the message.
 
     Raises:
         ValueError: for any other exception in the block.
@@ -125,14 +125,14 @@ def refusing(path: Path, expected: str) -> Iterator[None]:
 
 
 def checked_name(what: str, name: object) -> str:
-    """Check a name of which files are made, which may come from a stranger: one part of a path, and not a way out.
+    """Check an untrusted name that is used in file names: it must be one path component that stays in its folder.
 
     Args:
-        what: what has the name, for the message.
+        what: the thing that is named, for the message.
         name: the name.
 
     Raises:
-        ValueError: for anything but 1 to 200 characters without slashes and control characters, or for . and ..
+        ValueError: for anything but 1 to 200 characters without slashes or control characters, or for . and ..
     """
     plain = isinstance(name, str) and 0 < len(name) <= 200 and name not in (".", "..")
     if not plain or re.search(r"[/\\\x00-\x1f\x7f]", str(name)):
@@ -141,7 +141,7 @@ def checked_name(what: str, name: object) -> str:
 
 
 def digest_of(paths: Iterable[Path]) -> str:
-    """Fingerprint of the content of small files, in this order."""
+    """Return a digest of the contents of small files, in the given order."""
     digest = blake2b(digest_size=16)
     for path in paths:
         digest.update(path.read_bytes())
@@ -149,11 +149,11 @@ def digest_of(paths: Iterable[Path]) -> str:
 
 
 def natural(path: Path) -> list[tuple[int, str]]:
-    """A sort key that puts 9.png before 10.png."""
+    """Return a sort key that puts 9.png before 10.png."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", path.name)]
 
 
 def cache_dir() -> Path:
-    """Where caches live: $SPLATRL_CACHE, or splatrl in $XDG_CACHE_HOME or ~/.cache."""
+    """Return the folder for caches: $SPLATRL_CACHE, or splatrl in $XDG_CACHE_HOME or ~/.cache."""
     chosen = os.environ.get("SPLATRL_CACHE")
     return Path(chosen) if chosen else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "splatrl"

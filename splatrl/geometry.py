@@ -1,11 +1,11 @@
-"""Rigid transforms, rotations and the one set of conventions that all of splatrl obeys.
+"""Rigid transforms, rotations and the geometric conventions that all of splatrl follows.
 
 World frame: right-handed, z up, metres.
 Camera frame: OpenCV axes, x right, y down, z forward; a camera's pose is ``camera_to_world``.
 Body frame: x forward, y left, z up; a robot's pose is ``body_to_world``.
 Pixels: the pixel in column i and row j has its centre at (i + 0.5, j + 0.5).
-Yaw: about world +z, counter-clockwise, 0 along +x. Angles are radians.
-Quaternions: wxyz, and unit once a file reader has returned them.
+Yaw: about world +z, counter-clockwise, 0 along +x. Angles are in radians.
+Quaternions: wxyz, of unit length from the file readers onwards.
 A transform is named ``<from>_to_<to>`` and maps column vectors: ``p_world = body_to_world @ p_body``.
 """
 
@@ -15,9 +15,9 @@ from torch import Tensor
 CAMERA_TO_BODY = torch.tensor(
     [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
-"""[4, 4] float32: a camera at the body's origin that looks along the body's +x."""
+"""[4, 4] float32: pose of a camera at the body's origin that looks along the body's +x."""
 ORTHONORMAL = 1e-3
-"""How far R Rᵀ may be from the identity in a rigid transform."""
+"""Tolerance, per element, for R Rᵀ to differ from the identity in a rigid transform."""
 
 
 def rigid(rotation: Tensor, translation: Tensor) -> Tensor:
@@ -32,7 +32,7 @@ def rigid(rotation: Tensor, translation: Tensor) -> Tensor:
     """
     shape, other = rotation.shape[:-2], translation.shape[:-1]
     if shape != other:
-        shape = torch.broadcast_shapes(shape, other)  # which is slow
+        shape = torch.broadcast_shapes(shape, other)  # slow, so only if needed
     transform = rotation.new_zeros(*shape, 4, 4)
     transform[..., :3, :3] = rotation
     transform[..., :3, 3] = translation
@@ -54,13 +54,13 @@ def invert_rigid(transform: Tensor) -> Tensor:
 
 
 def first_not_rigid(transforms: Tensor) -> tuple[int, str] | None:
-    """Find the first of some transforms that is not rigid.
+    """Find the first transform that is not rigid.
 
     Args:
         transforms: [N, 4, 4].
 
     Returns:
-        Its row and what was expected of it; None where all are rigid.
+        Its row and what was expected of it; None if all are rigid.
     """
     rotation = transforms[:, :3, :3]
     error = (rotation @ rotation.mT - torch.eye(3).to(rotation)).abs().amax((1, 2))
@@ -80,7 +80,7 @@ def first_not_rigid(transforms: Tensor) -> tuple[int, str] | None:
 
 
 def quats_to_rotations(quats: Tensor) -> Tensor:
-    """Turn wxyz quaternions of any length but zero into rotation matrices.
+    """Turn wxyz quaternions of any non-zero length into rotation matrices.
 
     Args:
         quats: [..., 4].
@@ -104,7 +104,7 @@ def quats_to_rotations(quats: Tensor) -> Tensor:
 
 
 def multiply_quats(a: Tensor, b: Tensor) -> Tensor:
-    """Hamilton product of wxyz quaternions: rotate by ``b`` first, then by ``a``.
+    """Multiply wxyz quaternions (Hamilton product): rotate by ``b`` first, then by ``a``.
 
     Args:
         a: [..., 4].
@@ -129,7 +129,7 @@ def multiply_quats(a: Tensor, b: Tensor) -> Tensor:
 def rotations_to_quats(rotations: Tensor) -> Tensor:
     """Turn rotation matrices into unit wxyz quaternions with w ≥ 0.
 
-    The largest of the four components is found first, so no rotation loses precision (Shepperd's method).
+    The other components are computed from the largest one, so no rotation loses precision (Shepperd's method).
 
     Args:
         rotations: [..., 3, 3], orthonormal.
@@ -157,7 +157,7 @@ def rotations_to_quats(rotations: Tensor) -> Tensor:
 
 
 def axis_rotations(axis: int, angles: Tensor) -> Tensor:
-    """Rotate about one coordinate axis, right-handed.
+    """Return right-handed rotations about one coordinate axis.
 
     Args:
         axis: 0, 1 or 2 for x, y or z.

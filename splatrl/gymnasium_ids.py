@@ -1,4 +1,4 @@
-"""The tasks under Gymnasium's names: after ``import splatrl`` there is ``gymnasium.make("splatrl/Grid-v0")``."""
+"""Gymnasium ids of the tasks: after ``import splatrl``, ``gymnasium.make("splatrl/Grid-v0")`` works."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ TASKS: tuple[str, ...] = (
     *("grid", "fps", "apple", "sim2real", "snake", "drive", "circle", "polar_plane", "hemisphere", "poster"),
     *("pointnav", "imagenav", "push", "gates", "route", "walk", "strides"),
 )
-"""Tasks in conf/task, each with an id."""
+"""Tasks in conf/task that get an id."""
 
 
 def gymnasium_id(task: str) -> str:
-    """Gymnasium's id of a task: ``polar_plane`` is ``splatrl/PolarPlane-v0``."""
+    """Return the Gymnasium id of a task: ``splatrl/PolarPlane-v0`` for ``polar_plane``."""
     return f"splatrl/{''.join(word.capitalize() for word in task.split('_'))}-v0"
 
 
 def register_ids() -> None:
-    """Register the tasks with Gymnasium; what they need is imported when the first env is made."""
+    """Register the tasks with Gymnasium; their dependencies are imported only when the first env is made."""
     for task in TASKS:
         gymnasium.register(
             gymnasium_id(task),
@@ -40,14 +40,14 @@ def make_one(
     seed: int = 0,
     render_mode: Literal["rgb_array"] | None = None,
 ) -> GymnasiumEnv:
-    """Make one robot, for ``gymnasium.make``.
+    """Make an env with one robot, for ``gymnasium.make``.
 
     Args:
         task: name of a task.
         scene: name of a scene, a splat file, or a scene's folder.
         overrides: settings in Hydra's grammar, as on the command line: ``["robot.height=0.4"]``.
-        seed: seed of the starts until ``reset(seed=...)`` gives another.
-        render_mode: what ``render`` returns: the current view, or nothing.
+        seed: seed of the starts until ``reset(seed=...)`` sets another.
+        render_mode: what ``render`` returns: the current view for ``rgb_array``, nothing for None.
 
     Raises:
         ValueError: for settings that are refused.
@@ -61,7 +61,7 @@ def make_one(
 def make_batch(
     num_envs: int, task: str, scene: str = "backyard", overrides: Sequence[str] = (), seed: int = 0, **options: Any
 ) -> GymnasiumVectorEnv:
-    """Make a batch of robots in one scene, for ``gymnasium.make_vec``.
+    """Make a vector env with a batch of robots in one scene, for ``gymnasium.make_vec``.
 
     Args:
         num_envs: number of robots.
@@ -69,7 +69,7 @@ def make_batch(
         scene: see ``make_one``.
         overrides: see ``make_one``.
         seed: see ``make_one``.
-        options: what else ``GymnasiumVectorEnv`` takes.
+        options: further arguments of ``GymnasiumVectorEnv``.
 
     Raises:
         ValueError: for settings that are refused.

@@ -1,4 +1,4 @@
-"""Photos and videos from strangers: only kinds that cannot point at other files, and none too large."""
+"""Untrusted photos and videos: only formats that cannot refer to other files, and only up to a maximum size."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,27 +16,28 @@ if TYPE_CHECKING:
 
 PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
 PHOTO_FORMATS = ("PNG", "JPEG", "WEBP")
-"""Pillow's names of them."""
+"""Pillow's names for these formats."""
 CONTAINERS = ("mov", "matroska", "webm", "avi", "mpegts", "mpeg", "mpegvideo", "flv", "asf", "ogg", "mxf", "gif", "ivf")
-"""FFmpeg's names of them. Playlists (concat, hls, dash) are absent: a script of one may name any file of the disk."""
+"""FFmpeg's names of allowed containers. Playlists (concat, hls, dash) are not: they can name any file on the disk."""
 ORIENTATION = 0x0112
-"""The tag of EXIF."""
+"""EXIF tag of the orientation."""
 MAX_PIXELS = 64 * 2**20
-"""Of one image: more than any phone takes."""
+"""Maximum number of pixels in one image, more than any phone takes."""
 MOST_OBLONG = 4.0
-"""Longer side of a video's pixels over the shorter one, at most; those of anamorphic lenses have 2."""
+"""Maximum aspect ratio of a video's pixels, longer side over shorter; anamorphic lenses have 2."""
 
 
 def read_photo(path: Path, stream: BinaryIO | None = None, upright: bool = True) -> Image.Image:
-    """Read a photo, RGB: of 16 bits the higher eight, and black where it is transparent.
+    """Read a photo as RGB; 16-bit channels keep their upper eight bits, and transparent pixels become black.
 
     Args:
-        path: of a PNG, a JPEG or a WebP.
-        stream: to read from, such as an entry of an archive, which ``path`` then only names.
-        upright: whether to turn it as its EXIF says; False leaves it as the intrinsics of a recording describe it.
+        path: path of a PNG, JPEG or WebP.
+        stream: stream to read from, such as an entry of an archive; ``path`` then only names it in messages.
+        upright: whether to rotate the photo as its EXIF says; False leaves it in the orientation that a recording's
+            intrinsics describe.
 
     Raises:
-        ValueError: for a file that is broken, of another kind, or too large.
+        ValueError: for a file that is damaged, in another format, or too large.
     """
     with _opened(path, stream, PHOTO_FORMATS) as image:
         if upright:
@@ -45,7 +46,7 @@ def read_photo(path: Path, stream: BinaryIO | None = None, upright: bool = True)
 
 
 def _rgb(image: Image.Image) -> Image.Image:
-    """What an image shows; Pillow alone makes most of 16 bits white, and shows what is hidden."""
+    """Convert to RGB; Pillow alone turns most 16-bit values white, and shows the colours of transparent pixels."""
     if image.mode.startswith("I;16"):
         return Image.fromarray((np.asarray(image) >> 8).astype(np.uint8)).convert("RGB")
     if not image.has_transparency_data:
@@ -57,13 +58,13 @@ def _rgb(image: Image.Image) -> Image.Image:
 
 
 def photo_size(path: Path) -> tuple[int, int]:
-    """Width and height of a photo once it is upright, pixels, without reading its pixels.
+    """Return the width and height that a photo has once upright, in pixels, without decoding it.
 
     Args:
-        path: of a PNG, a JPEG or a WebP.
+        path: path of a PNG, JPEG or WebP.
 
     Raises:
-        ValueError: for a file that is broken, of another kind, or too large.
+        ValueError: for a file that is damaged, in another format, or too large.
     """
     with _opened(path, None, PHOTO_FORMATS) as image:
         lies = image.getexif().get(ORIENTATION) in (5, 6, 7, 8)
@@ -71,16 +72,16 @@ def photo_size(path: Path) -> tuple[int, int]:
 
 
 def read_grey(path: Path) -> NDArray[Any]:
-    """Read a picture of whole numbers, such as measured depth.
+    """Read a one-channel integer image, such as measured depth.
 
     Args:
-        path: of a PNG with one channel of 8 or 16 bits.
+        path: path of a PNG with one channel of 8 or 16 bits.
 
     Returns:
         [H, W] uint8 or uint16.
 
     Raises:
-        ValueError: for a file that is broken, of another kind, or too large.
+        ValueError: for a file that is damaged, in another format, or too large.
     """
     with _opened(path, None, ("PNG",)) as image:
         if image.mode not in ("L", "I;16"):
@@ -90,9 +91,9 @@ def read_grey(path: Path) -> NDArray[Any]:
 
 @contextmanager
 def _opened(path: Path, stream: BinaryIO | None, formats: tuple[str, ...]) -> Iterator[Image.Image]:
-    """An image whose pixels are not yet read, and are not too many; every fault names the path."""
+    """Open an image without decoding it, check its size, and name the path in every error."""
     with refusing(path, f"a whole {' or '.join(formats)}"), Image.open(stream or path, formats=formats) as image:
-        require_small(path, image.width, image.height)  # in the header, before anything is decoded
+        require_small(path, image.width, image.height)  # from the header, before decoding
         yield image
 
 
@@ -101,11 +102,11 @@ def open_video(path: Path) -> Iterator["InputContainer"]:
     """Open a video.
 
     Args:
-        path: of the file.
+        path: path of the file.
 
     Raises:
-        ValueError: where it cannot be read, is not a video in one of ``CONTAINERS``, or has too large images or too
-            oblong pixels.
+        ValueError: if it cannot be read, is not a video in one of ``CONTAINERS``, or if its images are too large or its
+            pixels too elongated.
     """
     import av
 
@@ -121,31 +122,31 @@ def open_video(path: Path) -> Iterator["InputContainer"]:
         if not 1.0 / MOST_OBLONG <= aspect <= MOST_OBLONG:
             raise ValueError(f"{path}: expected pixels about as wide as high, got {track.sample_aspect_ratio}")
         require_small(path, *square_size(track.width, track.height, aspect))
-        track.codec_context.options = {"max_pixels": str(MAX_PIXELS)}  # images may say more than their container
+        track.codec_context.options = {"max_pixels": str(MAX_PIXELS)}  # frames may be larger than the container says
         yield container
 
 
 def pixel_aspect(container: "InputContainer") -> float:
-    """How wide a video's pixels are meant to be shown, in heights of them: 1 unless it is anamorphic."""
+    """Return the width-to-height ratio at which a video's pixels are meant to be shown: 1 unless it is anamorphic."""
     return float(container.streams.video[0].sample_aspect_ratio or 1)
 
 
 def square_size(width: int, height: int, aspect: float) -> tuple[int, int]:
-    """Width and height of an image with square pixels, none fewer than it has in any direction."""
+    """Return an image's width and height after resampling to square pixels; neither side gets smaller."""
     return (round(width * aspect), height) if aspect > 1.0 else (width, round(height / aspect))
 
 
 def square_pixels(image: Image.Image, aspect: float) -> Image.Image:
-    """An image of a video of some ``pixel_aspect`` as it is meant to be shown."""
+    """Resample a video frame with a given ``pixel_aspect`` to square pixels."""
     size = square_size(*image.size, aspect)
     return image if size == image.size else image.resize(size, Image.Resampling.BILINEAR)
 
 
 def require_small(path: Path, width: int, height: int) -> None:
-    """Refuse images of more than ``MAX_PIXELS``.
+    """Refuse images with more than ``MAX_PIXELS`` pixels.
 
     Raises:
-        ValueError: naming the file.
+        ValueError: names the file.
     """
     if width * height > MAX_PIXELS:
         raise ValueError(f"{path}: expected images of at most {MAX_PIXELS:,} pixels, got {width} × {height}")

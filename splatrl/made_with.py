@@ -1,4 +1,4 @@
-"""What a training was made with, and whether another one may go on from there."""
+"""The scene, settings and hardware of a training, and whether another run may resume it."""
 
 import warnings
 from collections.abc import Mapping
@@ -15,11 +15,11 @@ SPEED_ONLY = {"threads", "renderer.threads", "resume", "collector.cuda_graph", "
 SPEED_ONLY |= {"resume_changed", "allow_targets", "view"}
 """Keys of a config that do not change the results."""
 FREE = ("device:", "scene.path:", "scene.name:", "logger.", "checkpoint.", "evaluation.", "collector.total_frames:")
-"""How lines of ``differences`` begin that a resumed run may have: a scene is known by its content."""
+"""Prefixes of the lines of ``differences`` that a resumed run may have; a scene is identified by its content."""
 
 
 def differences(asked: Mapping[str, Any], found: Mapping[str, Any]) -> list[str]:
-    """Keys in which two configs differ, with both values; keys that only change speed are left out."""
+    """List the keys in which two configs differ, with both values, leaving out keys that cannot change results."""
     wanted, there = _settings(asked), _settings(found)
     return [
         f"{key}: asked for {wanted.get(key, 'nothing')}, found {there.get(key, 'nothing')}"
@@ -29,11 +29,11 @@ def differences(asked: Mapping[str, Any], found: Mapping[str, Any]) -> list[str]
 
 
 def made_with(cfg: DictConfig, scene_digest: str) -> dict[str, Any]:
-    """What a training depends on, as plain values for its checkpoints.
+    """Return everything that a training's results depend on, as plain values for its checkpoints.
 
     Args:
-        cfg: its config.
-        scene_digest: fingerprint of the scene's Gaussians.
+        cfg: config of the training.
+        scene_digest: digest of the scene's Gaussians.
     """
     settings = OmegaConf.to_container(cfg)
     assert isinstance(settings, dict)
@@ -41,17 +41,18 @@ def made_with(cfg: DictConfig, scene_digest: str) -> dict[str, Any]:
 
 
 def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
-    """Refuse to go on with a training that began with another scene or other settings.
+    """Refuse to resume a training that began with another scene or other settings.
 
-    What only says how a run is watched, where its scene is found or how long it lasts may change. Where PyTorch's
-    threads or the processor's instructions differ, a warning says that bytes may.
+    The device, the scene's location, the training's length and the settings of logging, checkpoints and evaluation may
+    change. If the number of PyTorch threads or the processor's instruction set differs, a warning says that results may
+    differ in their last bits.
 
     Args:
-        now: ``made_with`` of the training that is to go on.
-        then: that of its checkpoint; empty where there is none.
+        now: ``made_with`` of the run that is to resume.
+        then: ``made_with`` from its checkpoint; empty if there is none.
 
     Raises:
-        ValueError: names the differences, and what to give to go on all the same.
+        ValueError: names the differences, and the setting that resumes nevertheless.
     """
     if not then:
         return
@@ -71,7 +72,7 @@ def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
 
 
 def _settings(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Dotted keys and their values, with absolute paths."""
+    """Return the dotted keys of a config with their values, with paths made absolute."""
     return {
         key: str(Path(value).expanduser().absolute()) if key in PATHS and isinstance(value, str) else value
         for key, value in flat(config)

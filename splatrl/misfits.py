@@ -1,4 +1,4 @@
-"""What does not fit together in a place says so, by the key to change, before anything is trained."""
+"""Checks that scene, robot, goal and sprite fit together; errors name the key to change, before anything is trained."""
 
 import math
 
@@ -12,20 +12,20 @@ from splatrl.envs.tasks.base import Task
 from splatrl.scenes.scene import Bounds
 
 NEAREST = 0.5
-"""Steps: how near a robot can be sure to come to a thing."""
+"""Distance to which a robot can be sure to approach an object, in steps."""
 ROUND = math.pi / 4
-"""Share of a picture's square that an apple covers."""
+"""Fraction of its picture that an apple covers: a disc in a square."""
 
 
 def check_height(bounds: Bounds, task: Task) -> None:
     """Refuse robots that would move below the scene.
 
     Args:
-        bounds: of the scene, world, metres.
-        task: says where robots are.
+        bounds: bounds of the scene, world frame, metres.
+        task: the task, whose motion defines where robots are.
 
     Raises:
-        ValueError: names ``robot.height``, the lowest that fits and what came.
+        ValueError: names ``robot.height``, the lowest height that fits and what was given.
     """
     lowest = float(task.motion.body_to_world(task.motion.states())[:, 2, 3].min())
     if lowest < bounds[0][2] - 1e-6:
@@ -35,14 +35,14 @@ def check_height(bounds: Bounds, task: Task) -> None:
 
 
 def check_goal(task: Task, reached: Tensor) -> None:
-    """Refuse a goal that no pose comes near.
+    """Refuse a goal that no pose is close enough to reach.
 
     Args:
-        task: says where robots are, and what they are to reach.
+        task: the task, which defines where robots are and what they have to reach.
         reached: [S] bool, whether the states of its motion are at the goal.
 
     Raises:
-        ValueError: names the goal's key, where robots walk, and what came.
+        ValueError: names the goal's key, the region where robots walk, and what was given.
     """
     if reached.any():
         return
@@ -60,15 +60,15 @@ def check_goal(task: Task, reached: Tensor) -> None:
 
 
 def check_sprite(drawing: Drawing, robot: Robot, task: Task) -> None:
-    """Refuse an apple that is too small to ever fill the share of the view that its task asks for.
+    """Refuse an apple that is too small to ever fill the fraction of the view that its task requires.
 
     Args:
-        drawing: what is drawn.
-        robot: its camera.
+        drawing: the drawing, which may contain the sprite.
+        robot: the robot, for its camera.
         task: the task.
 
     Raises:
-        ValueError: names ``drawing.size``, the smallest that fits and what came.
+        ValueError: names ``drawing.size``, the smallest size that fits and what was given.
     """
     if not isinstance(task, Apple) or not isinstance(drawing, SpriteDrawing) or task.mean_red is not None:
         return

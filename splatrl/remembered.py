@@ -1,4 +1,4 @@
-"""Costs of shortest paths, found once for a place and kept in the cache."""
+"""Shortest-path costs, computed once per place and kept in the cache."""
 
 import json
 from collections.abc import Callable
@@ -19,17 +19,17 @@ from splatrl.motions.base import PlannedMotion
 from splatrl.scenes.cache import cached_arrays
 
 DEPENDS_ON = ("collision", "curriculum", "envs/tasks", "motions", "native", "physics")
-"""Rooms whose code costs depend on."""
+"""Sub-packages whose code the costs depend on."""
 
 
 def remembering(cfg: DictConfig, occupancy: Occupancy) -> Callable[[PlannedMotion, Checker, Reached], Field]:
-    """``cost_field``, which takes costs from the cache where task, robot and what is solid are as they were.
+    """Return ``cost_field`` with a cache, which is used as long as task, robot, checker and occupancy are the same.
 
-    Only of what splatrl itself builds: how the code of another package has changed cannot be known.
+    Only splatrl's own tasks, robots and checkers are cached, because changes in another package's code go unnoticed.
 
     Args:
-        cfg: of one scene.
-        occupancy: what is solid.
+        cfg: config with one scene.
+        occupancy: the solid voxels.
     """
     parts = OmegaConf.create({"task": cfg.task, "robot": cfg.robot, "checker": cfg.collision.cpu}, parent=cfg)
     if not all(str(target).startswith("splatrl.") for _, target in targets(parts)):
@@ -50,7 +50,7 @@ def remembering(cfg: DictConfig, occupancy: Occupancy) -> Callable[[PlannedMotio
 
 @cache
 def _code() -> str:
-    """Fingerprint of the code that costs depend on."""
+    """Return a digest of the code that the costs depend on."""
     package = Path(__file__).parent
     return digest_of(
         path

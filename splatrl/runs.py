@@ -1,4 +1,4 @@
-"""Loads the policy of a run folder, and the world in which it was trained."""
+"""Loads the policy of a run folder and the world in which it was trained."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ CHECKPOINTS = ("last", "best")
 
 @dataclass(frozen=True)
 class TrainedPolicy:
-    """A policy, with everything with which it was trained.
+    """A trained policy with the config and world of its run.
 
     Attributes:
         cfg: config of the run.
@@ -37,11 +37,11 @@ class TrainedPolicy:
 
     @property
     def policy(self) -> TensorDictModuleBase:
-        """The policy, which reads an observation and writes ``action``."""
+        """The policy as a module that reads an observation and writes ``action``."""
         return self.model.get_policy_operator()
 
     def beginning(self) -> TensorDictBase:
-        """The first observation of an episode of one robot, [1]."""
+        """Return the first observation of an episode of one robot, [1]."""
         return self.world.env(1).reset()
 
 
@@ -53,18 +53,18 @@ def load_policy(
     world: World | Worlds | None = None,
     allow_targets: Sequence[str] = (),
 ) -> TrainedPolicy:
-    """Load the policy of a run folder, which may come from a stranger: it is data, and names only what stands in conf/.
+    """Load the policy of a run folder, which need not be trusted: it is read as data, and builds only what conf/ names.
 
     Args:
         run: the run folder.
         checkpoint: last or best; None takes the run's own setting.
         device: auto, cpu or cuda; None takes the run's own setting.
-        cfg: config of the run, if it was read or changed already.
-        world: world built from ``cfg``, if there is one already.
-        allow_targets: packages of your own that may define what the config builds as well.
+        cfg: config of the run, if it has already been read or changed.
+        world: world built from ``cfg``, if it has already been built.
+        allow_targets: additional packages that may define what the config builds.
 
     Raises:
-        FileNotFoundError: if the folder holds no run, or no such checkpoint.
+        FileNotFoundError: if the folder holds no run, or the checkpoint does not exist.
         ValueError: for a damaged checkpoint.
     """
     cfg = run_config(run, allow_targets) if cfg is None else cfg

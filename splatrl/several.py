@@ -1,7 +1,7 @@
-"""What differs between scenes: one module for several, whose tensors of the scene are chosen for each row of a batch.
+"""Batches over several scenes: one module whose scene-dependent tensors are selected for each row of a batch.
 
-A motion or a task names in ``of_scene`` what belongs to its scene: bounds, heights, goals. Its formulas broadcast, so a
-tensor [2] that holds for all rows and a tensor [B, 2] with one row for each of them mean the same.
+A motion or task lists in ``of_scene`` which of its tensors belong to the scene, such as bounds, heights and goals. Its
+formulas broadcast, so they work alike with a tensor [2] shared by all rows and with a tensor [B, 2], one row each.
 """
 
 import copy
@@ -15,17 +15,17 @@ Module = TypeVar("Module", bound=nn.Module)
 
 
 def stacked(modules: Sequence[Module], name: str = "task") -> Module:
-    """One module for several scenes: its tensors of the scene are [S, ...], everything else is that of all of them.
+    """Stack modules of several scenes into one: its scene-dependent tensors are [S, ...], everything else is shared.
 
     Args:
-        modules: one for each scene.
-        name: key of the config, for errors.
+        modules: one module per scene.
+        name: config key of the module, for error messages.
 
     Raises:
-        ValueError: names what else differs.
+        ValueError: if anything else differs; the error names its key.
     """
     first = modules[0]
-    if hasattr(first, "joined"):  # it knows itself how
+    if hasattr(first, "joined"):  # it knows how to stack itself
         return cast(Module, cast(Any, first).joined(modules))
     result = copy.copy(first)
     result._buffers, result._modules = dict(first._buffers), dict(first._modules)
@@ -48,11 +48,11 @@ def stacked(modules: Sequence[Module], name: str = "task") -> Module:
 
 
 def rows_of(module: Module, scene: Tensor) -> Module:
-    """A ``stacked`` module for rows in some scenes: its tensors of the scene are [B, ...].
+    """Select the scene of each row from a ``stacked`` module: its scene-dependent tensors become [B, ...].
 
     Args:
-        module: made by ``stacked``.
-        scene: [B] int64.
+        module: module made by ``stacked``.
+        scene: [B] int64, the scene of each row.
     """
     if hasattr(module, "joined"):
         return cast(Module, cast(Any, module).at(scene))

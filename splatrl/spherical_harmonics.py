@@ -13,7 +13,7 @@ C0 = 0.28209479177387814
 
 
 def sh_degree(coefficients: int) -> int:
-    """The degree that has this many coefficients; ValueError for counts other than 1, 4, 9 and 16."""
+    """Return the degree that has this many coefficients; ValueError for counts other than 1, 4, 9 and 16."""
     degree = math.isqrt(coefficients) - 1
     if degree not in (0, 1, 2, 3) or (degree + 1) ** 2 != coefficients:
         raise ValueError(f"sh: expected 1, 4, 9 or 16 coefficients per channel, got {coefficients}")
@@ -21,7 +21,7 @@ def sh_degree(coefficients: int) -> int:
 
 
 def sh_basis(directions: Tensor, degree: int) -> Tensor:
-    """Evaluate the basis functions.
+    """Evaluate the basis functions in some directions.
 
     Args:
         directions: [..., 3] unit vectors.
@@ -56,7 +56,7 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
 
 
 def sh_colors(sh: Tensor, directions: Tensor) -> Tensor:
-    """Colour seen along a direction: SH + 0.5, clamped at 0 from below.
+    """Return the colour seen along a direction: SH + 0.5, clamped from below at 0.
 
     Args:
         sh: [..., (degree + 1)², 3].
@@ -70,10 +70,10 @@ def sh_colors(sh: Tensor, directions: Tensor) -> Tensor:
 
 
 def rotate_sh(sh: Tensor, rotation: Tensor) -> Tensor:
-    """Turn the coefficients with the scene, so that ``f'(R d) = f(d)``.
+    """Rotate the coefficients along with the scene, so that ``f'(R d) = f(d)``.
 
-    Each band is closed under rotation, so its matrix is found exactly (to float64) by evaluating the basis before
-    and after the rotation at more directions than the band has functions.
+    Each band is closed under rotation, so its matrix follows exactly (to float64) from a least-squares fit between the
+    basis before and after the rotation, evaluated in more directions than the band has functions.
 
     Args:
         sh: [N, (degree + 1)², 3].

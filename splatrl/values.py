@@ -1,4 +1,4 @@
-"""Values of settings: numbers checked where they come in, dotted keys."""
+"""Values of settings: checks of numbers and colours, formatting, and dotted keys."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,13 +10,13 @@ def require_number(name: str, value: object, low: float, high: float = math.inf,
 
     Args:
         name: the key, for the message.
-        value: what came.
-        low: the smallest that is right.
-        high: the largest.
-        whole: whether it must be an integer.
+        value: the value that was given.
+        low: smallest allowed value.
+        high: largest allowed value.
+        whole: whether the value must be an integer.
 
     Raises:
-        ValueError: names the key, the range and what came.
+        ValueError: names the key, the range and what was given.
     """
     kinds = (int,) if whole else (int, float)
     right = isinstance(value, kinds) and not isinstance(value, bool) and low <= value <= high
@@ -26,30 +26,30 @@ def require_number(name: str, value: object, low: float, high: float = math.inf,
 
 
 def require_rgb(name: str, value: Sequence[float]) -> None:
-    """Refuse anything but a colour.
+    """Refuse anything but a colour of three numbers in [0, 1].
 
     Args:
         name: the key, for the message.
-        value: what came.
+        value: the value that was given.
 
     Raises:
-        ValueError: names the key and what came.
+        ValueError: names the key and what was given.
     """
     if len(value) != 3 or not all(isinstance(one, int | float) and 0.0 <= one <= 1.0 for one in value):
         raise ValueError(f"{name}: expected red, green and blue in [0, 1], got {list(value)}")
 
 
 def tenths(value: float) -> str:
-    """A number with one decimal, for people: what rounds to zero has no sign."""
+    """Format a number for display with one decimal; a value that rounds to zero has no sign."""
     return f"{round(value, 1) + 0.0:.1f}"
 
 
 def flat(node: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted keys and their values, of settings within settings; an empty mapping is a value.
+    """Yield the dotted keys of nested settings with their values; an empty mapping counts as a value.
 
     Args:
-        node: keys and values.
-        place: the dotted key of ``node`` itself.
+        node: nested keys and values.
+        place: dotted key of ``node`` itself.
     """
     for key, value in node.items():
         name = f"{place}.{key}" if place else str(key)

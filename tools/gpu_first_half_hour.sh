@@ -1,21 +1,22 @@
 #!/bin/bash
-# What to run first on a GPU machine without internet, with the folder that tools/gpu_kit.sh has packed.
+# First checks and benchmarks on a GPU machine without internet access, using the folder that tools/gpu_kit.sh packed.
 #
 #   tools/gpu_first_half_hour.sh [--kit .gpu_kit] [--out FOLDER] [--seconds 570] [--dry-run] [PART ...]
 #
-# --out      for log.txt, steps.txt (how each step ended) and results; default $OUT, or .gpu_out
-# --seconds  for each part; what does not fit in is left out, and said so
-# --dry-run  with an emulated GPU, at tiny sizes; needs a C++ compiler
+# --kit      folder that tools/gpu_kit.sh packed
+# --out      folder for log.txt, steps.txt (how each step ended) and results; default $OUT, or .gpu_out
+# --seconds  time limit for each part; steps that do not fit in are skipped and reported
+# --dry-run  emulate the GPU, at tiny sizes; needs a C++ compiler
 #
-# Parts, all by default, one after the other:
-#   correct    kernels are loaded, in the main thread and another; frames as the CPU's, the same bytes twice;
-#              compute-sanitizer; the GPU tests of renderer and checker
-#   learning   the GPU tests of envs, training and fit
-#   rendering  the benchmark of the renderer, and its kernels in the profiler ncu
+# Parts, all by default, in this order:
+#   correct    load kernels, in the main thread and in another; compare frames with the CPU's, and a repeated run byte
+#              for byte; compute-sanitizer; GPU tests of the renderer and the collision checker
+#   learning   GPU tests of envs, training and the fit of captures
+#   rendering  benchmark of the renderer, and its kernels in the profiler ncu
 #   rest       the other sections of the benchmark
 #
-# Nothing is installed outside of $WORK, by default splatrl-gpu-kit in the folder for temporary files. Each step is a
-# process with a time limit, and one that fails does not stop the others. $PYTHON is the interpreter that has PyTorch.
+# Nothing is installed outside $WORK, which is splatrl-gpu-kit in the folder for temporary files by default. Each step
+# is a process with a time limit, and a failing step does not stop the others. $PYTHON is the interpreter with PyTorch.
 set -uo pipefail
 
 PARTS=(correct learning rendering rest)
@@ -35,13 +36,13 @@ say() {
     printf '%s\n' "$@" | tee -a "$log"
 }
 
-# How a step ended, in one line.
+# Records in one line how a step ended.
 ended() { # NAME ENDING
     printf '%-40s  %s\n' "$1" "$2" >>"$steps"
     say "-- $1: $2"
 }
 
-# Runs a command within its time, and within what is left of the part's; its output goes to the log, and its end is shown.
+# Runs a command within its time limit and that of the part. Its output goes to the log; the last lines are shown.
 step() { # NAME SECONDS COMMAND...
     local name=$1 seconds=$2 left=$((deadline - SECONDS)) began=$SECONDS from status
     shift 2
@@ -52,7 +53,7 @@ step() { # NAME SECONDS COMMAND...
     fi
     ((seconds < left - 5)) || seconds=$((left - 5))
     from=$(stat -c %s "$log")
-    { timeout -k 5 "$seconds" "$@" >>"$log" 2>&1 </dev/null; } 2>/dev/null # bash's own word of a kill
+    { timeout -k 5 "$seconds" "$@" >>"$log" 2>&1 </dev/null; } 2>/dev/null # hides bash's message about a kill
     status=$?
     tail -c "+$((from + 1))" "$log" | tail -n "$SHOWN"
     case $status in
@@ -63,19 +64,19 @@ step() { # NAME SECONDS COMMAND...
 }
 SHOWN=15
 
-# The same, if there is a GPU.
+# Like step, but only if there is a GPU.
 gpu_step() {
     if [[ -n $gpu || -n ${dry[*]} ]]; then step "$@"; else ended "$1" "no GPU, not run"; fi
 }
 
-# The same, if its program is there as well.
+# Like gpu_step, but only if a tool is installed as well.
 tool_step() { # TOOL NAME SECONDS COMMAND...
     local tool=$1
     shift
     if command -v "$tool" >/dev/null; then gpu_step "$@"; else ended "$1" "no $tool, not run"; fi
 }
 
-# Unpacks the kit, once, with the checkout's own Python and CUDA sources.
+# Installs the kit's wheels once, and copies the checkout's own Python and CUDA sources over them.
 unpack() {
     local mark
     [[ -d $kit/wheels ]] || die "$kit: expected the folder of tools/gpu_kit.sh"
@@ -94,8 +95,8 @@ unpack() {
     [[ ! -f $kit/kernels.tar.gz ]] || tar -xzf "$kit/kernels.tar.gz" -C "$WORK/cache"
 }
 
-# GPU tests in some folders, each file a process, side by side: most of their time is not the GPU's. That of gsplat
-# compiles it, where nvcc is there, and the benchmark finds it compiled.
+# Runs the GPU tests in some folders, one process per file and all in parallel, since they use the GPU only for a small
+# part of their time. The test of gsplat compiles it, if nvcc is there, so that the benchmark finds it compiled.
 tests_in() { # FOLDER...
     local file files name running=()
     mapfile -t files < <(grep -rlE 'mark\.gpu' "$@" --include='test_*.py' | LC_ALL=C sort)
@@ -128,7 +129,7 @@ part_correct() {
     try tiny 60
     try frames 60
     try twice 60
-    local tool quiet=(--report-api-errors no) # cuda-bindings asks drivers for functions that only newer ones have
+    local tool quiet=(--report-api-errors no) # cuda-bindings looks up functions that only newer drivers have
     for tool in memcheck racecheck synccheck; do
         tool_step compute-sanitizer "$tool" 100 env PYTORCH_NO_CUDA_MEMORY_CACHING=1 \
             compute-sanitizer --tool "$tool" "${quiet[@]}" --error-exitcode 9 "$PYTHON" benchmarks/gpu_steps.py tiny

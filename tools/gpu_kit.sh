@@ -1,19 +1,20 @@
 #!/bin/bash
-# Packs what a GPU machine without internet lacks, into one folder that is copied there with the checkout.
+# Packs what a GPU machine without internet access lacks into one folder, to be copied there with the checkout.
 #
 #   tools/gpu_kit.sh [--python 3.12] [--arch sm_90] [--folder .gpu_kit] [--limit 64] [PART ...]
 #
-# --python  the Python of that machine: a version, or the path of such an interpreter on this one, which builds the wheel
-# --arch    the architecture of its GPU
-# --limit   MiB that folder and checkout may have together
+# --python  Python of that machine: a version, or the path of a matching interpreter on this one, which builds the wheel
+# --arch    architecture of its GPU
+# --folder  where to pack it
+# --limit   maximum total size of folder and checkout, MiB
 #
-# Parts, all by default: project (its wheel), packages (wheels that an image with PyTorch lacks), kernels (compiled for
-# the GPU), kitchen (the captured scene), check (sizes, and whether anything is missing). project, packages and kernels
-# need an index of packages; kernels need the extra cuda in the Python that is active here.
+# Parts, all by default: project (the wheel of splatrl), packages (wheels that an image with PyTorch lacks), kernels
+# (compiled for the GPU), kitchen (the captured scene), check (print sizes, and fail if anything is missing). project,
+# packages and kernels need a package index; kernels also needs the extra cuda in the Python that is active here.
 set -euo pipefail
 
-# Beside PyTorch and what it needs, NumPy, SciPy, Matplotlib, Pillow and tqdm are taken to be there. PyAV is left out: it
-# is large, and only videos need it. gsplat is compared with where nvcc is there to compile it.
+# Besides PyTorch and its dependencies, NumPy, SciPy, Matplotlib, Pillow and tqdm are assumed to be installed there.
+# PyAV is left out: it is large, and only videos need it. gsplat is for comparison, if nvcc is there to compile it.
 PACKAGES=(
     torchrl tensordict hoptorch lazy-importer pyvers orjson importlib_metadata zipp cloudpickle packaging
     gymnasium farama-notifications hydra-core omegaconf antlr4-python3-runtime pyyaml plyfile python-fcl
@@ -32,13 +33,13 @@ usage() {
     sed -n '2,/^set/{/^#/s/^# \{0,1\}//p}' "$0"
 }
 
-# The files that make the wheel's compiled part; Python and CUDA sources are taken from the checkout when it is installed.
+# Lists the sources of the wheel's compiled part; Python and CUDA sources are copied from the checkout when installed.
 cpp_sources() {
     find CMakeLists.txt splatrl/native -path splatrl/native/cuda -prune -o -type f \
         \( -name '*.cpp' -o -name '*.h' -o -name CMakeLists.txt \) -print | LC_ALL=C sort
 }
 
-# Sets `interpreter` to the Python that builds the wheel.
+# Sets `interpreter` to the Python that builds the wheel, and `version` to its version.
 find_interpreter() {
     interpreter=$python
     [[ $python == */* ]] || interpreter=python$python
@@ -50,7 +51,7 @@ find_interpreter() {
 pack_project() {
     local wheel=("$folder"/wheels/splatrl-*-"cp${version/./}"-*.whl)
     if [[ -f ${wheel[0]} ]] && sha256sum --check --status "$folder/sources.sha256" 2>/dev/null; then
-        return # the same C++
+        return # the C++ has not changed
     fi
     rm -f "$folder"/wheels/splatrl-*.whl
     "$interpreter" -m pip wheel -q --no-deps -w "$folder/wheels" . || die "project: the wheel was not built, see above"

@@ -1,7 +1,7 @@
-"""The file that makes a Hub repository an env of LeRobot's EnvHub: lerobot.envs.make_env("you/garden", n_envs=8)
+"""Turns a Hub repository into an env of LeRobot's EnvHub: lerobot.envs.make_env("you/garden", n_envs=8)
 
-Put it at the top of a repository, beside the folder of a scene (``splatrl-scene`` or ``splatrl-capture`` write one).
-Without such a folder it is the built-in backyard. Whoever loads it needs splatrl installed.
+Put this file at the root of a repository, beside a folder ``scene`` (written by ``splatrl-scene`` or
+``splatrl-capture``). Without this folder, the env uses the built-in backyard. Whoever loads it needs splatrl installed.
 """
 
 from pathlib import Path
@@ -15,14 +15,14 @@ TASK = "splatrl/Fps-v0"
 
 
 def make_env(n_envs: int = 1, use_async_envs: bool = False) -> dict[str, dict[int, gymnasium.vector.VectorEnv]]:
-    """The task in the scene beside this file.
+    """Make the task in the scene beside this file.
 
     Args:
-        n_envs: robots of the batch.
-        use_async_envs: has no effect: a batch needs no processes.
+        n_envs: number of robots in the batch.
+        use_async_envs: ignored, because a batch needs no subprocesses.
 
     Returns:
-        A suite of one task, as LeRobot takes it.
+        A suite of one task, in the form that LeRobot expects.
     """
     assert splatrl
     scene = str(SCENE) if SCENE.is_dir() else "backyard"

@@ -1,4 +1,4 @@
-"""Builds objects from configs: the one place that knows which node builds what."""
+"""Builds objects from configs; no other package knows which config node builds what."""
 
 from splatrl.building.envs import env_makers, make_env, worker_seed
 from splatrl.building.places import check_place

@@ -1,4 +1,4 @@
-"""Builds envs for other programs and for workers."""
+"""Builds envs for other programs and for worker processes."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -17,32 +17,33 @@ from splatrl.values import require_number
 def make_env(
     overrides: Sequence[str] = (), batch_size: Sequence[int] | None = None, seed: int | None = None
 ) -> EnvBase:
-    """Make an env from names and paths alone, so that a worker process can do so too.
+    """Make an env from names and paths alone, so that a worker process can make one too.
 
     Args:
         overrides: overrides in Hydra's grammar, such as ``["scene=kitchen", "scene.path=kitchen.spz"]``.
         batch_size: [B]; None takes ``env.num_envs``.
-        seed: seed of the env's generator; None is 0, and in a worker process one that belongs to its number, so that
-            workers do not begin alike. ``env_makers`` gives workers seeds that do not depend on processes.
+        seed: seed of the env's generator; None means 0 in the main process, and in a worker process a seed derived
+            from its number, so that workers do not start identically. The seeds that ``env_makers`` gives to workers
+            do not depend on how processes are numbered.
 
     Raises:
-        ValueError: for another shape of the batch, or a config that is refused.
+        ValueError: for a batch size of another shape, or a config that is refused.
     """
     if batch_size is not None and (isinstance(batch_size, int) or len(batch_size) != 1 or batch_size[0] < 1):
         raise ValueError(f"batch_size: expected a list of one number of at least 1, or None, got {batch_size}")
     cfg = load_config(overrides)
     world = build_world(cfg)
     curriculum = instantiate(cfg.curriculum)([one.plan for one in world.worlds])
-    place = current_process()._identity  # (2,) in the second process that the main one started
+    place = current_process()._identity  # (2,) in the second child of the main process
     seed = (worker_seed(0, *place) if place else 0) if seed is None else seed
     env = world.env(cfg.env.num_envs if batch_size is None else batch_size[0], curriculum, seed)
-    return env if isinstance(env, StatefulEnv) else StatefulEnv(env)  # whose state TorchRL's collectors keep
+    return env if isinstance(env, StatefulEnv) else StatefulEnv(env)  # TorchRL's collectors keep its state
 
 
 def env_makers(
     workers: int, overrides: Sequence[str] = (), batch_size: Sequence[int] | None = None, seed: int = 0
 ) -> list[Callable[[], EnvBase]]:
-    """Constructors of one env for each worker, as TorchRL's collectors and ``ParallelEnv`` take them.
+    """Return one env constructor per worker, in the form that TorchRL's collectors and ``ParallelEnv`` take.
 
     Example:
         >>> import splatrl
@@ -52,11 +53,11 @@ def env_makers(
     Args:
         workers: number of workers.
         overrides: see ``make_env``.
-        batch_size: [B], robots of each worker; None takes ``env.num_envs``.
-        seed: each worker's env has a seed that is derived from this one and from its number.
+        batch_size: [B], robots per worker; None takes ``env.num_envs``.
+        seed: base seed; the seed of each worker's env is derived from it and from the worker's number.
 
     Raises:
-        ValueError: for fewer workers than one, or a seed that is no whole number from 0.
+        ValueError: for fewer than one worker, or a seed that is negative or not an integer.
     """
     require_number("workers", workers, 1, whole=True)
     require_number("seed", seed, 0, whole=True)
@@ -64,5 +65,5 @@ def env_makers(
 
 
 def worker_seed(seed: int, *worker: int) -> int:
-    """The seed of a worker with a number, or with one for each generation of processes: 63 bits."""
+    """Derive a worker's 63-bit seed from its number, or, for nested processes, from its number at each level."""
     return int(np.random.SeedSequence(seed, spawn_key=worker).generate_state(1, np.uint64)[0] >> 1)

@@ -1,4 +1,4 @@
-"""Builds the scenes of a config, each with the robot, the task and the paths in it."""
+"""Builds the scenes of a config, each with its robot, task and shortest paths."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -31,11 +31,11 @@ from splatrl.remembered import remembering
 from splatrl.scenes.scene import Bounds, Scene
 
 BEYOND = 1.0
-"""Metres around where robots go in which physics knows what is solid: things roll."""
+"""Margin, metres, around the robots' region in which physics knows the solid voxels: pushed things can roll away."""
 
 
 class Place(NamedTuple):
-    """One scene and what robots do there, before anything is drawn; the fields are those of ``World``."""
+    """One scene with its robot and task, but without rendering; the fields are those of ``World``."""
 
     scene: Scene
     occupancy: Occupancy
@@ -57,12 +57,12 @@ class Place(NamedTuple):
 
 
 def build_places(configs: Sequence[DictConfig], device: torch.device, names: Sequence[str]) -> list[Place]:
-    """Build the scenes of some configs, several side by side and with a progress bar.
+    """Build the scenes of some configs; several are built in parallel, with a progress bar.
 
     Args:
-        configs: each with one scene.
-        device: of what moves and draws robots.
-        names: what was typed for each of several, for messages.
+        configs: configs with one scene each.
+        device: device on which robots are simulated and rendered.
+        names: the name that was typed for each of several scenes, for messages.
     """
     if len(configs) == 1:
         return [_build_place(configs[0], device)]
@@ -72,13 +72,13 @@ def build_places(configs: Sequence[DictConfig], device: torch.device, names: Seq
 
 
 def _build_one_of_several(name: str, cfg: DictConfig, device: torch.device) -> Place:
-    """Build one of several scenes, whose name stands before what is wrong in it."""
+    """Build one of several scenes, with its name in front of any error message."""
     with _key(name):
         return _build_place(cfg, device)
 
 
 def _build_place(cfg: DictConfig, device: torch.device) -> Place:
-    """Build what a config with one scene says of it."""
+    """Build the place that a config with one scene describes."""
     scene, robot, task = instantiate(cfg.scene), instantiate(cfg.robot), instantiate(cfg.task)
     check_height(scene.bounds, task)
     region = _start_region(task, robot.body)
@@ -100,10 +100,10 @@ def _build_place(cfg: DictConfig, device: torch.device) -> Place:
 
 
 def _settle(task: Task, scene: Scene, occupancy: Occupancy, body: Body, antialiased: bool) -> None:
-    """Put a robot with physics, and what its task places, on the ground of a scene."""
+    """Give a robot with physics, and the things that its task places, the ground of a scene to stand on."""
     motion = task.motion
     assert isinstance(motion, PhysicsMotion)
-    if motion.ground == "scene":  # level ground is there from the beginning
+    if motion.ground == "scene":  # level ground needs no survey
         lower, upper = motion.twin.lower.tolist(), motion.twin.upper.tolist()
         with _key("task.motion"):
             reach = body.radius + (BEYOND if motion.pushed else 0.0)
@@ -114,7 +114,7 @@ def _settle(task: Task, scene: Scene, occupancy: Occupancy, body: Body, antialia
 
 
 def _stands(task: Task, fits: Callable[[Tensor], Tensor], body_to_world: Tensor) -> Tensor:
-    """Whether robots with physics could begin at poses: [S, 4, 4] -> [S] bool."""
+    """Whether robots with physics can start at poses: [S, 4, 4] -> [S] bool."""
     motion, free = task.motion, fits(body_to_world)
     assert isinstance(motion, PhysicsMotion)
     rows = free.nonzero().squeeze(1)
@@ -127,14 +127,14 @@ def _stands(task: Task, fits: Callable[[Tensor], Tensor], body_to_world: Tensor)
 
 
 def check_place(cfg: DictConfig, bounds: Bounds) -> None:
-    """Refuse a robot below a scene, or a goal where no robot walks, without building the rest of the world.
+    """Refuse a robot below the scene, or a goal outside the robots' region, without building the rest of the world.
 
     Args:
-        cfg: the whole config.
-        bounds: of the scene, world, metres.
+        cfg: the complete config.
+        bounds: bounds of the scene, world frame, metres.
 
     Raises:
-        ValueError: names the key, what was expected and what came.
+        ValueError: names the key, what was expected and what was given.
     """
     robot, task = instantiate(cfg.robot), instantiate(cfg.task)
     check_height(bounds, task)
@@ -143,20 +143,20 @@ def check_place(cfg: DictConfig, bounds: Bounds) -> None:
 
 @contextmanager
 def _key(key: str) -> Iterator[None]:
-    """Put the key of a config before what its constructor refuses."""
+    """Prefix a ``ValueError`` raised in the block with a config key."""
     try:
         yield
     except ValueError as error:
-        if str(error).startswith(f"{key}."):  # it names its own
+        if str(error).startswith(f"{key}."):  # it already names the key
             raise
         raise ValueError(f"{key}: {error}") from error
 
 
 def constructor(cfg: DictConfig, group: str, device: torch.device) -> Callable[..., Any]:
-    """The constructor in a config group for a kind of device.
+    """Return the constructor that a config group holds for a kind of device.
 
     Raises:
-        ValueError: if the group has none for it.
+        ValueError: if the group has no constructor for this device.
     """
     choice = OmegaConf.select(cfg, group)
     node = choice.get(device.type)
@@ -169,21 +169,21 @@ def constructor(cfg: DictConfig, group: str, device: torch.device) -> Callable[.
 
 
 def _fits(bounds: Bounds, solid: Checker, body_to_world: Tensor) -> Tensor:
-    """Whether robots could begin at poses: within the scene and not in anything solid; [S, 4, 4] -> [S] bool."""
+    """Whether robots can start at poses, within the scene's bounds and free of collisions: [S, 4, 4] -> [S] bool."""
     lower, upper = (body_to_world.new_tensor(corner[:2]) for corner in bounds)
     place = body_to_world[:, :2, 3]
     return ((place >= lower) & (place <= upper)).all(1) & ~solid.collides(body_to_world)
 
 
 def _connected(task: NavigationTask, fits: Callable[[Tensor], Tensor], body_to_world: Tensor) -> Tensor:
-    """Whether a robot could begin at poses, and reach the goals of a navigation task: [S, 4, 4] -> [S] bool."""
+    """Whether a robot can start at poses and reach the goals of a navigation task: [S, 4, 4] -> [S] bool."""
     return fits(body_to_world) & task.geodesics.grounds[0].connected(body_to_world[:, :2, 3])
 
 
 def _start_region(task: Task, body: Body) -> tuple[Tensor, tuple[list[float], list[float]]]:
-    """Places that robots can reach, [N, 3] in metres, and the corners of the box that contains their bodies.
+    """Return places that robots can reach, [N, 3] in metres, and the corners of the box that contains their bodies.
 
-    The places are those of the goal states, or of all states if a task has none.
+    The places are those of the goal states, or of all states if the task has no goal states.
     """
     states = task.motion.states()
     places = task.motion.body_to_world(states)[:, :3, 3]

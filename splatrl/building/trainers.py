@@ -1,4 +1,4 @@
-"""Builds policies, and what trains them."""
+"""Builds policies and their trainers."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -34,7 +34,7 @@ def build_trainer(cfg: DictConfig, world: World | Worlds, folder: Path) -> Train
     """Build the learner and the training loop around it.
 
     Args:
-        cfg: the whole config.
+        cfg: the complete config.
         world: everything that the envs share.
         folder: the run folder.
     """
@@ -74,10 +74,10 @@ def build_trainer(cfg: DictConfig, world: World | Worlds, folder: Path) -> Train
 
 
 def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> Callable[[], Iterator[dict[str, float]]] | None:
-    """What a policy is taught before it learns from reward; None where there is nothing.
+    """Return the teaching that precedes learning from reward (matching, cloning, DAgger); None if there is none.
 
     Raises:
-        ValueError: for ``demos`` that are no folder of demonstrations and no number.
+        ValueError: if ``demos`` is neither a folder of demonstrations nor a number.
     """
     dagger, matching, shown = instantiate(cfg.dagger), instantiate(cfg.matching), []
     if isinstance(cfg.demos, str):
@@ -91,7 +91,7 @@ def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> Callable[[], 
         if matching.frames:
             matcher = Matcher(ppo.model, matching)
             env = world.env(cfg.env.num_envs, seed=worker_seed(cfg.seed, 1))
-            loss = matcher.fit(views(env, matching.frames))  # the views take gigabytes: nothing holds them after this
+            loss = matcher.fit(views(env, matching.frames))  # keep no reference: the views take gigabytes
             ppo.frames += matching.frames
             yield {"loss_matching": loss}
         cloner = Cloner(ppo.model, instantiate(cfg.cloning))
@@ -102,14 +102,14 @@ def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> Callable[[], 
 
 
 def _walked(world: World | Worlds, episodes: int, seed: int) -> list[Demonstrations]:
-    """Episodes of the planner, shared out evenly among the scenes."""
+    """Record episodes of the planner, divided evenly among the scenes."""
     every = len(world.worlds)
     shares = [(episodes + every - 1 - number) // every for number in range(every)]
     return [planner_episodes(one, share, seed) for one, share in zip(world.worlds, shares, strict=True) if share]
 
 
 def _cuda_graph(choice: bool | str) -> bool | None:
-    """Whether to capture steps; None for auto.
+    """Return whether to capture steps in a CUDA graph; None for auto.
 
     Raises:
         ValueError: for anything but true, false and auto.

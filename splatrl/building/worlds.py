@@ -1,4 +1,4 @@
-"""Builds worlds: all that envs of a config share."""
+"""Builds worlds: everything that the envs of a config share."""
 
 from functools import partial
 
@@ -20,13 +20,13 @@ from splatrl.training import memory_transforms
 
 
 def build_world(cfg: DictConfig) -> World | Worlds:
-    """Build scene, robot, task, collision, drawing and plan from a config, for the device that it names.
+    """Build scene, robot, task, collision checker, drawing and plan from a config, on the device that it names.
 
-    Where the config has several scenes, all of them, for one batch. Paths are planned on the CPU, with the CPU's
+    If the config has several scenes, all of them are built, for one batch. Paths are planned on the CPU, with the CPU's
     checker.
 
     Raises:
-        ValueError: for a value that is missing, or that one of them refuses.
+        ValueError: for a value that is missing, or that a constructor refuses.
     """
     check_config(cfg)
     given, device = with_absolute_paths(cfg).copy(), chosen_device(cfg.device)
@@ -61,7 +61,7 @@ def build_world(cfg: DictConfig) -> World | Worlds:
 
 
 def _around(cfg: DictConfig, drawing: Drawing) -> Drawing:
-    """The drawing inside the one that a transform brings with it, if one does."""
+    """Wrap the drawing in the one that a transform brings with it, if there is one."""
     return instantiate(cfg.around_drawing)(drawing) if cfg.get("around_drawing") else drawing
 
 
@@ -69,7 +69,7 @@ def build_one_world(cfg: DictConfig) -> World:
     """Build the world of a config with one scene; see ``build_world``.
 
     Raises:
-        ValueError: for several scenes, or what ``build_world`` refuses.
+        ValueError: for several scenes, or anything that ``build_world`` refuses.
     """
     if (count := len(place_configs(cfg))) > 1:
         raise ValueError(f"scene: expected one scene for this command, got {count}; type scene=<one of them>")
@@ -79,10 +79,10 @@ def build_one_world(cfg: DictConfig) -> World:
 
 
 def _make_transforms(nodes: DictConfig, memory: int) -> list[Transform]:
-    """Make new transforms for an env, the innermost first.
+    """Make new transforms for an env, from the innermost outwards.
 
     Raises:
-        ValueError: for an order that names an unknown transform, or leaves one out.
+        ValueError: for an order that names an unknown transform, or omits one.
     """
     order, names = list(nodes.order), [str(name) for name in nodes if name != "order"]
     unknown = [name for name in order if name not in names]

@@ -1,1 +1,1 @@
-"""From a phone video to a scene that robots can train in, one stage a module."""
+"""From a phone video to a scene that robots can train in: one module per stage."""

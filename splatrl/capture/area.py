@@ -1,4 +1,4 @@
-"""Where a capture is: its bounds, where people walked in it, and what is solid there."""
+"""Survey of a captured place: its bounds, the area where people walked, and what is solid there."""
 
 import math
 from dataclasses import dataclass
@@ -23,21 +23,21 @@ Floats = NDArray[np.float64]
 Walk = tuple[tuple[float, float], tuple[float, float]]
 
 GRID = 0.2
-"""Metres: sides of the area to walk in are whole numbers of it, as lattices need."""
+"""Spacing of the robots' lattice, metres; the sides of the walkable area are whole multiples of it."""
 BESIDE = 0.3
-"""Metres of the place around that area, at least."""
+"""Minimum margin between the walkable area and the bounds of the place, metres."""
 LEAST = 1.0
-"""Metres: shortest side of that area."""
+"""Shortest side of the walkable area, metres."""
 MOST_STEPS = 40
-"""Along its longer side: beyond them a robot's step grows with the place."""
+"""Maximum steps along the longer side of the walkable area; in larger places a robot takes longer steps instead."""
 TRIM = 0.01
 _VOXELS = (256, 50)
-"""Along the diagonal, at most and at least, where the usual voxel does not fit the place."""
+"""Maximum and minimum number of voxels along the diagonal, where ``VOXEL`` does not suit the size of the place."""
 VOXEL = 0.05
-"""Metres: edge of a voxel in places the size of a room or a garden."""
+"""Edge of a voxel in places the size of a room or a garden, metres."""
 SOLID = DensitySettings(cutoff=0.91)
-"""What the Gaussians of a fit make solid. Its surfaces absorb all light within a voxel: what lets a tenth through is
-what it could not place well, in front of bare walls and behind edges."""
+"""Density settings that decide what counts as solid in a fit. Real surfaces absorb all light within a voxel; what lets
+a tenth of it through is matter that the fit could not place well, in front of bare walls and behind edges."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +45,12 @@ class Area:
     """A captured place, world frame, metres.
 
     Attributes:
-        bounds: lower and upper corner of what counts.
-        walk: lower and upper corner [x, y] of where people walked.
-        step: of a robot; None where the usual ones do.
-        robot_height: of the robot's camera, which is where the camera was.
-        occupancy: what is solid within the bounds.
-        free: voxels that the Gaussians make solid and that are not: cameras draw surfaces behind them.
+        bounds: lower and upper corner of the part of the world that counts.
+        walk: lower and upper corner [x, y] of the area where people walked.
+        step: length of a robot's step; None for the usual step.
+        robot_height: height of the robot's camera; in a capture, the median height of its cameras.
+        occupancy: what is solid within the bounds and, in a capture, in a margin around them.
+        free: voxels that the Gaussians make solid but that are free: cameras see surfaces behind them.
     """
 
     bounds: Bounds
@@ -62,12 +62,12 @@ class Area:
 
 
 def survey_area(gaussians: Gaussians, placed: Placed, known: Tensor | None = None) -> Area:
-    """Find where a placed capture is, and what is solid in it.
+    """Find the bounds and the walkable area of a placed capture, and what is solid in it.
 
     Args:
-        gaussians: in the world frame.
+        gaussians: the fitted Gaussians, world frame.
         placed: the cameras and points.
-        known: [N, h, w] depths of the photos' pixels, metres, 0 where unknown; None knows nothing.
+        known: [N, h, w] depths of the photos' pixels, metres, 0 where unknown; None where no depth is known.
     """
     poses = placed.reconstruction.camera_to_world.numpy()
     walk, step = whole_steps(poses[:, :2, 3])
@@ -80,7 +80,7 @@ def survey_area(gaussians: Gaussians, placed: Placed, known: Tensor | None = Non
 
 
 def dense_voxels(gaussians: Gaussians, placed: Placed) -> Occupancy:
-    """What the Gaussians of a placed capture make solid, at a resolution that fits the place."""
+    """Find what the Gaussians of a placed capture make solid, with voxels that suit the size of the place."""
     lower, upper = np.array(_bounds(placed, whole_steps(placed.reconstruction.camera_to_world[:, :2, 3].numpy())[0]))
     diagonal = float(np.linalg.norm(upper - lower))
     edge = float(f"{np.clip(VOXEL, diagonal / _VOXELS[0], diagonal / _VOXELS[1]):.2g}")
@@ -90,14 +90,14 @@ def dense_voxels(gaussians: Gaussians, placed: Placed) -> Occupancy:
 
 
 def path_is_free(occupancy: Occupancy, camera_to_world: Tensor, radius: float = 0.05) -> Tensor:
-    """Whether a sphere around each camera touches nothing solid: [N, 4, 4] -> [N] bool."""
+    """Return whether a sphere around each camera touches nothing solid: [N, 4, 4] -> [N] bool."""
     places = camera_to_world[:, :3, 3].float()
     turns = torch.eye(3).expand(len(places), 3, 3)
     return ~NativeChecker(occupancy, Sphere(radius)).collides(rigid(turns, places))
 
 
 def _bounds(placed: Placed, walked: Walk) -> Bounds:
-    """The box around the cameras, where robots walk and the points near them, without the country beyond."""
+    """Return the box around the cameras, the walkable area and the points near them, without the distant background."""
     cameras, walk = placed.reconstruction.camera_to_world[:, :3, 3].numpy(), np.array(walked)
     points = placed.reconstruction.points.numpy()
     low, high = cameras.min(0), cameras.max(0)
@@ -113,7 +113,7 @@ def _bounds(placed: Placed, walked: Walk) -> Bounds:
 
 
 def whole_steps(places: Floats) -> tuple[Walk, float | None]:
-    """The area around where cameras were [N, 2], in whole steps, and the step where it is large."""
+    """Return the area around camera positions [N, 2] in whole steps, and the step (None unless the area is large)."""
     low, high = np.quantile(places, [TRIM, 1 - TRIM], axis=0)
     widest = float((high - low).max())
     step = GRID * math.ceil(widest / GRID / MOST_STEPS - 1e-9) if widest > GRID * MOST_STEPS else None

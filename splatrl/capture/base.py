@@ -1,4 +1,4 @@
-"""What the stages of a capture hand to each other."""
+"""Data that the stages of a capture pass to one another."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +8,7 @@ from torch import Tensor
 
 
 class CaptureError(ValueError):
-    """A capture that cannot become a scene: says what is wrong, with figures, and what to do."""
+    """Raised where a capture cannot become a scene; the message says what is wrong, with figures, and what to do."""
 
 
 @dataclass(frozen=True)
@@ -17,18 +17,21 @@ class Photos:
 
     Attributes:
         paths: N image files, all of one size.
-        width: of every image, pixels.
-        height: of every image, pixels.
-        seconds: [N] float64, when each was taken, from 0; the number of the image where that is unknown.
-        K: [3, 3] float64 intrinsics of these images, pixels; None where they are to be found.
+        width: width of every image, pixels.
+        height: height of every image, pixels.
+        seconds: [N] float64, time at which each image was taken, from 0; the image's index where that is unknown.
+        K: [3, 3] float64 intrinsics of these images, pixels; None where they are still to be found.
         camera_to_world: [N, 4, 4] float64 known poses, metres where ``metric``, OpenCV camera axes; None where they are
-            to be found.
-        up: [3] float64, the direction away from the earth in the frame of ``camera_to_world``; None where unknown.
-        depths: N files of measured depth, uint16 PNG in millimetres, 0 where there is none; empty without a sensor.
+            still to be found.
+        up: [3] float64, the upward direction (away from the earth) in the frame of ``camera_to_world``; None where
+            unknown.
+        depths: N depth images of a sensor, uint16 PNG in millimetres, 0 where there is no depth; empty without a
+            sensor.
         metric: whether the unit of ``camera_to_world`` is the metre.
-        gps: [N, 2] float64, latitude and longitude of each in degrees, NaN where unknown; None where nothing says so.
-        turned: [N] bool, whether an image lies on its side, a quarter clockwise, to be as wide as others; None where
-            none does.
+        gps: [N, 2] float64, latitude and longitude of each image in degrees, NaN where unknown; None where no image has
+            them.
+        turned: [N] bool, whether an image was turned a quarter clockwise, onto its side, to have the size of the
+            others; None where none was.
     """
 
     paths: list[Path]
@@ -46,22 +49,22 @@ class Photos:
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """Cameras with known poses, and points that they saw.
+    """Cameras with known poses, and the points that they saw.
 
     Attributes:
         paths: N image files without lens distortion, in the order in which they were taken.
-        width: of every image, pixels.
-        height: of every image, pixels.
+        width: width of every image, pixels.
+        height: height of every image, pixels.
         K: [3, 3] float64 intrinsics, pixels.
         camera_to_world: [N, 4, 4] float64, OpenCV camera axes; any frame and unit until the world stage.
         points: [P, 3] float64, in the same frame.
         colors: [P, 3] uint8.
-        seen_point: [T] int64, for each sighting of a point by a camera, which point.
-        seen_by: [T] int64, and which camera.
-        missing: share of the given images whose pose was not found.
-        depths: N files of measured depth, as in ``Photos``; empty without a sensor.
-        depth_unit: of one count in these files, in the unit of the frame.
-        seconds: [N] float64, when each image was taken, as in ``Photos``; None where nothing says so.
+        seen_point: [T] int64, index of the point in each observation of a point by a camera.
+        seen_by: [T] int64, index of the camera in each observation.
+        missing: fraction of the given images whose pose was not found.
+        depths: N depth images of a sensor, as in ``Photos``; empty without a sensor.
+        depth_unit: length of one count in these images, in the unit of the frame.
+        seconds: [N] float64, time at which each image was taken, as in ``Photos``; None where unknown.
         gps: [N, 2] float64, as in ``Photos``.
         turned: [N] bool, as in ``Photos``.
     """
@@ -83,6 +86,6 @@ class Reconstruction:
     turned: Tensor | None = None
 
     def K_at(self, width: int, height: int) -> Tensor:
-        """The intrinsics [3, 3] float64 for these images at another size."""
+        """Return the intrinsics [3, 3] float64 for these images at another size."""
         scale = [[width / self.width], [height / self.height], [1.0]]
         return self.K.double() * torch.tensor(scale, dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""The check of a fitted capture: images that were never fitted, the camera's own path, and floaters."""
+"""Quality check of a fitted capture: held-out images, free space along the camera's path, and floaters."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -24,24 +24,25 @@ Floats = NDArray[np.float64]
 
 COMPARISON, MAP = "held_out.png", "map.png"
 SIGMA = 1.5
-"""Pixels: of the window of the structural similarity (Wang et al. 2004), 11 × 11 pixels."""
+"""Standard deviation, pixels, of the window of the structural similarity (Wang et al. 2004), 11 × 11 pixels."""
 
 
 @dataclass(frozen=True)
 class Quality:
-    """How good a capture is.
+    """Measures of a capture's quality.
 
     Attributes:
-        psnr: of the images that were never fitted, dB, mean.
-        ssim: of these, mean.
-        psnr_corrected: the same once each channel of a render has been fitted to its photo by a factor and a shift.
-        ssim_corrected: likewise.
-        held_out: number of these images; without any the four are None.
-        path_free: share of the cameras around which a sphere of 5 cm is free.
-        solid: voxels.
-        floating: solid voxels that many cameras saw through.
-        voxel_size: metres.
-        problems: what is wrong with it, a sentence each, where that was asked.
+        psnr: mean PSNR of the held-out images, dB.
+        ssim: mean structural similarity of the held-out images.
+        psnr_corrected: mean PSNR once each channel of a render has been fitted to its photo by a gain and an offset,
+            dB.
+        ssim_corrected: mean structural similarity after the same correction.
+        held_out: number of held-out images, which were never fitted; with none, the four above are None.
+        path_free: fraction of the cameras around which a sphere with a radius of 5 cm is free.
+        solid: number of solid voxels.
+        floating: number of solid voxels that many cameras saw through.
+        voxel_size: edge of a voxel, metres.
+        problems: what is wrong with the capture, one sentence each; empty where this was not looked for.
     """
 
     psnr: float | None
@@ -56,7 +57,7 @@ class Quality:
     problems: tuple[str, ...] = ()
 
     def figures(self) -> dict[str, float | int | None]:
-        """The numbers by name, short enough to read."""
+        """Return the numbers by name, rounded to four significant digits."""
         numbers = {name: value for name, value in asdict(self).items() if name != "problems"}
         return {name: float(f"{value:.4g}") if isinstance(value, float) else value for name, value in numbers.items()}
 
@@ -72,15 +73,15 @@ def check(
     """Compare a fitted capture with what its cameras saw, and draw ``held_out.png`` and ``map.png``.
 
     Args:
-        gaussians: fitted, in the world frame.
+        gaussians: the fitted Gaussians, world frame.
         placed: cameras and points in the world.
-        held_out: which of its images were never fitted.
-        folder: for the pictures; it exists.
-        area: what ``survey_area`` found, where that is known already.
-        found: goals and a place for a thing, to mark in the map.
+        held_out: indices of the images that were never fitted.
+        folder: folder for the pictures; it must exist.
+        area: the result of ``survey_area``; None computes it.
+        found: suggested goals and object position, to mark on the map.
 
     Raises:
-        CaptureError: for an image that cannot be read, or of another size than the reconstruction says.
+        CaptureError: for an image that cannot be read, or whose size differs from the reconstruction's.
     """
     area = survey_area(gaussians, placed) if area is None else area
     free = path_is_free(area.occupancy, placed.reconstruction.camera_to_world)
@@ -109,12 +110,12 @@ def check(
 
 
 def psnr(image: Floats, reference: Floats) -> float:
-    """Peak signal-to-noise ratio of images [H, W, 3] in [0, 1], dB; 100 at most."""
+    """Return the peak signal-to-noise ratio of images [H, W, 3] in [0, 1], dB; at most 100."""
     return float(-10 * np.log10(max(float(np.mean((image - reference) ** 2)), 1e-10)))
 
 
 def ssim(image: Floats, reference: Floats) -> float:
-    """Mean structural similarity of images [H, W, 3] in [0, 1] (Wang et al. 2004, eq. 13), a channel at a time."""
+    """Return the mean structural similarity of images [H, W, 3] in [0, 1] (Wang et al. 2004, eq. 13), per channel."""
 
     def local(values: Floats) -> Floats:
         blurred: Floats = ndimage.gaussian_filter(values, (SIGMA, SIGMA, 0.0), radius=(5, 5, 0))
@@ -128,7 +129,7 @@ def ssim(image: Floats, reference: Floats) -> float:
 
 
 def colour_corrected(image: Floats, reference: Floats) -> Floats:
-    """An image whose channels have each been fitted to a reference by a factor and a shift, by least squares."""
+    """Return an image with each channel fitted to that of a reference by a gain and an offset, by least squares."""
     result = np.empty_like(image)
     for channel in range(3):
         x, y = image[..., channel], reference[..., channel]
@@ -141,7 +142,7 @@ def colour_corrected(image: Floats, reference: Floats) -> Floats:
 def _views(
     gaussians: Gaussians, reconstruction: Reconstruction, rows: Sequence[int]
 ) -> tuple[list[Floats], list[Floats]]:
-    """Photos and renders of some cameras, each [H, W, 3] in [0, 1]."""
+    """Return the photos and the renders of some cameras, each [H, W, 3] in [0, 1]."""
     renderer = NativeRenderer(gaussians)
     width, height = reconstruction.width, reconstruction.height
     photos, renders = [], []

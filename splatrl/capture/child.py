@@ -1,4 +1,4 @@
-"""A stage in a process of its own: its progress is passed on, and it never outlives the caller."""
+"""Run a stage in a subprocess that passes its progress on and never outlives the caller."""
 
 import contextlib
 import errno
@@ -23,20 +23,20 @@ COLMAP_TELLS = {
 }
 KEPT_LINES = 12
 FULL = re.compile(r"disk is full|No space left", re.IGNORECASE)
-"""What SQLite and the system say; the lines of COLMAP's crash that follow hide it."""
+"""Messages by which SQLite and the system report a full disk; COLMAP's crash report, which follows, would hide them."""
 
 
 def run_child(module: str, folder: Path, progress: Progress) -> None:
-    """Run a module with a folder as its argument until it ends; an exception here, Ctrl-C included, kills it.
+    """Run a Python module in a subprocess until it ends; an exception here, Ctrl-C included, kills it.
 
     Args:
-        module: of Python.
-        folder: its only argument.
-        progress: told what the process prints: JSON lists of what, done and total, or COLMAP's own lines.
+        module: name of the module.
+        folder: the module's only argument.
+        progress: called with what the subprocess prints: JSON lists of what, done and total, or COLMAP's own lines.
 
     Raises:
-        CaptureError: where the process fails, with its last lines.
-        OSError: where it fails for want of room on the disk.
+        CaptureError: where the subprocess fails, with its last lines.
+        OSError: where it fails because the disk is full.
     """
     command = [sys.executable, "-m", module, str(folder)]
     process = subprocess.Popen(
@@ -46,8 +46,8 @@ def run_child(module: str, folder: Path, progress: Progress) -> None:
         stderr=subprocess.STDOUT,
         text=True,
         errors="replace",
-        env={**os.environ, "OMP_NUM_THREADS": "1"},  # sums in one order; COLMAP's own threads remain
-        start_new_session=True,  # Ctrl-C reaches this process only, which then kills the other
+        env={**os.environ, "OMP_NUM_THREADS": "1"},  # fixes the order of sums; COLMAP's own threads remain
+        start_new_session=True,  # Ctrl-C reaches this process only, which then kills the child
     )
     assert process.stdout is not None and process.stdin is not None
     lines: queue.Queue[str | None] = queue.Queue()
@@ -74,14 +74,14 @@ def run_child(module: str, folder: Path, progress: Progress) -> None:
 
 
 def _read(stream: IO[str], lines: "queue.Queue[str | None]") -> None:
-    with contextlib.suppress(ValueError):  # closed by the caller
+    with contextlib.suppress(ValueError):  # the caller closed the stream
         for line in stream:
             lines.put(line)
     lines.put(None)
 
 
 def _next(lines: "queue.Queue[str | None]") -> str | None:
-    while True:  # a wait without an end could not be interrupted everywhere
+    while True:  # some platforms cannot interrupt a wait without a timeout
         with contextlib.suppress(queue.Empty):
             return lines.get(timeout=0.1)
 

@@ -1,4 +1,4 @@
-"""Points that a depth sensor measured, beside those that were triangulated: bare walls and floors have no others."""
+"""Points measured by a depth sensor, added to the triangulated ones: bare walls and floors have no others."""
 
 from dataclasses import replace
 
@@ -10,17 +10,17 @@ from splatrl.capture.photo_files import read_photo
 from splatrl.images import read_grey
 
 ACROSS = 8
-"""Points for each image: so many by so many, where there is depth."""
+"""Rows and columns of the grid of points taken from each depth image; points without depth are left out."""
 
 
 def with_measured_points(reconstruction: Reconstruction) -> Reconstruction:
-    """A reconstruction with some points of its sensor's depths, each seen by the camera that measured it.
+    """Add points from the sensor's depths to a reconstruction, each seen by the camera that measured it.
 
     Args:
-        reconstruction: returned as it is where it has no depths.
+        reconstruction: cameras and points; returned unchanged where it has no depths.
 
     Raises:
-        CaptureError: for an image or a depth that cannot be read.
+        CaptureError: for a photo or a depth image that cannot be read.
     """
     if not reconstruction.depths:
         return reconstruction
@@ -36,7 +36,7 @@ def with_measured_points(reconstruction: Reconstruction) -> Reconstruction:
         column, line = (grid * size).astype(int).T
         depth = counts[line, column] * reconstruction.depth_unit
         column, line, depth = column[depth > 0], line[depth > 0], depth[depth > 0]
-        shares = (np.stack([column, line], 1) + 0.5) / size  # of the image, which shows the same
+        shares = (np.stack([column, line], 1) + 0.5) / size  # normalised; the photo has the same field of view
         pixels = shares * [reconstruction.width, reconstruction.height]
         local = np.concatenate([pixels, np.ones((len(pixels), 1))], 1) @ K.T * depth[:, None]
         pose = reconstruction.camera_to_world[row].numpy()

@@ -1,4 +1,4 @@
-"""Whether a reconstruction keeps its scale from the beginning of a film to its end, and is not bent within."""
+"""Drift of a reconstruction: whether its scale changes from one part of a film to another, and whether it is bent."""
 
 from itertools import pairwise
 
@@ -9,21 +9,24 @@ from splatrl.capture.jerks import Floats, jerks, leaps
 from splatrl.capture.world import Placed
 
 PARTS = 8
-"""Of a film, in each of which the camera's height above the floor is measured."""
+"""Number of parts of a film; the camera's height above the floor is measured in each."""
 LOWEST, LEAST, LEVEL = 0.12, 40, 0.5
-"""Share of the points of a part, the lowest, that may be its floor; how many must lie level, and their share."""
+"""Fraction of a part's points, the lowest ones, that may belong to its floor; the minimum number of these that must lie
+level; and the minimum fraction of these that must."""
 SEEN = 3
-"""Cameras of a part that saw such a point, at least."""
+"""Minimum number of the part's cameras that must have seen such a point."""
 MOST = 3.0
-"""Ratio of two heights; tables and steps in the picture make it 2.3 in captures that are right."""
+"""Ratio of two parts' heights from which the scale counts as lost; tables and steps in view raise it to 2.3 in captures
+that are right."""
 TORN = 8.0
-"""Jerks of a camera's path, at least: twice those for which a film is mapped a second way."""
+"""Jerk from which a camera's path counts as torn: twice the jerk above which a film is mapped a second way."""
 
 
 def leap(placed: Placed) -> str | None:
-    """What says that a film was joined wrongly somewhere; None where nothing does.
+    """Return a warning where a film seems to have been joined wrongly; None where nothing suggests that.
 
-    Where bare walls or blur leave few points, what was seen before and after is hinged on these, and may turn.
+    Where bare walls or blur leave few points, these act as a hinge, about which what was seen before and after may turn
+    relative to each other.
 
     Args:
         placed: cameras and points in the world.
@@ -40,7 +43,7 @@ def leap(placed: Placed) -> str | None:
 
 
 def camera_leaps(placed: Placed) -> Floats:
-    """The ``leaps`` of a film's camera; none where nothing says when its images were taken."""
+    """Return the ``leaps`` of a film's camera; empty where the capture times are unknown."""
     found = placed.reconstruction
     if found.seconds is None:
         return np.zeros(0)
@@ -48,9 +51,9 @@ def camera_leaps(placed: Placed) -> Floats:
 
 
 def lost_scale(placed: Placed) -> str | None:
-    """What says that two parts of a film have scales of their own; None where nothing does.
+    """Return a warning where two parts of a film have different scales; None where nothing suggests that.
 
-    Where somebody turns around on the spot no point is seen from two sides, and nothing carries the scale on.
+    While a camera turns on the spot, no point is seen from two places, and so the scale is not carried on.
 
     Args:
         placed: cameras and points in the world.
@@ -70,7 +73,7 @@ def lost_scale(placed: Placed) -> str | None:
 
 
 def _heights(placed: Placed) -> list[tuple[int, float]]:
-    """The middle camera of each part that shows its floor, and how high above that floor the part's cameras were."""
+    """For each part that shows its floor, return its middle camera and the cameras' median height above that floor."""
     found = placed.reconstruction
     cameras, points = found.camera_to_world[:, 2, 3].numpy(), found.points[:, 2].numpy()
     seen_by, seen_point = found.seen_by.numpy(), found.seen_point.numpy()

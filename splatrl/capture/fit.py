@@ -1,9 +1,8 @@
-"""Gaussians from photos with known poses, on a CPU or a GPU.
+"""Fit Gaussians to photos with known poses, on a CPU or a GPU.
 
-Every step draws a few views with ``splatrl.native``, on a CPU one thread each, compares them with their photos by L1
-and structural similarity, pulls the slopes back to all parameters and takes a step of Adam. Gaussians that became
-transparent are moved to where opaque ones are (MCMC, Kheradmand et al. 2024). Results do not depend on the number of
-threads.
+Every step renders a few views with ``splatrl.native``, on a CPU with one thread per view, compares them with their
+photos by L1 and structural similarity, backpropagates to all parameters and takes a step of Adam. Gaussians that became
+transparent are relocated to opaque ones (MCMC, Kheradmand et al. 2024). Results do not depend on the number of threads.
 """
 
 import math
@@ -26,43 +25,45 @@ from splatrl.native.threads import usable_cores
 from splatrl.scenes.gaussians import Gaussians
 
 HELD_OUT = 8
-"""Every how many views one is never trained on."""
+"""One view in this many is held out and never trained on."""
 NEAR = 0.02
-"""Nearer than this no Gaussian is drawn; in the extent of the cameras."""
+"""Near plane, in units of the cameras' extent: Gaussians nearer than this are not drawn."""
 BETAS = (0.9, 0.999)
 EPSILON = 1e-15
 STEADY = 0.1
-"""Share of the views after which exposures and poses are learned."""
+"""Fraction of the views that is drawn before exposures and poses are learned."""
 EXPOSURE_RATE = 2e-3
 
 Told = Callable[[int, int, float], None]
-"""Is told how many views were drawn, of how many, and the loss of the last."""
+"""Progress callback: receives the number of views drawn so far, the total number, and the last loss."""
 
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How Gaussians are fitted.
+    """Settings of a fit.
 
     Attributes:
-        width: of the images that are compared, pixels; at most that of the photos.
-        cap: the most Gaussians.
-        views: how many are drawn in all; the time that a fit takes is proportional to it.
-        views_a_step: drawn between two steps of the optimiser, each by a thread of its own.
-        sh_degree: of the harmonics, 0 to 3.
-        levels: at which share of the views the images change to which share of the width.
-        start_share: share of the cap that is there from the start.
-        refine: the shares of the views at which Gaussians begin and cease to be moved and added.
-        refine_every: steps between that.
-        ssim_weight: of the structural similarity in the loss, against L1.
-        depth_weight: of what does not lie where photos are known to be: before it, behind it, or see-through.
-        opacity_weight: of the regulariser of the opacities.
-        scale_weight: of the regulariser of the sizes.
-        noise: of MCMC.
-        exposure: whether each photo has a brightness and a tint of its own.
-        poses: learning rate of the poses, in radians and the extent of the cameras; 0 takes them as they are.
-        seed: of everything that is random.
-        threads: None takes all cores that this process may use.
-        device: where the Gaussians are while they are fitted: a CPU, or a GPU whose kernels the extra ``cuda`` brings.
+        width: width of the images that are compared, pixels; at most that of the photos.
+        cap: maximum number of Gaussians.
+        views: number of views drawn in total; the duration of a fit is proportional to it.
+        views_a_step: number of views drawn per step of the optimiser, each by its own thread.
+        sh_degree: degree of the spherical harmonics, 0 to 3.
+        levels: coarse-to-fine schedule: pairs of the fraction of the views from which an image size is used, and that
+            size as a fraction of the width.
+        start_share: minimum fraction of the cap that is filled at the start.
+        refine: fractions of the views at which relocating and adding Gaussians begins and ends.
+        refine_every: number of steps between two such refinements.
+        ssim_weight: weight of the structural similarity in the loss, against L1.
+        depth_weight: weight of the depth loss, which penalises what lies in front of or behind a pixel's known depth,
+            and see-through pixels.
+        opacity_weight: weight of the opacity regulariser.
+        scale_weight: weight of the scale regulariser.
+        noise: strength of MCMC's noise on the positions.
+        exposure: whether each photo gets a brightness and a tint of its own.
+        poses: learning rate of the poses, in radians and in units of the cameras' extent; 0 keeps them fixed.
+        seed: seed of everything that is random.
+        threads: number of threads; None uses all cores that this process may use.
+        device: where the Gaussians are fitted: a CPU, or a GPU, whose kernels come with the extra ``cuda``.
     """
 
     width: int = 320
@@ -96,12 +97,12 @@ class FitSettings:
 
 
 def held_out(count: int) -> Tensor:
-    """Which of so many views are never trained on: [n] int64."""
+    """Return which of ``count`` views are held out, that is, never trained on: [n] int64."""
     return torch.arange(0, count, HELD_OUT)
 
 
 def trained(count: int) -> Tensor:
-    """The other ones: [n] int64."""
+    """Return which of ``count`` views are trained on, all that ``held_out`` leaves: [n] int64."""
     every = torch.arange(count)
     return every[~torch.isin(every, held_out(count))]
 
@@ -113,18 +114,18 @@ def fit(
     depths: Depths | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> Gaussians:
-    """Fit Gaussians to the photos of a reconstruction, all but those that ``held_out`` names.
+    """Fit Gaussians to the photos of a reconstruction, except those that ``held_out`` returns.
 
     Args:
         reconstruction: the photos, in order, with their poses.
-        settings: how.
-        progress: is told after every step.
-        depths: what ``find_depths`` found in ``frame_of`` the cameras; None finds them.
-        checkpoint: where the state is kept now and then; a fit that was killed goes on from there, with the bytes that
-            it would have had. None keeps nothing.
+        settings: settings of the fit.
+        progress: called after every step.
+        depths: depths that ``find_depths`` found in the ``frame_of`` the cameras; None finds them here.
+        checkpoint: where the state is saved from time to time; a fit that was killed resumes from it, with a
+            bit-identical result. None saves nothing.
 
     Returns:
-        Gaussians on the CPU, in the frame and unit of the reconstruction, to be drawn antialiased on black.
+        Gaussians on the CPU, in the frame and unit of the reconstruction, meant to be drawn antialiased on black.
 
     Raises:
         CaptureError: for fewer than two photos, or no points.
@@ -149,9 +150,9 @@ class Fitting:
 
     Attributes:
         model: the Gaussians.
-        frame: in which they are.
-        trained: [n] int64, the views that are trained on.
-        views: how many a step draws.
+        frame: the frame that they are in.
+        trained: [n] int64, indices of the views that are trained on.
+        views: number of views drawn per step.
         exposure: gain and offset of each photo's channels, [N, 3, 2].
         moves: corrections of the poses, [N, 6].
     """
@@ -183,17 +184,17 @@ class Fitting:
         self._order: list[int] = []
 
     def state(self, step: int) -> dict[str, Tensor]:
-        """All that the steps from ``step`` on depend on, on the CPU, beside photos and settings."""
+        """Return everything that the steps from ``step`` on depend on besides photos and settings, on the CPU."""
         values = {name: value.cpu() for name, value in self._tensors().items()}
         scalars = {"step": torch.tensor(step), "count": torch.tensor(self.model.count)}
         order = torch.tensor(self._order, dtype=torch.int64)
         return {**values, **scalars, "order": order, "generator": self.generator.get_state()}
 
     def restore(self, state: dict[str, Tensor]) -> int:
-        """Go on from a state of the same fit; returns the step that comes next.
+        """Resume from a state of the same fit; return the next step.
 
         Raises:
-            ValueError: for a state of another fit; this one is then as it was.
+            ValueError: for the state of another fit; this one is then left as it was.
         """
         tensors, generator = self._tensors(), torch.Generator()
         step, count, order = int(state["step"]), int(state["count"]), state["order"]
@@ -209,16 +210,16 @@ class Fitting:
         return step
 
     def _tensors(self) -> dict[str, Tensor]:
-        """What is learned, and the memory of the optimisers."""
+        """Return everything that is learned, and the optimisers' moments."""
         parts: dict[str, Model | Learned] = {"model": self.model, "exposure": self.exposure, "moves": self.moves}
         return {f"{part}.{name}": value for part, learned in parts.items() for name, value in learned.state().items()}
 
     def level(self, done: float) -> tuple[Pictures, Tensor]:
-        """The pictures at a share of the whole work, and what is known of their depth."""
+        """Return the pictures to compare at a fraction of the whole work, and the known depths of their pixels."""
         return self.levels[[scale for begins, scale in self.settings.levels if begins <= done][-1]]
 
     def step(self, step: int, total: int) -> float:
-        """Draw the next views and improve the Gaussians; returns the mean loss."""
+        """Draw the next views and improve the Gaussians; return the mean loss."""
         settings, done = self.settings, step / total
         losses, chosen = self.compare(*self.level(done))
         self.update(step, done)
@@ -230,7 +231,7 @@ class Fitting:
         return float(losses[:, 0].mean())
 
     def compare(self, seen: Pictures, known: Tensor) -> tuple[Tensor, Tensor]:
-        """Compare the next views with their photos: the losses and slopes [V, 16], and which views they were [V]."""
+        """Compare the next views with their photos; return losses and gradients [V, 16], and the views' indices [V]."""
         settings, model = self.settings, self.model
         if len(self._order) < self.views:
             self._order = self.trained[torch.randperm(len(self.trained), generator=self.generator)].tolist()
@@ -256,7 +257,7 @@ class Fitting:
         return losses, chosen
 
     def update(self, step: int, done: float) -> None:
-        """One step of Adam, whose rates and memory are scaled to the number of views (as gsplat scales them)."""
+        """Take a step of Adam, with rates and betas scaled to the number of views (as gsplat scales them)."""
         settings, model = self.settings, self.model
         views = self.views
         rates = self.rates(done)
@@ -278,7 +279,7 @@ class Fitting:
         )
 
     def rates(self, done: float) -> Tensor:
-        """The learning rate of each row of the parameters."""
+        """Return the learning rate of each row of the parameters."""
         rates = torch.full((self.model.values.shape[0],), 2.5e-3 / 20)
         rates[0:3] = 1.6e-4 * 0.01**done
         rates[3:6] = 5e-3
@@ -288,7 +289,7 @@ class Fitting:
         return rates
 
     def learn_cameras(self, chosen: Tensor, losses: Tensor) -> None:
-        """Improve exposures and poses; on average over the photos, nothing becomes brighter and nothing moves."""
+        """Improve exposures and poses, keeping their means over the photos fixed, so that nothing drifts."""
         if self.settings.exposure:
             self.exposure.improve(chosen, losses[:, 4:10].view(-1, 3, 2))
             values = self.exposure.values

@@ -1,4 +1,4 @@
-"""What a fit learns about its cameras: the exposure of each photo, and small corrections of the poses."""
+"""Camera parameters that a fit learns: the exposure of each photo, and small corrections of the poses."""
 
 import torch
 from torch import Tensor
@@ -7,11 +7,11 @@ BETAS = (0.9, 0.99)
 
 
 class Learned:
-    """One value for each photo, improved by Adam only when its photo was looked at.
+    """One value per photo, updated by Adam only in steps that draw that photo.
 
     Args:
-        start: [N, ...] float32.
-        rate: of learning.
+        start: [N, ...] float32, initial values.
+        rate: learning rate.
     """
 
     def __init__(self, start: Tensor, rate: float) -> None:
@@ -21,11 +21,11 @@ class Learned:
         self._steps = torch.zeros(len(start), dtype=torch.int64)
 
     def state(self) -> dict[str, Tensor]:
-        """All that the next steps depend on."""
+        """Return everything that the next steps depend on."""
         return {"values": self.values, "first": self._first, "second": self._second, "steps": self._steps}
 
     def improve(self, rows: Tensor, slopes: Tensor) -> Tensor:
-        """Take a step for some photos, each of which is named once; returns the steps taken."""
+        """Take a step for some photos, each listed once; return the changes of their values."""
         self._steps[rows] += 1
         self._first[rows] = torch.lerp(slopes, self._first[rows], BETAS[0])
         self._second[rows] = torch.lerp(slopes**2, self._second[rows], BETAS[1])
@@ -38,7 +38,7 @@ class Learned:
 
 
 def turned(camera_to_world: Tensor, moves: Tensor) -> Tensor:
-    """Cameras turned in their places about the world's axes, then shifted.
+    """Rotate cameras in place about the world's axes, then shift them.
 
     Args:
         camera_to_world: [V, 4, 4].

@@ -1,4 +1,4 @@
-"""The whole state of a fit in a file, from which one that was killed goes on with the same bytes."""
+"""Checkpoint of a fit: its whole state in a file, from which a killed fit resumes with a bit-identical result."""
 
 import time
 from collections.abc import Callable
@@ -14,18 +14,19 @@ from splatrl.array_files import read_arrays
 from splatrl.files import refusing, replacing
 
 EVERY = 10.0
-"""Seconds between two writings: 17 MB for 60,000 Gaussians with harmonics of degree 1."""
+"""Seconds between two writes; each takes 17 MB for 60,000 Gaussians with harmonics of degree 1."""
 
 
 @dataclass
 class Checkpoint:
-    """A file in which a fit keeps its state now and then.
+    """A file to which a fit saves its state from time to time.
 
     Attributes:
-        path: of the file, a .npz.
-        digest: fingerprint of all that the bytes of the fit depend on; a file with another one is of another fit.
-        every: seconds between two writings.
-        say: told why a file is left out.
+        path: the file, a .npz.
+        digest: fingerprint of everything that the exact result of the fit depends on; a file with another one belongs
+            to another fit.
+        every: seconds between two writes.
+        say: called with the reason where a file is ignored.
     """
 
     path: Path
@@ -37,10 +38,10 @@ class Checkpoint:
         self._written = time.monotonic()
 
     def resume(self, restore: Callable[[dict[str, Tensor]], int]) -> int:
-        """Hand what was kept to ``restore``, which raises for what is no state of its fit and returns the next step.
+        """Pass the saved state to ``restore``, which returns the next step and raises for the state of another fit.
 
         Returns:
-            The next step; 0 where nothing was kept, where it is of another fit, or where it is damaged.
+            The next step; 0 where nothing was saved, where it belongs to another fit, or where it is damaged.
         """
         try:
             arrays = read_arrays(self.path)
@@ -55,16 +56,16 @@ class Checkpoint:
             return 0
 
     def due(self) -> bool:
-        """Whether it is time to write."""
+        """Return whether it is time to write."""
         return time.monotonic() - self._written >= self.every
 
     def write(self, state: dict[str, Tensor]) -> None:
-        """Keep a state, on the CPU, in place of the one before."""
+        """Save a state, whose tensors are on the CPU, in place of the previous one."""
         named: dict[str, Any] = {name: values.numpy() for name, values in state.items()}
         with replacing(self.path) as stream:
             np.savez(stream, digest=self.digest, **named)
         self._written = time.monotonic()
 
     def remove(self) -> None:
-        """Forget what was kept."""
+        """Delete the saved state."""
         self.path.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""The fit's views and slopes on a GPU: the methods of ``_core.Fitter``, for tensors on a device."""
+"""Forward and backward passes of a fit on a GPU: the methods of ``_core.Fitter``, for tensors on a device."""
 
 import ctypes
 from typing import NamedTuple
@@ -9,18 +9,20 @@ from torch import Tensor
 from splatrl.native.cuda.kernels import CudaKernels, Kernels, Load
 
 TILE = 16
-"""Width and height of a tile, pixels: FIT_TILE of cuda/fit_views.h."""
+"""Width and height of a tile, pixels; FIT_TILE of cuda/fit_views.h."""
 THREADS = TILE * TILE
 BLEND_BYTES, COMPARE_BYTES, BACK_BYTES, PULL_BYTES = 16_448, 14_624, 48_384, 192
-"""Shared memory of a block that blends a tile, compares it, blends it back, and pulls the slopes of Gaussians."""
+"""Shared memory, bytes, of a block that blends a tile, compares it, backpropagates through the blending, and
+backpropagates to the Gaussians."""
 CHANNELS, PAIR_MOMENTS, SUMS, SPLAT_FLOATS = 5, 10, 5, 16
-"""FIT_CHANNELS of fit_kernel.h, FIT_PAIR_MOMENTS of cuda/fit_slopes.h, FIT_SUMS of cuda/fit_compare.h, a FitSplat."""
+"""FIT_CHANNELS of fit_kernel.h, FIT_PAIR_MOMENTS of cuda/fit_slopes.h, FIT_SUMS of cuda/fit_compare.h, and the floats
+of a FitSplat."""
 ROWS = (14, 23, 38, 59)
-"""Of the parameters, by the degree of their harmonics."""
+"""Number of parameter rows for harmonics of degree 0 to 3."""
 
 
 def kernel_defines(sh_degree: int) -> dict[str, int]:
-    """Macros that ``cuda/fit.cu`` is compiled with."""
+    """Return the macros that ``cuda/fit.cu`` is compiled with."""
     return {
         "SH_DEGREE": sh_degree,
         "BLEND_BYTES": BLEND_BYTES,
@@ -31,7 +33,7 @@ def kernel_defines(sh_degree: int) -> dict[str, int]:
 
 
 class _Model(ctypes.Structure):
-    """``FitModel`` of fit_kernel.h."""
+    """Mirrors ``FitModel`` of fit_kernel.h."""
 
     _fields_ = (
         ("values", ctypes.c_void_p),
@@ -43,7 +45,7 @@ class _Model(ctypes.Structure):
 
 
 class _Views(ctypes.Structure):
-    """``FitViews`` of cuda/fit_views.h."""
+    """Mirrors ``FitViews`` of cuda/fit_views.h."""
 
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("camera_to_world", "K", "photos", "known")),
@@ -52,7 +54,7 @@ class _Views(ctypes.Structure):
 
 
 class _Pairs(ctypes.Structure):
-    """``FitPairs`` of cuda/fit_views.h."""
+    """Mirrors ``FitPairs`` of cuda/fit_views.h."""
 
     _fields_ = tuple(
         (name, ctypes.c_void_p)
@@ -61,7 +63,7 @@ class _Pairs(ctypes.Structure):
 
 
 class _Photos(ctypes.Structure):
-    """``FitPhotos`` of cuda/fit_compare.h."""
+    """Mirrors ``FitPhotos`` of cuda/fit_compare.h."""
 
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("pixels", "exposure", "image", "curves", "slopes", "sums")),
@@ -70,7 +72,7 @@ class _Photos(ctypes.Structure):
 
 
 class _Update(ctypes.Structure):
-    """``FitUpdate`` of fit_kernel.h."""
+    """Mirrors ``FitUpdate`` of fit_kernel.h."""
 
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("values", "gradients")),
@@ -84,7 +86,7 @@ class _Update(ctypes.Structure):
 
 
 class _Drawn(NamedTuple):
-    """Views that were drawn, and what their backward needs: the tensors behind the addresses live as long."""
+    """Rendered views and what their backward pass needs; keeps the tensors behind the raw addresses alive."""
 
     kernels: Kernels
     model: _Model
@@ -93,29 +95,29 @@ class _Drawn(NamedTuple):
     pair_count: int
     image: Tensor  # [V, CHANNELS, H, W]
     tiles: int
-    blocks: int  # of the Gaussians of all views
+    blocks: int  # thread blocks over the Gaussians of all views
     kept: tuple[Tensor, ...]
 
 
 class CudaFitter:
-    """Draws views of Gaussians and pulls slopes back to their parameters, as ``_core.Fitter`` does on a CPU.
+    """Renders views of Gaussians and backpropagates to their parameters, as ``_core.Fitter`` does on a CPU.
 
-    Parameters, gradients, moments, photos and known depths must be on the device; poses, lenses, exposures, rates and
-    losses may be anywhere, because they are small. ``values`` have harmonics up to degree 3. A call reads the length of
-    the lists of tiles on the host. The same input gives the same bytes: no sum depends on the order of threads. Kernels
-    are compiled by the first call, once per machine, in seconds, and cached; it raises ``ImportError`` where the extra
-    ``cuda`` is not installed.
+    Parameters, gradients, moments, photos and known depths must be on the device; poses, intrinsics, exposures,
+    learning rates and losses may be anywhere, because they are small. ``values`` have harmonics up to degree 3. Each
+    call that renders reads the total length of the tile lists back to the host. The same input gives a bit-identical
+    result: no sum depends on the order of threads. The first call compiles the kernels, once per machine, in seconds,
+    and caches them; it raises ``ImportError`` where the extra ``cuda`` is not installed.
 
     Args:
         device: a CUDA device.
         load: loads the kernels; None compiles them for ``device``.
 
     Attributes:
-        device: where the model must be.
+        device: the device that the model must be on.
     """
 
     def __init__(self, device: torch.device | str, load: Load | None = None) -> None:
-        self.device = torch.empty(0, device=device).device  # with its index
+        self.device = torch.empty(0, device=device).device  # includes the device index
         self._load = load or (lambda source, defines: CudaKernels(source, self.device, defines))
         self._kernels: dict[int, Kernels] = {}
 
@@ -132,7 +134,7 @@ class CudaFitter:
         alpha: Tensor,
         threads: int = 1,
     ) -> None:
-        """Draw views: see ``_core.Fitter.render``."""
+        """Render views: see ``_core.Fitter.render``."""
         image = self._draw(values, count, near, camera_to_world, K, known, None).image
         rgb.copy_(image[:, :3].movedim(1, -1))
         agreement.copy_(image[:, 3])
@@ -151,7 +153,7 @@ class CudaFitter:
         pose_slopes: Tensor,
         threads: int = 1,
     ) -> None:
-        """Slopes of the parameters and the poses from those of the images: see ``_core.Fitter.pull``."""
+        """Backpropagate gradients of the images to parameters and poses: see ``_core.Fitter.pull``."""
         drawn = self._draw(values, count, near, camera_to_world, K, known, None)
         pose_slopes.copy_(self._pull(drawn, self._here(slopes).movedim(-1, 1).contiguous(), gradients))
 
@@ -231,7 +233,7 @@ class CudaFitter:
         known: Tensor,
         photos: Tensor | None,
     ) -> _Drawn:
-        """Draw views; ``photos`` says which known depths belong to each, None those in the same place."""
+        """Render views; ``photos`` holds the index of each view's known depths, None takes them in order."""
         kernels, stride = self._kernels_for(values), values.shape[1]
         count_views, (height, width) = len(camera_to_world), known.shape[1:]
         poses, lenses = self._here(camera_to_world), self._here(K)
@@ -261,7 +263,7 @@ class CudaFitter:
         return _Drawn(kernels, model, views, pairs, total, image, tiles, blocks, kept)
 
     def _pull(self, drawn: _Drawn, slopes: Tensor, gradients: Tensor) -> Tensor:
-        """Write the slopes of the parameters; returns those of the poses, [V, 6] float64."""
+        """Write the gradients of the parameters; return those of the poses, [V, 6] float64."""
         moments = torch.zeros(drawn.pair_count, PAIR_MOMENTS, device=self.device)
         count = len(slopes)
         poses = self._empty(drawn.blocks, 6)
@@ -295,10 +297,10 @@ class CudaFitter:
 
 
 def _read(values: Tensor, device: torch.device) -> Tensor:
-    """Values on another device; waits for those of a GPU."""
+    """Copy values to another device; this waits for the GPU where they come from one."""
     return values.to(device)
 
 
 def _correction(beta: float, step: int) -> float:
-    """What makes up for moments that began at 0, of a rate that the kernel reads in single precision."""
+    """Return Adam's bias correction for moments that began at 0, with the rate in the kernel's single precision."""
     return 1.0 / (1.0 - float(ctypes.c_float(beta).value) ** step)

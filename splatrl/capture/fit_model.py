@@ -1,4 +1,4 @@
-"""The Gaussians of a fit: their parameters in memory, and how they are born, move and die."""
+"""The Gaussians of a fit: their parameters in memory, and how they are added and relocated."""
 
 import math
 
@@ -12,7 +12,7 @@ MEAN, LOG_SCALE, QUAT, LOGIT, SH = slice(0, 3), slice(3, 6), slice(6, 10), 10, 1
 """Rows of the parameters."""
 LANES = 16
 DEAD = 0.005
-"""Opacity at and below which a Gaussian is given another place."""
+"""Opacity at and below which a Gaussian is dead and gets relocated."""
 GROWTH = 1.05
 MOST_COPIES = 51
 
@@ -23,27 +23,27 @@ class Model:
     Attributes:
         values: [11 + 3 (degree + 1)², C] float32: means, log-scales, quaternions, opacity logits, harmonics by
             coefficient and colour.
-        first: likewise, the first moments of Adam.
-        second: likewise, the second.
-        count: Gaussians there are.
-        cap: the most there may be.
+        first: Adam's first moments, of the same shape.
+        second: Adam's second moments, of the same shape.
+        count: number of Gaussians present.
+        cap: maximum number of Gaussians.
     """
 
     def __init__(self, cap: int, degree: int, device: torch.device | None = None) -> None:
         stride = -(-cap // LANES) * LANES
         rows = SH + 3 * (degree + 1) ** 2
         self.values, self.first, self.second = (torch.zeros(rows, stride, device=device) for _ in range(3))
-        self.values[QUAT.start] = 1.0  # what is not there yet is well-defined, too
+        self.values[QUAT.start] = 1.0  # unused columns hold valid quaternions, too
         self.count = 0
         self.cap = cap
         self.degree = degree
 
     def state(self) -> dict[str, Tensor]:
-        """All that the next steps depend on, but for ``count``."""
+        """Return everything that the next steps depend on, except ``count``."""
         return {"values": self.values, "first": self.first, "second": self.second}
 
     def add(self, columns: Tensor) -> None:
-        """Add Gaussians: [rows, n]."""
+        """Add Gaussians, given as columns: [rows, n]."""
         end = self.count + columns.shape[1]
         assert end <= self.cap, (end, self.cap)
         self.values[:, self.count : end] = columns
@@ -52,7 +52,7 @@ class Model:
         self.count = end
 
     def gaussians(self, frame: Frame) -> Gaussians:
-        """Those that show, on the CPU, in the frame of the reconstruction."""
+        """Return the Gaussians that are not dead, on the CPU, in the frame of the reconstruction."""
         values = self.values[:, : self.count].cpu()
         values = values[:, values[LOGIT].sigmoid() > DEAD].clone()
         return Gaussians(
@@ -65,9 +65,9 @@ class Model:
         )
 
     def refine(self, generator: torch.Generator) -> None:
-        """Give dead Gaussians the places of live ones, and grow towards the cap (Kheradmand et al. 2024, MCMC).
+        """Relocate dead Gaussians to live ones, and grow towards the cap (Kheradmand et al. 2024, MCMC).
 
-        The generator is one of the CPU, whatever the device.
+        The generator must be on the CPU, whatever the device.
         """
         opacities = self.values[LOGIT, : self.count].sigmoid()
         dead = (opacities <= DEAD).nonzero().squeeze(1)
@@ -82,7 +82,7 @@ class Model:
             self.add(self.values[:, self._parents(opacities, born, generator)])
 
     def _parents(self, chances: Tensor, children: int, generator: torch.Generator) -> Tensor:
-        """Choose parents by opacity, and share each one's opacity and size among it and its children."""
+        """Choose parents by opacity, and divide each parent's opacity and size among itself and its children."""
         drawn = torch.multinomial(chances.cpu(), children, replacement=True, generator=generator)
         parents = drawn.to(chances.device)
         copies = torch.bincount(parents, minlength=self.count) + 1
@@ -96,11 +96,11 @@ class Model:
 
 
 def share(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
-    """Opacities, and factors of the scales, of copies in one place that look like one (eq. 9 of the MCMC paper).
+    """Return opacities and scale factors for coincident copies that look like the original (eq. 9 of the MCMC paper).
 
     Args:
-        opacities: [n] float64.
-        copies: [n] int64, from 1 to ``MOST_COPIES``.
+        opacities: [n] float64, opacities of the originals.
+        copies: [n] int64, number of copies of each, from 1 to ``MOST_COPIES``.
     """
     each = 1.0 - (1.0 - opacities) ** (1.0 / copies)
     total = torch.zeros_like(each)

@@ -1,4 +1,4 @@
-"""What a fit compares its views with: the photos at one size, their cameras, and known depths."""
+"""What a fit compares its renders with: the photos at one size, their cameras, and known depths."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,11 +14,11 @@ from splatrl.capture.photo_files import read_photo
 
 @dataclass(frozen=True)
 class Frame:
-    """Where the fit computes: the middle of the cameras is the origin, and their extent the unit.
+    """The frame of a fit: the mean of the camera positions is its origin, and their extent its unit.
 
     Attributes:
-        middle: [3] float64, in the frame of the reconstruction.
-        extent: how far the cameras reach from there, in its unit.
+        middle: [3] float64, the origin in the frame of the reconstruction.
+        extent: distance from there to the farthest camera, in the unit of the reconstruction.
     """
 
     middle: Tensor
@@ -27,14 +27,14 @@ class Frame:
 
 @dataclass(frozen=True)
 class Pictures:
-    """N photos of one size and what is known of them, in the frame of the fit.
+    """N photos of one size with their cameras and sparse depths, in the frame of the fit.
 
     Attributes:
         pixels: [N, H, W, 3] uint8.
         K: [3, 3] float32.
         camera_to_world: [N, 4, 4] float32.
-        soundings: [S, 3] float32, camera by camera: column, row, inverse depth.
-        firsts: [N + 1] int64, where the soundings of each camera begin.
+        soundings: [S, 3] float32, sparse depths grouped by camera: column, row, inverse depth.
+        firsts: [N + 1] int64, index of each camera's first sounding.
     """
 
     pixels: Tensor
@@ -45,7 +45,7 @@ class Pictures:
 
 
 def frame_of(camera_to_world: Tensor) -> Frame:
-    """The frame of a fit to cameras [N, 4, 4]."""
+    """Return the frame of a fit to cameras [N, 4, 4]."""
     positions = camera_to_world[:, :3, 3].double()
     middle = positions.mean(0)
     extent = float((positions - middle).norm(dim=1).max())
@@ -55,11 +55,11 @@ def frame_of(camera_to_world: Tensor) -> Frame:
 
 
 def sightings(reconstruction: Reconstruction, frame: Frame) -> tuple[Tensor, Tensor, Tensor]:
-    """Where cameras saw points, camera by camera.
+    """Return where cameras saw points, grouped by camera.
 
     Returns:
-        [S, 3] float64: column and row as shares of the image's size, depth in the unit of the fit; [S] int64, the
-        camera; [S] int64, the point.
+        [S, 3] float64: column and row as fractions of the image's size, depth in the unit of the fit; [S] int64,
+        indices of the cameras; [S] int64, indices of the points.
     """
     order = reconstruction.seen_by.argsort(stable=True)
     camera, point = reconstruction.seen_by[order], reconstruction.seen_point[order]
@@ -75,7 +75,7 @@ def sightings(reconstruction: Reconstruction, frame: Frame) -> tuple[Tensor, Ten
 
 
 def pictures(reconstruction: Reconstruction, frame: Frame, widths: Sequence[int]) -> list[Pictures]:
-    """Read each photo once, at some widths, as close as whole pixels allow to its shape.
+    """Read each photo once and resize it to some widths, keeping its shape as closely as whole pixels allow.
 
     Raises:
         CaptureError: for a photo of another size than the reconstruction states.

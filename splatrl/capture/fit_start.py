@@ -1,4 +1,4 @@
-"""Where the Gaussians of a fit begin: on the points of the reconstruction, and between them."""
+"""Initial Gaussians of a fit: on the points of the reconstruction, and between them."""
 
 import numpy as np
 import torch
@@ -13,9 +13,9 @@ from splatrl.spherical_harmonics import C0
 
 OPACITY = 0.3
 NEIGHBOURS = 3
-"""Whose distance decides how large a Gaussian begins."""
+"""Nearest neighbours whose root-mean-square distance sets a Gaussian's initial size."""
 LARGEST = 0.3
-"""Standard deviation with which a Gaussian begins at most, in the extent of the cameras."""
+"""Largest initial standard deviation of a Gaussian, in units of the cameras' extent."""
 
 
 def start(
@@ -28,17 +28,17 @@ def start(
     share: float,
     seed: int,
 ) -> None:
-    """Fill a model.
+    """Fill an empty model with initial Gaussians.
 
     Args:
-        reconstruction: whose points are used.
-        frame: of the fit.
+        reconstruction: the reconstruction whose points are used.
+        frame: frame of the fit.
         seen: the photos.
-        depths: how far away their pixels are.
-        rows: [n] int64, the photos that may be looked at.
-        model: an empty one.
-        share: of the cap that is filled at least.
-        seed: of what is drawn at random.
+        depths: depths of the photos' pixels.
+        rows: [n] int64, indices of the photos that may be used.
+        model: the model to fill; it must be empty.
+        share: minimum fraction of the cap to fill.
+        seed: seed of the random samples.
 
     Raises:
         CaptureError: where there are no points.
@@ -66,7 +66,7 @@ def start(
 
 
 def spacing(points: np.ndarray) -> np.ndarray:
-    """Standard deviations with which Gaussians at these points touch: [n]."""
+    """Return the standard deviations with which Gaussians at these points touch: [n]."""
     if len(points) <= NEIGHBOURS:
         return np.full(len(points), 0.1 * LARGEST)
     distances = cKDTree(points).query(points, NEIGHBOURS + 1)[0][:, 1:]
@@ -76,14 +76,14 @@ def spacing(points: np.ndarray) -> np.ndarray:
 def between(
     seen: Pictures, inverses: Tensor, rows: Tensor, count: int, random: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Random pixels where they probably are: places and colours [count, 3]; None where no depth was found.
+    """Place random pixels at their likely depths; return positions and colours [count, 3], or None without depths.
 
     Args:
         seen: the photos.
         inverses: [N, h, w] likely inverse depths of their pixels, 0 where there is none.
-        rows: [n] int64, the photos to take from.
-        count: of places.
-        random: draws the pixels.
+        rows: [n] int64, indices of the photos to sample from.
+        count: number of pixels to draw.
+        random: random generator that draws the pixels.
     """
     found = inverses.numpy()
     usable = [row for row in rows.tolist() if found[row].any()]
@@ -110,7 +110,7 @@ def between(
 def beside(
     points: np.ndarray, colors: np.ndarray, count: int, random: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Random places near points, with their colours."""
+    """Return random positions near points, with the colours of these points."""
     chosen = random.integers(0, len(points), count)
     moved = points[chosen] + random.normal(size=(count, 3)) * 2.0 * spacing(points)[chosen, None]
     return moved, colors[chosen]

@@ -1,4 +1,4 @@
-"""What is solid in a capture although cameras saw through it: blobs in mid-air, and haze that no image shows."""
+"""Find voxels that are solid although cameras saw through them: blobs in mid-air, and haze that no image shows."""
 
 from collections.abc import Callable
 
@@ -14,33 +14,33 @@ from splatrl.renderers import NativeRenderer
 from splatrl.scenes.gaussians import Gaussians
 
 MIN_CAMERAS = 4
-"""Cameras that must have seen through a voxel."""
+"""Minimum number of cameras that must have seen through a voxel."""
 AGAINST_HITS = 2.0
-"""And this many times as many as saw a point in it or beside it."""
+"""These cameras must also outnumber, by more than this factor, those that saw a point in the voxel or beside it."""
 MARGIN = 3.0
-"""Voxels before a point at which a ray ends: points are not exact, and surfaces are thick."""
+"""Voxels before a point at which a ray ends: points are inexact, and surfaces have a thickness."""
 LONGEST = 20.0
-"""Metres of a ray that are followed."""
+"""Maximum length over which a ray is followed, metres."""
 RAYS = 1500
-"""A camera, at most."""
+"""Maximum number of rays per camera."""
 DRAWN_WIDTH = 240
-"""Pixels of the views in which haze is looked for."""
+"""Width of the renders in which haze is looked for, pixels."""
 OPAQUE = 0.5
-"""A pixel at least this opaque shows how far away things are."""
+"""Minimum alpha at which the depth of a rendered pixel counts."""
 HAZE_CAMERAS = 2
-"""That must see a surface behind a voxel."""
+"""Minimum number of cameras that must see a surface behind a voxel."""
 DRAWN_MARGIN = (1.5, 0.04)
-"""Of that distance: voxels, and at least this share of it."""
+"""Tolerance in the depth of that surface: this many voxels, but at least this fraction of the depth."""
 _STEP = 0.7
-"""Voxels from sample to sample of a ray."""
+"""Voxels between two samples of a ray."""
 
 
 def seen_through(occupancy: Occupancy, reconstruction: Reconstruction) -> NDArray[np.bool_]:
-    """Solid voxels that many cameras saw through to points behind them: [X, Y, Z] bool.
+    """Find solid voxels that many cameras saw through to points behind them: [X, Y, Z] bool.
 
     Args:
         occupancy: what is solid, world frame.
-        reconstruction: cameras and what they saw, in the same frame.
+        reconstruction: cameras and the points that they saw, in the same frame.
     """
     solid = occupancy.occupied
     if not solid.any():
@@ -65,16 +65,16 @@ def seen_through(occupancy: Occupancy, reconstruction: Reconstruction) -> NDArra
 def hazy_voxels(
     occupancy: Occupancy, gaussians: Gaussians, reconstruction: Reconstruction, known: Tensor | None = None
 ) -> NDArray[np.bool_]:
-    """Solid voxels behind which more cameras see a surface than see one in them: [X, Y, Z] bool.
+    """Find solid voxels behind which more cameras see a surface than see one in them: [X, Y, Z] bool.
 
-    What a fit could not place, at glossy or bare walls, becomes a haze that no image shows; its density adds up all
-    the same. A camera sees what is drawn, and what is known of its photo.
+    What a fit could not place, on glossy or bare walls, becomes a haze that no image shows, yet its density still adds
+    up. The surface that a camera sees is taken from its render and, separately, from the known depths of its photo.
 
     Args:
         occupancy: what is solid, world frame.
-        gaussians: that it was made of.
+        gaussians: the Gaussians that it was made from.
         reconstruction: the cameras, in the same frame.
-        known: [N, h, w] depths of the photos' pixels, metres, 0 where unknown; None knows nothing.
+        known: [N, h, w] depths of the photos' pixels, metres, 0 where unknown; None where no depth is known.
     """
     cells = np.argwhere(occupancy.occupied)
     out = np.zeros(occupancy.occupied.shape, bool)
@@ -98,7 +98,10 @@ def hazy_voxels(
 
 
 def _behind(places: Tensor, reconstruction: Reconstruction, edge: float, depths: Callable[[int], Tensor]) -> Tensor:
-    """Which places [M, 3] more cameras see a surface behind than see one at: [M] bool; the depths are [h, w]."""
+    """Return whether more cameras see a surface behind each place [M, 3] than at it: [M] bool.
+
+    ``depths`` returns the depth image [h, w] of a camera, given its index.
+    """
     behind, within = torch.zeros(len(places), dtype=torch.int64), torch.zeros(len(places), dtype=torch.int64)
     for row, pose in enumerate(reconstruction.camera_to_world.double()):
         depth = depths(row)
@@ -112,7 +115,7 @@ def _behind(places: Tensor, reconstruction: Reconstruction, edge: float, depths:
 def without_floaters(
     gaussians: Gaussians, occupancy: Occupancy, reconstruction: Reconstruction
 ) -> tuple[Gaussians, int]:
-    """The Gaussians without those in voxels that many cameras saw through, and how many voxels these are."""
+    """Remove the Gaussians in voxels that many cameras saw through; return the rest and the number of these voxels."""
     carved = seen_through(occupancy, reconstruction)
     index = torch.floor(gaussians.means.double() / occupancy.resolution).long() - torch.tensor(occupancy.origin_key)
     inside = ((index >= 0) & (index < torch.tensor(carved.shape))).all(1)
@@ -122,10 +125,10 @@ def without_floaters(
 
 
 def _crossed(occupancy: Occupancy, center: NDArray[np.float64], aims: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Solid voxels on the rays from a camera towards points that it saw, each once, by their numbers.
+    """Return the flat indices, each once, of the solid voxels on the rays from a camera to points that it saw.
 
-    A ray ends before its point, and before all that is solid from there on towards the camera: a surface that it
-    meets at a low angle is no floater.
+    A ray ends before its point, and before any solid stretch that leads up to that end: a surface that a ray meets at a
+    grazing angle is no floater.
     """
     ways = aims - center
     lengths = np.linalg.norm(ways, axis=1) - MARGIN * occupancy.resolution
@@ -146,7 +149,7 @@ def _crossed(occupancy: Occupancy, center: NDArray[np.float64], aims: NDArray[np
 
 
 def _beside(occupancy: Occupancy, points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """The solid voxels of points and the solid ones of the 26 around each, every one once, by their numbers."""
+    """Return the flat indices, each once, of the solid voxels that contain points or are among their 26 neighbours."""
     steps = occupancy.resolution * np.array([-1.0, 0.0, 1.0])
     x, y, z = points.T[:, :, None] + steps
     number = _solid(occupancy, x[:, :, None, None], y[:, None, :, None], z[:, None, None, :])
@@ -154,7 +157,7 @@ def _beside(occupancy: Occupancy, points: NDArray[np.float64]) -> NDArray[np.int
 
 
 def _solid(occupancy: Occupancy, *places: NDArray[np.float64]) -> NDArray[np.int64]:
-    """The number, line by line, of the solid voxel at each place, whose x, y and z are given; -1 where none is."""
+    """Return the flat row-major index of the solid voxel at each place, given by its x, y and z; -1 where none is."""
     number, inside = np.zeros((), np.int64), np.ones((), bool)
     for axis, first, size in zip(places, occupancy.origin_key, occupancy.occupied.shape, strict=True):
         index = np.floor(axis / occupancy.resolution).astype(np.int64) - first

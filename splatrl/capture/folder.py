@@ -1,4 +1,4 @@
-"""The last stage: a folder that is a scene to train in, with a report, written whole or not at all."""
+"""Last stage: write a folder that is a scene to train in, with a report, completely or not at all."""
 
 import os
 import secrets
@@ -25,7 +25,8 @@ from splatrl.scenes.gaussians import Gaussians
 
 FREE, REPORT, CAMERAS, MOVING = "free.ply", "report.html", "cameras.png", "moving.png"
 GOOD_PATH, GOOD_PSNR, FEW_FLOATERS, MOST_MISSING = 0.97, 22.0, 0.005, 0.1
-"""A worse capture's report says so."""
+"""Minimum free fraction of the path, minimum PSNR in dB, and maximum fractions of floating voxels and of images without
+a pose; the report of a worse capture says so."""
 LEFT_OUT = (
     "{} of what the images show moved and was left out (red in moving.png); images that were never fitted show it all "
     "the same, which lowers their figures."
@@ -45,19 +46,19 @@ def write_scene(
     splat: str = SPLAT,
     moving: Tensor | None = None,
 ) -> Quality:
-    """Check a fitted capture and write it as a scene's folder: splat, ``scene.yaml``, report and pictures.
+    """Check a fitted capture and write it as a scene folder: splat, ``scene.yaml``, report and pictures.
 
     Args:
-        folder: to write; what else is in it stays.
-        gaussians: fitted, in the world frame.
+        folder: the folder to write; anything else in it stays.
+        gaussians: the fitted Gaussians, world frame.
         placed: cameras and points in the world.
-        held_out: which of its images were never fitted.
-        name: of the scene; None takes the folder's.
-        notes: what earlier stages have to say in the report, a sentence each.
-        force: whether to replace a ``scene.yaml`` that is there.
-        known: [N, h, w] depths of the photos' pixels, metres, 0 where unknown; None knows nothing.
+        held_out: indices of the images that were never fitted.
+        name: name of the scene; None takes the folder's.
+        notes: remarks of earlier stages for the report, one sentence each.
+        force: whether to replace an existing ``scene.yaml``.
+        known: [N, h, w] depths of the photos' pixels, metres, 0 where unknown; None where no depth is known.
         splat: name of the splat file; ``.spz`` is small, and rounds.
-        moving: [N, h, w] bool, where the photos show what moved and was left out; None knows nothing.
+        moving: [N, h, w] bool, pixels of the photos that show moving things and were left out; None where unknown.
 
     Raises:
         CaptureError: for a held-out image that cannot be read.
@@ -68,7 +69,7 @@ def write_scene(
         raise FileExistsError(f"{folder / SCENE_FILE}: already exists; name another folder, or replace it by force")
     with _whole(folder) as fresh:
         write_gaussians(fresh / splat, gaussians)
-        gaussians = read_gaussians(fresh / splat)  # what is checked is what was written
+        gaussians = read_gaussians(fresh / splat)  # check exactly what was written
         area = survey_area(gaussians, placed, known)
         found = suggest(seen_by_cameras(placed), area)
         quality = check(gaussians, placed, held_out, fresh, area, found)
@@ -91,12 +92,12 @@ def write_scene(
 
 
 def share_of(moving: Tensor) -> str:
-    """The share of what photos show that moved, in words."""
+    """Return the percentage of the photos' pixels that show moving things, as text."""
     return f"{100 * float(moving.float().mean()):.2g} %"
 
 
 def problems(placed: Placed, found: Suggestions, quality: Quality) -> list[str]:
-    """What is wrong with a capture, a sentence each; nothing for a good one."""
+    """List what is wrong with a capture, one sentence each; empty for a good one."""
     missing, floating = placed.reconstruction.missing, quality.floating / max(quality.solid, 1)
     corrected = quality.psnr_corrected
     checks = {
@@ -137,9 +138,9 @@ def _proposals(placed: Placed, area: Area, found: Suggestions, quality: Quality)
 
 @contextmanager
 def _whole(folder: Path) -> Iterator[Path]:
-    """A new folder to write to, whose files come into ``folder`` once the block ends well, ``scene.yaml`` last.
+    """Yield a new folder to write to; its files move into ``folder`` once the block succeeds, ``scene.yaml`` last.
 
-    A folder without ``scene.yaml`` is no scene, so one that was cut off half-way is never taken for one.
+    A folder without ``scene.yaml`` is not a scene, so one whose writing was interrupted is never taken for one.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     fresh = folder.with_name(f"{folder.name}.{secrets.token_hex(4)}.tmp")
@@ -148,7 +149,7 @@ def _whole(folder: Path) -> Iterator[Path]:
         yield fresh
         if folder.exists():
             (folder / SCENE_FILE).unlink(missing_ok=True)
-            for old in (SPLAT, SMALL_SPLAT, FREE, PATH, MOVING):  # they may not come anew
+            for old in (SPLAT, SMALL_SPLAT, FREE, PATH, MOVING):  # not every scene has these
                 (folder / old).unlink(missing_ok=True)
             for file in sorted(fresh.iterdir(), key=lambda file: file.name == SCENE_FILE):
                 os.replace(file, folder / file.name)

@@ -1,4 +1,4 @@
-"""First stage: the sharpest images of a video or of a folder of photos, upright and of one size."""
+"""First stage: the sharpest images of a video or of a folder of photos, upright and all of one size."""
 
 import hashlib
 import itertools
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 INDEX = "index.json"
 PER_SECOND = 4.0
-"""Fewest frames to take of a second of video, up to the most frames that are wanted."""
+"""Frames to take per second of video, unless the wanted minimum is more, or the maximum less."""
 SHARPNESS_WIDTH = 480
 BLACK = 10.0
-"""Mean grey below which a frame of a video shows nothing: the lens was covered, or clips were faded into each other."""
+"""Mean grey level below which a video frame shows nothing: the lens was covered, or clips fade into each other."""
 VERSION = 6
 Thing = TypeVar("Thing")
 
@@ -44,24 +44,24 @@ class _Taken:
 def read_photos(
     source: Path, folder: Path, count: tuple[int, int] = (120, 200), longest: int = 960, progress: Progress = silent
 ) -> Photos:
-    """Take the sharpest frames of a video, but for black ones, or the photos of a folder, and keep them.
+    """Select the sharpest frames of a video, except black ones, or the photos of a folder, and keep them.
 
-    A second call with the same source and settings reads what the first one kept. Photos across among upright ones, or
-    the other way round, are turned to be of the size that most have.
+    A second call with the same source and settings reads what the first one kept. Landscape photos among portrait ones,
+    or vice versa, are turned to the size that most photos have.
 
     Args:
         source: a video, or a folder of photos (PNG, JPEG, WebP).
-        folder: of the capture; the images come into its sub-folder ``frames``.
-        count: fewest (where the video has so many) and most images.
-        longest: the most pixels along the longer side.
-        progress: told about every frame or photo.
+        folder: the capture's folder; the images are written to its sub-folder ``frames``.
+        count: minimum (where the video has so many) and maximum number of images.
+        longest: maximum pixels along the longer side.
+        progress: called for every frame or photo.
 
     Returns:
-        The images in the order in which they were taken; K where EXIF tells a focal length (a first guess: it is
-        rounded to a millimetre), and where it says that they were taken.
+        The images in the order in which they were taken; with K where EXIF gives a focal length (a first guess: it is
+        rounded to a millimetre), and with GPS positions where EXIF gives them.
 
     Raises:
-        CaptureError: where the source cannot be read or its images are not of one size and one lens.
+        CaptureError: where the source cannot be read, or its images are not of one size and one lens.
         ValueError: for settings that make no sense.
     """
     if not 1 <= count[0] <= count[1]:
@@ -84,21 +84,21 @@ def read_photos(
 
 
 def sharpness(grey: np.ndarray) -> float:
-    """Variance of the Laplacian of a grey image [H, W]: the larger, the sharper."""
+    """Return the variance of the Laplacian of a grey image [H, W]: the larger, the sharper."""
     grey = grey.astype(np.float32)
     around = grey[:-2, 1:-1] + grey[2:, 1:-1] + grey[1:-1, :-2] + grey[1:-1, 2:]
     return float((around - 4 * grey[1:-1, 1:-1]).var())
 
 
 def buckets(times: np.ndarray, count: tuple[int, int]) -> np.ndarray:
-    """Part a video into stretches of equal time.
+    """Split a video into stretches of equal duration.
 
     Args:
-        times: [N] seconds of its frames, ascending.
-        count: fewest and most stretches.
+        times: [N] timestamps of its frames, seconds, ascending.
+        count: minimum and maximum number of stretches.
 
     Returns:
-        [M - 1] ends of all stretches but the last, M at most the number of frames.
+        [M - 1] end times of all stretches but the last; M is at most the number of frames.
     """
     length = times[-1] - times[0]
     most = min(max(count[0], math.ceil(PER_SECOND * length)), count[1], len(times))
@@ -106,14 +106,14 @@ def buckets(times: np.ndarray, count: tuple[int, int]) -> np.ndarray:
 
 
 def sharpest(graded: Iterable[tuple[int, Thing, float]]) -> Iterator[Thing]:
-    """The sharpest of each bucket.
+    """Yield the sharpest image of each bucket.
 
     Args:
-        graded: bucket, image and its sharpness, bucket by bucket; of equally sharp ones the first is taken.
+        graded: bucket, image and sharpness, grouped by bucket; the first of equally sharp images wins.
     """
     for _, group in itertools.groupby(graded, key=lambda grade: grade[0]):
         best, best_sharpness = None, -math.inf
-        for _, thing, value in group:  # one at a time: an image of a video is large
+        for _, thing, value in group:  # one at a time, because video frames are large
             if value > best_sharpness:
                 best, best_sharpness = thing, value
         if best is not None:
@@ -188,7 +188,7 @@ def _write(made: Path, taken: Iterator[_Taken], source: Path, digest: str) -> No
 
 
 def _without_bars(paths: list[Path], inside: tuple[int, int, int, int]) -> tuple[int, int]:
-    """Crop images to what is within black bars, if there are any; returns the size that they then have."""
+    """Crop images to what is within black bars, if there are any; return their new size."""
     left, upper, right, lower = inside
     for path in paths if (left, upper) != (0, 0) else ():
         photo_files.read_photo(path).crop(inside).save(path, quality=95, subsampling=0)
@@ -217,7 +217,7 @@ def _index(kept: Path) -> dict:
 
 
 def _discard(kept: Path) -> None:
-    """Remove what an earlier call kept, and nothing that is not from there."""
+    """Remove what an earlier call kept, and refuse to remove anything else."""
     if not kept.exists():
         return
     if not (kept / INDEX).is_file():

@@ -1,4 +1,4 @@
-"""Which way is up in a reconstruction, and where its floor is."""
+"""The upward direction and the floor of a reconstruction."""
 
 import math
 from dataclasses import dataclass
@@ -13,44 +13,49 @@ Floats = NDArray[np.float64]
 UpFrom = Literal["recorded", "floor", "walls", "cameras"]
 
 LOWEST = 0.12
-"""Share of the points, the lowest ones, from which floors are drawn."""
+"""Fraction of the points, the lowest ones, among which floors are looked for."""
 TOLERANCE = 0.025
 """Half the thickness of a floor, in heights of the cameras above it."""
 LARGEST_TILT = math.radians(10.0)
-"""Between the floor and what the cameras say, twice the error of these: further apart it is a slope, or no floor."""
+"""Largest angle between a floor's normal and the cameras' up, twice the error of the latter; beyond it, the plane is a
+slope or no floor."""
 LARGEST_LEAN = math.radians(35.0)
-"""How far people look up or down: by so much is the cameras' own up wrong where all look one way."""
+"""How far people look up or down, and so how far off the cameras' own up may be where all of them look one way."""
 MIN_INLIERS = 100
 MIN_WIDTH = 0.15
-"""Second in-plane deviation of a floor's points, in heights of the cameras: a narrower strip says little about up."""
+"""Minimum deviation of a floor's points along its narrower side, in heights of the cameras: a narrower strip says
+little about up."""
 DRAWS = 1500
 NEAR, LOW = 0.06, 0.15
-"""Of the points so near to a floor, in heights of the cameras, this share is below what people measure a height from:
-points lie on the blades of a lawn and the pile of a carpet, and are off to both sides."""
+"""Distance from a floor, in heights of the cameras, within which points belong to the ground, and the fraction of these
+points that lie below the level from which people measure heights: points lie on the blades of a lawn and the pile of a
+carpet, and are off to both sides."""
 LYING = (3.0, 0.1)
-"""The cameras' own up spreads in a plane so many times as far as their right axes, and at least so far, where a film
-lies on its side; upright films have 0.03 to 0.4 times and up to 0.13."""
+"""Minimum ratio between the spreads in a plane (second eigenvalues) of the cameras' up axes and of their right axes,
+and minimum spread of the up axes, for a film that lies on its side; upright films have ratios of 0.03 to 0.4 and
+spreads of up to 0.13."""
 LOOKS_UP, OVERHEAD, FLAT = math.radians(5.0), 0.5, 0.1
-"""Mean tilt above the horizon, and shares of the points above the cameras and on a floor there, from which on a film is
-upside down: people hold cameras level or down, 28° to 0° in trials, and at most 0.4 of what they film is higher."""
+"""Minimum mean tilt above the horizon, and minimum fractions of the points that are above the cameras and that are on a
+floor there, for a film that is upside down. People hold cameras level or look down, by 0° to 28° in trials, and at most
+0.4 of what they film is above the cameras."""
 ERROR_DEG: dict[UpFrom, float] = {"recorded": 1.0, "floor": 1.5, "walls": 4.0, "cameras": 5.0}
-"""Largest error found in trials, by what told up; that of cameras which look one way is larger by how far they lean."""
+"""Largest error found in trials, by the source of up; for cameras that look one way, their lean is added."""
 CLEAR_TILT = math.radians(3.0)
-"""Between a floor and up in a place that is clearly upright: a strip of floor, or one with a bed beside it, may seem
-tilted."""
+"""Largest angle between a floor's normal and up in a place that is clearly upright: a strip of floor, or a floor with a
+bed beside it, may seem tilted."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The floor of a reconstruction, in its own frame and unit.
+    """The floor of a reconstruction, in the reconstruction's frame and unit.
 
     Attributes:
-        up: [3] unit vector, away from the earth.
-        height: of the floor along ``up``, where its points lie.
-        below: how far below that the ground is that a camera's height is measured from; at least 0.
-        up_from: what ``up`` comes from.
-        error_deg: how far off it may be, degrees.
-        inliers: points on the floor.
+        up: [3] unit vector, upwards (away from the earth).
+        height: height along ``up`` of the points on the floor.
+        below: how far below ``height`` the ground lies from which a camera's height is measured; at least 0.
+        up_from: source of ``up``.
+        error_deg: possible error of ``up``, degrees.
+        inliers: number of points on the floor.
     """
 
     up: Floats
@@ -62,15 +67,16 @@ class Ground:
 
 
 def find_ground(camera_to_world: Floats, points: Floats, recorded_up: Floats | None = None) -> Ground:
-    """Find up and the floor.
+    """Find the upward direction and the floor.
 
-    Up is what the device recorded, or else the floor's normal where the floor is broad and has enough points, or else
-    the direction in which no camera's right axis points: people hold cameras level far better than straight ahead.
+    Up is the first of these that is available: what the device recorded; the normal of a floor that is broad and has
+    enough points; what walls and floors say in a place that is clearly upright; the direction most nearly perpendicular
+    to all cameras' right axes, since people hold cameras level far better than straight ahead.
 
     Args:
         camera_to_world: [N, 4, 4], OpenCV camera axes.
         points: [P, 3].
-        recorded_up: [3], the direction away from the earth where it was recorded.
+        recorded_up: [3], the upward direction where it was recorded.
     """
     centers = camera_to_world[:, :3, 3]
     if recorded_up is not None:
@@ -88,7 +94,7 @@ def find_ground(camera_to_world: Floats, points: Floats, recorded_up: Floats | N
 
 
 def _on_level(points: Floats, centers: Floats, up: Floats, up_from: UpFrom, more_deg: float = 0.0) -> Ground:
-    """The ground at right angles to a direction that is known, which may be wrong by more than usual."""
+    """Return the ground perpendicular to a given up, which may be off by ``more_deg`` more than usual."""
     level, count = lowest_level(_lowest(points, up) @ up, centers @ up)
     return _ground(points, centers, up, level, up_from, ERROR_DEG[up_from] + more_deg, count)
 
@@ -96,7 +102,7 @@ def _on_level(points: Floats, centers: Floats, up: Floats, up_from: UpFrom, more
 def _ground(
     points: Floats, centers: Floats, up: Floats, level: float, up_from: UpFrom, error_deg: float, count: int
 ) -> Ground:
-    """The ground at a level, and what is below it."""
+    """Return the ground at a level, with how far below it people measure heights from."""
     around = points @ up - level
     around = around[np.abs(around) <= NEAR * (float(np.median(centers @ up)) - level)]
     below = max(0.0, -float(np.quantile(around, LOW))) if len(around) else 0.0
@@ -104,22 +110,23 @@ def _ground(
 
 
 def _lowest(points: Floats, up: Floats) -> Floats:
-    """The lowest points, from which floors are drawn."""
+    """Return the lowest points, among which floors are looked for."""
     heights = points @ up
     return points[heights <= np.quantile(heights, LOWEST)]
 
 
 def cameras_up(camera_to_world: Floats) -> Held:
-    """The direction at right angles to the cameras' right axes, on the side of their own up.
+    """Return the direction perpendicular to the cameras' right axes, on the side of their own up axes.
 
-    Where all cameras look the same way their right axes agree, and only the mean of their own up is left to decide.
+    Where all cameras look the same way, their right axes agree, and only the mean of their own up axes is left to
+    decide.
 
     Args:
         camera_to_world: [N, 4, 4], OpenCV camera axes.
     """
     right, own = camera_to_world[:, :3, 0], -camera_to_world[:, :3, 1].mean(0)
     weights, up, side, lean = np.ones(len(right)), own, own, 0.0
-    for _ in range(10):  # reweighted, for a few cameras held askew
+    for _ in range(10):  # reweighted against a few cameras held askew
         values, vectors = np.linalg.eigh((right * weights[:, None]).T @ right / weights.sum())
         up, side = vectors[:, 0], vectors[:, 2]
         if values[1] < 4 * values[0] or values[1] < 0.003:
@@ -132,9 +139,10 @@ def cameras_up(camera_to_world: Floats) -> Held:
 
 
 def on_its_side(camera_to_world: Floats) -> bool:
-    """Whether the images lie on their side, as a phone's film does that was begun while it pointed downwards.
+    """Return whether the images lie on their side, as in a film that a phone began while it pointed downwards.
 
-    Who turns around with an upright camera turns its right axis through the horizontal plane, and hardly its up.
+    A person who turns around with an upright camera sweeps its right axis through the horizontal plane, and hardly
+    moves its up axis.
 
     Args:
         camera_to_world: [N, 4, 4], OpenCV camera axes, in any frame.
@@ -147,9 +155,10 @@ def on_its_side(camera_to_world: Floats) -> bool:
 
 
 def upside_down(camera_to_world: Floats, points: Floats) -> bool:
-    """Whether the images are upside down, as those of a camera that hung from its mount.
+    """Return whether the images are upside down, like those of a camera that hung from its mount.
 
-    They look up, at a place that is mostly above them and whose floor is there, too: who films trees looks up as well.
+    Such images look up, at a place that is mostly above them and whose floor seems to be up there, too. Looking up
+    alone proves nothing: people who film trees also look up.
 
     Args:
         camera_to_world: [N, 4, 4], OpenCV camera axes, in any frame.
@@ -165,11 +174,11 @@ def upside_down(camera_to_world: Floats, points: Floats) -> bool:
 
 
 def lowest_level(heights: Floats, cameras: Floats) -> tuple[float, int]:
-    """The height at which most of the lowest points lie with few below it, and how many lie there.
+    """Return the height at which most of the lowest points lie with few below it, and the number of points there.
 
     Args:
-        heights: [P] of the lowest points.
-        cameras: [N] of the cameras above them.
+        heights: [P] heights of the lowest points.
+        cameras: [N] heights of the cameras above them.
     """
     thickness = TOLERANCE * max(float(np.median(cameras) - np.median(heights)), 1e-9)
     order = np.sort(heights)
@@ -182,7 +191,7 @@ def lowest_level(heights: Floats, cameras: Floats) -> tuple[float, int]:
 
 
 def _broad_floor(points: Floats, centers: Floats, up: Floats, tilt: float) -> tuple[Floats, Floats] | None:
-    """Normal of a floor that is broad and has enough points, and the points on it."""
+    """Return the normal of a floor that is broad and has enough points, and the points on it; None without one."""
     sample = _lowest(points, up)
     above = float(np.median(centers @ up)) - lowest_level(sample @ up, centers @ up)[0]
     found = _floor(points, sample, up, tilt, TOLERANCE * above)
@@ -192,7 +201,7 @@ def _broad_floor(points: Floats, centers: Floats, up: Floats, tilt: float) -> tu
 
 
 def _floor(points: Floats, sample: Floats, up: Floats, tilt: float, thickness: float) -> tuple[Floats, Floats] | None:
-    """Normal of the plane that most of the lowest points lie on with few below it, and the points on it."""
+    """Return the normal of the plane on which most of the lowest points lie with few below it, and the points on it."""
     if len(sample) < 3:
         return None
     generator = np.random.default_rng(0)
@@ -215,7 +224,7 @@ def _floor(points: Floats, sample: Floats, up: Floats, tilt: float, thickness: f
 
 
 def _width(on_floor: Floats) -> float:
-    """Second in-plane deviation of a floor's points, by quantiles: a few things far away do not widen a strip."""
+    """Return the deviation of a floor's points along its narrower side, by quantiles, so that outliers do not count."""
     across = np.linalg.eigh(np.cov(on_floor.T))[1][:, 1]
     low, high = np.quantile(on_floor @ across, [0.16, 0.84])
     return 0.5 * float(high - low)
@@ -228,7 +237,7 @@ def _score(distances: Floats, thickness: float) -> int:
 def _refined(
     points: Floats, normal: Floats, offset: float, up: Floats, tilt: float, thickness: float
 ) -> tuple[Floats, Floats] | None:
-    """Fit a plane to the points near it, several times over and ever closer."""
+    """Fit a plane to the points near it, several times over, within an ever narrower band."""
     near = points
     for width in (1.5, 1.0, 1.0, 0.7, 0.7):
         near = points[np.abs(points @ normal - offset) <= width * thickness]

@@ -1,4 +1,4 @@
-"""How unevenly the camera of a film went: where a part of it was joined to the others wrongly, it seems to leap."""
+"""How unevenly the camera of a film moved: where a part was joined wrongly to the rest, it seems to leap."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,18 +6,18 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 FEWEST = 38
-"""Changes of velocity, those of 40 images; of fewer, one in a hundred says nothing."""
+"""Minimum number of velocity changes, those of 40 images; with fewer, the 99th percentile says nothing."""
 
 
 def leaps(places: Floats, seconds: Floats) -> Floats:
-    """How large each change of a camera's velocity is, times as large as half of them are at most.
+    """Return the size of each change of a camera's velocity, relative to the median change.
 
     Args:
-        places: [N, 3] of the camera, in any unit.
-        seconds: [N], ascending, when it was there.
+        places: [N, 3] positions of the camera, in any unit.
+        seconds: [N] times at which it was there, ascending.
 
     Returns:
-        [N − 2], of the second place to the last but one.
+        [N − 2], for the second position to the last but one.
     """
     velocity = np.diff(places, axis=0) / np.maximum(np.diff(seconds), 1e-3)[:, None]
     changes: Floats = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
@@ -25,5 +25,5 @@ def leaps(places: Floats, seconds: Floats) -> Floats:
 
 
 def jerks(sudden: Floats) -> float:
-    """What one of a camera's ``leaps`` in a hundred exceeds; 0 for fewer than ``FEWEST``."""
+    """Return the 99th percentile of a camera's ``leaps``; 0 for fewer than ``FEWEST``."""
     return float(np.quantile(sudden, 0.99)) if len(sudden) >= FEWEST else 0.0

@@ -1,4 +1,4 @@
-"""What structure from motion has to do, and where its process finds that."""
+"""The job of structure from motion, and the file by which it reaches its subprocess."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -11,18 +11,18 @@ DATABASE, JOB = "database.db", "job.json"
 
 @dataclass(frozen=True)
 class Job:
-    """What to reconstruct.
+    """Description of what to reconstruct.
 
     Attributes:
         images: folder of the images.
-        names: of the images, in the order in which they were taken.
-        width: of every image, pixels.
-        height: of every image, pixels.
+        names: file names of the images, in the order in which they were taken.
+        width: width of every image, pixels.
+        height: height of every image, pixels.
         K: [3][3] intrinsics, pixels; None where unknown.
         fixed: whether K is exact and the images are without lens distortion.
-        camera_to_world: [N][4][4] known poses, which stay as they are; None where they are to be found.
-        seed: of every random sample.
-        seconds: [N] when each image of a film was taken, ascending; None for photos.
+        camera_to_world: [N][4][4] known poses, which are not changed; None where they are still to be found.
+        seed: seed of every random sample.
+        seconds: [N] time at which each image of a film was taken, ascending; None for photos.
     """
 
     images: str
@@ -37,16 +37,16 @@ class Job:
 
 
 def write_job(folder: Path, job: Job) -> None:
-    """Describe a job in the folder where its results are to appear."""
+    """Write a job to the folder where its results are to appear."""
     with replacing(folder / JOB) as stream:
         stream.write(json.dumps(asdict(job)).encode())
 
 
 def read_job(folder: Path) -> Job:
-    """The job that ``write_job`` described in a folder."""
+    """Read the job that ``write_job`` wrote to a folder."""
     return Job(**json.loads((folder / JOB).read_text("utf-8")))
 
 
 def tell(what: str, done: int, total: int) -> None:
-    """Say how far the process is."""
+    """Report the progress of the subprocess to its parent, as a line of output."""
     print(json.dumps([what, done, total]), flush=True)

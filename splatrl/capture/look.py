@@ -1,4 +1,4 @@
-"""Second stage: a look at the images, which tells in seconds that a capture cannot work, and why."""
+"""Second stage: a quick look at the images, which tells in seconds that a capture cannot work, and why."""
 
 import math
 from collections.abc import Iterator
@@ -12,40 +12,42 @@ from splatrl.capture.progress import Progress, silent
 
 FRAMES = 60
 GROUP = 6
-"""Of a long video, so many neighbours at a time are looked at: images a second apart may share little and be good."""
+"""Neighbours per group that is looked at in a long video: images a second apart may share little in a good film."""
 APART = 0.34
-"""Seconds between neighbours, at most, where the video has that many images."""
+"""Maximum time between neighbours, seconds, where the video has enough images."""
 FEW = 40
-"""Up to so many photos all pairs are compared, for their order may mean nothing."""
+"""Maximum number of photos of which all pairs are compared, since their order may mean nothing."""
 MIN_BRIGHTNESS = 25.0
 MIN_KEYPOINTS = 60
-"""A film of bare walls has 0; one that turns fast close to walls has 119, and 85 % of its images find a pose."""
+"""Minimum number of distinct points. A film of bare walls has 0; one that turns fast close to walls has 119, and 85 %
+of its images find a pose."""
 BARE, MAX_BARE = 100, 0.4
-"""Images with fewer points, faint ones included, say nothing of the speed (fast films have hundreds); their share."""
+"""Number of points, faint ones included, below which an image is bare and says nothing of the speed (fast films have
+hundreds); and the maximum fraction of bare images."""
 MIN_VERIFIED = 0.8
 MAX_TURNED = 0.85
-"""Films that pan for seven seconds at each of four or five places, with some steps between, have 0.65 to 0.8 and are
-captured well; one that only turned has 0.97."""
+"""Maximum fraction of pairs that turning alone explains. Films that pan for seven seconds at each of four or five
+places, with some steps between, have 0.65 to 0.8 and are captured well; one that only turned has 0.97."""
 MIN_SHIFT = 0.02
 MIN_ANGLE = math.radians(3)
 
 
 @dataclass(frozen=True)
 class Look:
-    """What a look at the images found.
+    """Result of a look at the images.
 
     Attributes:
-        images: how many were looked at.
-        brightness: median over the images of their mean grey, 0 to 255.
-        keypoints: distinct points of the better images (the 75th percentile), at most 1,500.
-        verified: share of images in which enough points of the third next image are found again, where both are not
-            bare; for few photos, of those that share points with two others.
-        turned: of the pairs that share points and lie at least three images apart, the share that a camera which only
-            turned explains.
-        shift: median way of a point between such images, as a share of the image's longer side.
-        angle: under which the camera saw the same point from two places, radians, the 90th percentile.
-        few: whether these are few photos, compared in all pairs.
-        bare: share of images with fewer than ``BARE`` points.
+        images: number of images looked at.
+        brightness: median over the images of their mean grey level, 0 to 255.
+        keypoints: number of distinct points in the better images (75th percentile), at most 1,500.
+        verified: fraction of images in which enough points of the third next image are found again, counting pairs
+            without bare images only; for few photos, fraction that share points with at least two others.
+        turned: among pairs that share points and lie at least three images apart (for few photos, at any distance), the
+            fraction that a camera which only turned explains.
+        shift: median displacement of a point between such images, as a fraction of the image's longer side.
+        angle: angle under which the camera saw the same point from two places, radians, 90th percentile.
+        few: whether these are few photos, with all pairs compared.
+        bare: fraction of images with fewer than ``BARE`` points.
     """
 
     images: int
@@ -59,7 +61,7 @@ class Look:
     bare: float = 0.0
 
     def cause(self) -> str | None:
-        """Why this capture cannot work, with figures and what to do; None where nothing speaks against it."""
+        """Return why this capture cannot work, with figures and advice; None where nothing speaks against it."""
         if self.images < 3:
             return f"too few images: {self.images}, and at least 3 are needed. Take 50 to 200, or a video of a minute."
         if self.brightness < MIN_BRIGHTNESS:
@@ -73,7 +75,7 @@ class Look:
         return None
 
     def refuse(self) -> None:
-        """Go no further with a capture that cannot work.
+        """Refuse a capture that cannot work.
 
         Raises:
             CaptureError: with the cause.
@@ -130,11 +132,11 @@ def look(photos: Photos, progress: Progress = silent) -> Look:
     """Look at some of the images and compare them.
 
     Args:
-        photos: of one place, in the order in which they were taken.
-        progress: told about every image and pair.
+        photos: photos of one place, in the order in which they were taken.
+        progress: called for every image and pair.
 
     Returns:
-        Figures, and what follows from them.
+        The figures, from which ``Look.cause`` draws its conclusions.
 
     Raises:
         ImportError: without the extra ``capture``.
@@ -155,12 +157,12 @@ def look(photos: Photos, progress: Progress = silent) -> Look:
 
 
 def summed(seen: list[Features], found: dict[tuple[int, int], Pair], few: bool) -> Look:
-    """Figures of a look.
+    """Compute the figures of a look.
 
     Args:
         seen: features of the images.
-        found: pairs by their two numbers, the smaller one first.
-        few: whether these are few photos, compared in all pairs.
+        found: relations of pairs of images, by their two indices, the smaller one first.
+        few: whether these are few photos, with all pairs compared.
     """
     sharing = {pair: how for pair, how in found.items() if how.kind != "none"}
     bare = [len(image.points) < BARE for image in seen]
@@ -185,7 +187,7 @@ def summed(seen: list[Features], found: dict[tuple[int, int], Pair], few: bool) 
 
 
 def _chosen(seconds: np.ndarray) -> tuple[np.ndarray, int]:
-    """Which images to look at, by when they were taken [N], and how many neighbours there are in a row."""
+    """Choose images to look at by their times [N]; return their indices, and the number of neighbours per group."""
     count = len(seconds)
     evenly = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).round().astype(int))
     interval = float(seconds[-1] - seconds[0]) / max(count - 1, 1)

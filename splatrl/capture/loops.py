@@ -1,7 +1,7 @@
-"""Images that may show the same place though they were taken at other times: pairs that close loops.
+"""Loop closure: pairs of images that may show the same place although they were taken at different times.
 
-Every image's SIFT descriptors are summed up in one vector (VLAD, Jégou et al. 2010): what is left of each after the
-nearest of a few typical ones is taken away. The cosine of two such vectors says how alike two images are.
+Every image's SIFT descriptors are summarised in one vector (VLAD, Jégou et al. 2010): the sums of their residuals to
+the nearest of a few visual words. The cosine of two such vectors tells how similar two images are.
 """
 
 import numpy as np
@@ -11,21 +11,21 @@ Floats = NDArray[np.float32]
 
 WORDS, ROUNDS, SAMPLE = 64, 8, 20_000
 PARTNERS, APART = 6, 9
-"""For each image so many partners, at least so many images away: nearer ones are compared anyway."""
+"""Number of partners per image, and their minimum distance in images: nearer ones are compared anyway."""
 
 
 def loop_pairs(
     descriptors: list[NDArray[np.uint8]], partners: int = PARTNERS, apart: int = APART
 ) -> list[tuple[int, int]]:
-    """Pairs of images that look alike.
+    """Return pairs of images that look similar.
 
     Args:
-        descriptors: of each image, [N, 128].
-        partners: for each image.
-        apart: least difference of their numbers.
+        descriptors: descriptors of each image, [N, 128].
+        partners: number of partners per image.
+        apart: minimum difference of their indices.
 
     Returns:
-        Numbers of two images, the smaller one first, ascending; the same for the same descriptors.
+        Indices of two images each, the smaller one first, ascending; the same for the same descriptors.
     """
     alike = likeness(descriptors)
     numbers = np.arange(len(alike))
@@ -39,7 +39,7 @@ def loop_pairs(
 
 
 def likeness(descriptors: list[NDArray[np.uint8]]) -> Floats:
-    """How alike images look, [M, M] float32 with ones on the diagonal; images without descriptors are like none."""
+    """Return the similarity of images, [M, M] float32 with ones on the diagonal; −∞ for images without descriptors."""
     values = [np.sqrt(one / np.maximum(one.sum(1, keepdims=True), 1.0), dtype=np.float32) for one in descriptors]
     every = np.concatenate(values)
     if len(every) < WORDS:
@@ -53,7 +53,7 @@ def likeness(descriptors: list[NDArray[np.uint8]]) -> Floats:
 
 
 def _words(values: Floats) -> Floats:
-    """Typical descriptors, by k-means from evenly spaced ones."""
+    """Return the visual words (typical descriptors), by k-means from evenly spaced descriptors."""
     words = values[np.linspace(0, len(values) - 1, WORDS).round().astype(int)].copy()
     for _ in range(ROUNDS):
         nearest = _nearest(values, words)

@@ -1,4 +1,4 @@
-"""Where the cameras were, of features that COLMAP has matched: image after image, or all at once."""
+"""Camera poses from features that COLMAP has matched, by incremental or by global mapping."""
 
 import functools
 import shutil
@@ -14,29 +14,29 @@ from splatrl.capture.jerks import jerks, leaps
 from splatrl.capture.job import DATABASE, Job, tell
 
 LEAST_INLIERS, LEAST_SHARE, TRIALS = 15, 0.15, 10
-"""Features, and their share, that must agree with a pose, and how often one is sought; COLMAP's 30, 0.25 and 3 leave
-out images of bare places, whose neighbours on the way then break off too."""
+"""Minimum number and minimum ratio of inliers of a pose, and how often a pose is sought. COLMAP's 30, 0.25 and 3 leave
+out images of bare places, and then lose their neighbours along the way as well."""
 SHARED = 20
-"""Points that two images of a model must share to hold together. COLMAP leaves images in a model, anywhere, when it has
-taken away all points that joined them to the others, and what hangs on a dozen may be metres off: before a bare wall,
-and all that was filmed after it."""
+"""Minimum number of points that two images of a model must share to hold together. COLMAP leaves images in a model,
+anywhere, after it has removed all points that joined them to the others, and images that hang on a dozen points may be
+metres off: in front of a bare wall, together with all that was filmed after it."""
 ENOUGH = 0.8
-"""Share of images whose pose must be found; where image after image reaches fewer, all are sought at once."""
+"""Minimum fraction of images whose pose must be found; below it, incremental mapping is followed by global mapping."""
 NARROWER = (1.0, 0.75)
-"""Focal lengths from which that begins, times the first guess; it fails from one that is a quarter too long."""
+"""Initial focal lengths of global mapping, times the first guess; it fails from one that is a quarter too long."""
 UNEVEN, NEARLY = 4.0, 0.95
-"""Jerks of a film's camera from which it is mapped a second way, and the share of the images that this must reach. A
-map with more may be bent or right; a second one costs a minute."""
+"""Jerk of a film's camera above which it is mapped a second way, and the fraction of the first map's images that the
+second must reach. A map with a larger jerk may be bent or right; a second one costs a minute."""
 
 
 def mapping_options(pycolmap: Any, job: Job) -> Any:
-    """COLMAP's options for images that are joined one after another."""
+    """Return COLMAP's options for incremental mapping."""
     options = pycolmap.IncrementalPipelineOptions()
-    options.num_threads = options.mapper.num_threads = 1  # with more, sums come in any order
+    options.num_threads = options.mapper.num_threads = 1  # with more, the order of sums varies
     options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = job.seed
     options.mapper.abs_pose_min_num_inliers, options.mapper.abs_pose_min_inlier_ratio = LEAST_INLIERS, LEAST_SHARE
     options.mapper.max_reg_trials = TRIALS
-    options.mapper.init_min_tri_angle /= 2  # COLMAP's preset for video, here and below
+    options.mapper.init_min_tri_angle /= 2  # as in COLMAP's preset for video, here and below
     options.ba_global_frames_ratio = options.ba_global_points_ratio = 1.4
     options.min_model_size = min(options.min_model_size, max(3, len(job.names) // 2))
     if job.fixed:
@@ -46,12 +46,15 @@ def mapping_options(pycolmap: Any, job: Job) -> Any:
 
 
 def find_cameras(pycolmap: Any, folder: Path, job: Job) -> Any:
-    """COLMAP's model of the cameras, image after image, or all at once where that is better; None where there is none.
+    """Find the cameras by incremental mapping, or by global mapping where that is better.
 
     Args:
         pycolmap: the module.
-        folder: of the job, with the database of its matches.
-        job: without known poses.
+        folder: the job's folder, which holds COLMAP's database of matches.
+        job: the job description; its images have no known poses.
+
+    Returns:
+        COLMAP's model of the cameras; None where there is none.
     """
     at_once = functools.cache(functools.partial(map_at_once, pycolmap, folder, job))
     found = map_one_by_one(pycolmap, folder, job)
@@ -68,7 +71,7 @@ def find_cameras(pycolmap: Any, folder: Path, job: Job) -> Any:
 
 
 def map_one_by_one(pycolmap: Any, folder: Path, job: Job) -> Any:
-    """The largest model that grows from a first pair, image by image; None where there is none."""
+    """Return the largest model that incremental mapping grows from an initial pair; None where there is none."""
     (folder / "sparse").mkdir(exist_ok=True)
     options, done = mapping_options(pycolmap, job), [1]
 
@@ -83,14 +86,15 @@ def map_one_by_one(pycolmap: Any, folder: Path, job: Job) -> Any:
 
 
 def map_at_once(pycolmap: Any, folder: Path, job: Job, share: float = 1.0) -> Any:
-    """The largest model by global mapping (Pan et al. 2024), which needs no first pair: photos along a road have no
-    good one. None where there is none.
+    """Return the largest model by global mapping (Pan et al. 2024); None where there is none.
+
+    Global mapping needs no initial pair: photos along a road have no good one.
 
     Args:
         pycolmap: the module.
-        folder: of the job, with the database of its matches, which stays as it is.
-        job: without known poses.
-        share: the focal length with which it begins, times the first guess.
+        folder: the job's folder, which holds COLMAP's database of matches; the database is left unchanged.
+        job: the job description; its images have no known poses.
+        share: initial focal length, times the first guess.
     """
     least = mapping_options(pycolmap, job).min_model_size
     options = pycolmap.GlobalPipelineOptions(num_threads=1, random_seed=job.seed, min_model_size=least)
@@ -113,19 +117,19 @@ def map_at_once(pycolmap: Any, folder: Path, job: Job, share: float = 1.0) -> An
         camera.focal_length *= share
         database.update_camera(camera)
         database.close()
-    tell("map at once", 0, mapper.ba_num_iterations)  # COLMAP says when each of them has ended
+    tell("map at once", 0, mapper.ba_num_iterations)  # COLMAP prints the end of each iteration
     models = pycolmap.global_mapping(own / DATABASE, job.images, own, options)
     shutil.rmtree(own)
     return _largest([*models.values()])
 
 
 def _largest(models: list[Any]) -> Any:
-    """The one with the most images that hold together, the first of equals; None where there is none."""
+    """Return the model with the most images that hold together, the first of equals; None where there is none."""
     return max((model for model in models if model is not None), key=lambda model: len(joined(model)), default=None)
 
 
 def _jerks(model: Any, job: Job) -> float:
-    """How unevenly the camera of a film went; 0 where nothing says when images were taken."""
+    """Return how unevenly the camera of a film moved; 0 where the capture times are unknown."""
     if job.seconds is None:
         return 0.0
     images, places = camera_places(model, job)
@@ -133,7 +137,7 @@ def _jerks(model: Any, job: Job) -> float:
 
 
 def camera_places(model: Any, job: Job) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Numbers [N] of the job's images that hold together in a model, ascending, and where the camera was [N, 3]."""
+    """Return which of the job's images hold together in a model, [N] ascending indices, and their positions [N, 3]."""
     numbers = {name: number for number, name in enumerate(job.names)}
     held = {} if model is None else {numbers[model.images[one].name]: model.images[one] for one in joined(model)}
     images = np.array(sorted(held), np.int64)
@@ -141,7 +145,7 @@ def camera_places(model: Any, job: Job) -> tuple[NDArray[np.int64], NDArray[np.f
 
 
 def joined(model: Any) -> set[int]:
-    """The images, by COLMAP's numbers, of the largest part of a model that holds together."""
+    """Return the COLMAP ids of the images in the largest part of a model that holds together."""
     if model is None:
         return set()
     images = np.array(sorted(image.image_id for image in model.images.values() if image.has_pose), np.int64)

@@ -1,4 +1,4 @@
-"""A printed ArUco marker that tells the scale of a capture: found in its images, and as a page to print."""
+"""Printed ArUco markers that give a capture its scale: their detection in images, and a page to print."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,28 +16,28 @@ from splatrl.files import replacing
 Floats = NDArray[np.float64]
 
 MARKER_SIDE = 0.16
-"""Metres: side of the black square on the page that ``write_marker_page`` writes."""
+"""Default side of a marker's black square, as on the printed page, metres."""
 LEAST_ERROR = 0.01
-"""Share: white paper outshines the black beside it, by which markers look up to one per cent too small."""
+"""Minimum relative error: white paper outshines the black beside it, so that markers look up to 1 % too small."""
 MIN_VIEWS = 3
 MAX_ERROR = 2.0
-"""Pixels: a corner's median distance from where its views see it."""
+"""Maximum reprojection error of a marker's corners, pixels, as the median over its views."""
 MAX_UNEVEN = 0.06
-"""Relative deviation of a marker's lengths: beyond it, something else looked like one, or the poses are bad."""
+"""Maximum relative deviation of a marker's lengths; beyond it, something else was detected, or the poses are bad."""
 _DPI = 300
 _PAGE = (210.0, 297.0)
-"""Millimetres of an A4 page."""
+"""Width and height of an A4 page, millimetres."""
 
 
 @dataclass(frozen=True)
 class MarkerScale:
-    """What markers say of the scale.
+    """The scale according to markers.
 
     Attributes:
-        metres_per_unit: of the reconstruction.
-        error: how far off it may be, as a share.
-        markers: how many told.
-        views: in how many images they were seen.
+        metres_per_unit: metres per unit of the reconstruction.
+        error: possible relative error.
+        markers: number of markers that were measured.
+        views: total number of their views.
     """
 
     metres_per_unit: float
@@ -47,11 +47,11 @@ class MarkerScale:
 
 
 def scale_by_marker(reconstruction: Reconstruction, side: float = MARKER_SIDE) -> MarkerScale | None:
-    """Measure the markers in a reconstruction's images; None where there is none to be trusted.
+    """Measure the markers in a reconstruction's images; return None where none can be trusted.
 
     Args:
-        reconstruction: with images without lens distortion.
-        side: of the markers' black squares, metres.
+        reconstruction: cameras and images; the images must be without lens distortion.
+        side: side of the markers' black squares, metres.
 
     Raises:
         ImportError: without the extra ``capture``.
@@ -63,7 +63,7 @@ def find_markers(paths: list[Path]) -> dict[int, dict[int, Floats]]:
     """Look for markers in images.
 
     Returns:
-        For each marker's number, for each image that it was found in, its corners [4, 2], pixels from the image's
+        By marker id and then by image index, the corners [4, 2] of the marker in that image, pixels from the image's
         upper left corner, clockwise from the marker's own upper left.
 
     Raises:
@@ -73,8 +73,8 @@ def find_markers(paths: list[Path]) -> dict[int, dict[int, Floats]]:
     parameters = cv2.aruco.DetectorParameters()
     quick = cv2.aruco.ArucoDetector(_dictionary(cv2), parameters)
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG
-    # Its corners count from the image's own corner, as the intrinsics do; those of the other methods, which came out
-    # two to six times as biased on video, count from the middle of the first pixel.
+    # This method measures corners from the image's corner, as the intrinsics do. The others measure from the centre of
+    # the first pixel, and were two to six times as biased on video.
     exact = cv2.aruco.ArucoDetector(_dictionary(cv2), parameters)
     found: dict[int, dict[int, Floats]] = {}
     for number, path in enumerate(paths):
@@ -90,7 +90,7 @@ def find_markers(paths: list[Path]) -> dict[int, dict[int, Floats]]:
 def scale_by_corners(
     reconstruction: Reconstruction, found: dict[int, dict[int, Floats]], side: float
 ) -> MarkerScale | None:
-    """Metres per unit from the corners that ``find_markers`` found; markers count by the square of their views."""
+    """Return the scale from the corners that ``find_markers`` found; a marker's weight is the square of its views."""
     lengths, views = [], []
     for squares in found.values():
         measured = _lengths(reconstruction, squares)
@@ -110,7 +110,7 @@ def scale_by_corners(
 
 
 def _lengths(reconstruction: Reconstruction, squares: dict[int, Floats]) -> Floats | None:
-    """The four sides of a marker and its diagonals / √2, in units; None for what is no square seen often enough."""
+    """Return a marker's four sides and its diagonals / √2, in units; None unless it is square and seen often enough."""
     poses, K = reconstruction.camera_to_world.numpy(), reconstruction.K.numpy()
     images = sorted(squares)
     for _ in range(3):
@@ -142,13 +142,13 @@ def write_marker_page(path: Path, marker: int = 0, side: float = MARKER_SIDE) ->
     """Write an A4 page with a marker to print, as PDF.
 
     Args:
-        path: of the file; ends in .pdf.
-        marker: its number, 0 to 49.
-        side: of the black square, metres.
+        path: the file to write; ends in .pdf.
+        marker: id of the marker, 0 to 49.
+        side: side of the black square, metres.
 
     Raises:
         ImportError: without the extra ``capture``.
-        ValueError: for a number out of range, or a side that does not fit the page.
+        ValueError: for an id out of range, or a side that does not fit the page.
     """
     if not 0 <= marker < 50:
         raise ValueError(f"marker: expected a number from 0 to 49, got {marker}")

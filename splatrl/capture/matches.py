@@ -1,4 +1,4 @@
-"""Features of small images, and how two of these images are related: fast enough to look before the real work."""
+"""Features of small images, and how two of these images are related: fast enough for a look before the real work."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,24 +10,25 @@ from splatrl.capture.optional import needed
 
 LONGEST, FEATURES = 640, 1500
 CONTRAST, FEW, FAINT = 0.02, 400, 0.005
-"""Of a distinct point, at least; an image with fewer of these is searched for fainter ones, as ``structure`` does."""
+"""Minimum contrast of a distinct point; the number of distinct points below which an image is searched again for
+fainter ones, as ``structure`` does; and the minimum contrast of those."""
 MIN_INLIERS = 15
 GUESSED_FOCAL = 1.2
-"""Of the longer side: COLMAP's guess where nothing is known."""
+"""Focal length relative to the longer side: COLMAP's guess where nothing is known."""
 SAME_CENTRE = 0.03
-"""A homography is a rotation's up to here: √(σ₁/σ₃) − 1 with the best focal length, about the sideways move as a share
-of the distance."""
+"""Limit of √(σ₁/σ₃) − 1, at the best focal length, below which a homography counts as a rotation's; it is about the
+sideways movement as a fraction of the distance."""
 
 
 @dataclass(frozen=True)
 class Features:
-    """Of one image.
+    """Features of one image.
 
     Attributes:
         points: [N, 2] float64, pixels.
         descriptors: [N, 128] float32, unit vectors.
-        distinct: how many points have the contrast of a distinct one.
-        brightness: mean grey, 0 to 255.
+        distinct: number of points with the contrast of a distinct one.
+        brightness: mean grey level, 0 to 255.
         size: width and height, pixels.
     """
 
@@ -46,7 +47,7 @@ class Pair:
         kind: ``none`` without enough common points, ``turned`` where a rotation about the camera's centre explains
             them, ``plane`` where a moving camera saw a plane, ``moved`` otherwise.
         angle: median angle between the rays to a point, radians; 0 unless the camera moved.
-        shift: median way of a point across the image, as a share of the longer side.
+        shift: median displacement of a point in the image, as a fraction of the longer side.
     """
 
     kind: Literal["none", "turned", "plane", "moved"]
@@ -55,10 +56,12 @@ class Pair:
 
 
 def features(path: Path) -> Features:
-    """SIFT of an image, at most 640 pixels wide and high, with the square root of L1-normalised descriptors.
+    """Extract the SIFT features of an image, scaled down to at most 640 pixels in width and height.
+
+    Descriptors are the square roots of L1-normalised ones.
 
     Args:
-        path: of the image.
+        path: the image file.
     """
     cv2 = needed("cv2")
     grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
@@ -80,14 +83,14 @@ def features(path: Path) -> Features:
 
 
 def matches(a: Features, b: Features) -> np.ndarray:
-    """Descriptors that are each other's nearest and clearly nearer than the second nearest.
+    """Match descriptors that are mutual nearest neighbours, and clearly nearer than the second nearest.
 
     Args:
-        a: of one image.
-        b: of the other.
+        a: features of one image.
+        b: features of the other.
 
     Returns:
-        [M, 2] uint32, numbers of points of a and of b.
+        [M, 2] uint32, indices of points of a and of b.
     """
     if min(len(a.points), len(b.points)) < 2:
         return np.zeros((0, 2), np.uint32)
@@ -103,9 +106,9 @@ def related(a: Features, b: Features, seed: int = 0) -> Pair:
     """Find out how two images are related, without knowing the camera.
 
     Args:
-        a: of one image.
-        b: of the other, of the same size.
-        seed: of the random samples.
+        a: features of one image.
+        b: features of the other, of the same size.
+        seed: seed of the random samples.
     """
     pycolmap = needed("pycolmap")
     found = matches(a, b)
@@ -130,14 +133,14 @@ def related(a: Features, b: Features, seed: int = 0) -> Pair:
 
 
 def _turned(geometry: Any, size: tuple[int, int]) -> bool:
-    """Whether the homography between two images is that of a camera that only turned, for any likely focal length."""
+    """Return whether the homography of two images fits a camera that only turned, for any likely focal length."""
     if geometry.H is None:
         return True
     return unlike_rotation(np.asarray(geometry.H), size) < SAME_CENTRE
 
 
 def unlike_rotation(homography: np.ndarray, size: tuple[int, int]) -> float:
-    """How far a homography is from K R K⁻¹ with any rotation R and any likely focal length.
+    """Return how far a homography is from K R K⁻¹, with any rotation R and any likely focal length.
 
     Args:
         homography: [3, 3] in pixels.
@@ -155,7 +158,7 @@ def unlike_rotation(homography: np.ndarray, size: tuple[int, int]) -> float:
 
 
 def _nearest(likeness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of each row the nearest column, and whether it is near and unambiguous."""
+    """Return the nearest column of each row, and whether it is near and unambiguous."""
     rows = np.arange(len(likeness))
     nearest = likeness.argmax(1)
     first = likeness[rows, nearest]

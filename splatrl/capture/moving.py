@@ -1,8 +1,8 @@
-"""What moved while photos were taken: people, animals, cars.
+"""Find what moved while photos were taken: people, animals, cars.
 
-A small fit shows what the photos have in common. Where one shows something else, although others of the same place look
-as the fit does, something was in the way. What is suspected is left out while the small fit goes on, so that it shows
-more of what is behind, and the next round decides better.
+A small fit shows what the photos have in common. Where a photo shows something else, although others of the same place
+look like the fit, something was in the way. Suspect pixels are masked out while the small fit goes on, so that it shows
+more of what is behind them, and the next round decides better.
 """
 
 import math
@@ -24,35 +24,39 @@ from splatrl.renderers import NativeRenderer
 
 ROUNDS = 3
 SHARE = 0.64
-"""Of the views of the whole fit: what the small one draws, on images as large as the depths, which are a quarter."""
+"""Views of the small fit, as a fraction of the whole fit's; its images are as large as the depth maps, with a quarter
+of the pixels."""
 GAUSSIANS = 8_000
-"""Of the small fit, at most, and no more than the whole one may have."""
+"""Maximum number of Gaussians in the small fit; the cap of the whole fit limits them, too."""
 SMOOTH = 2.0
-"""Pixels over which differences are averaged, so that fine texture that is not drawn yet does not count."""
+"""Standard deviation, pixels, of the blur of differences, so that fine texture that is not fitted yet does not
+count."""
 GAINS = (0.7, 1.4)
-"""Between which a photo's exposure may differ from the fit's."""
+"""Range of gains by which a photo's exposure may differ from the fit's."""
 STEADY = 0.02
-"""Differences below this count in full where the exposure is sought, larger ones the less the larger they are."""
+"""Differences up to this have full weight when the exposure is estimated; beyond it, the weight falls as they grow."""
 SUSPECT, UNLIKE, CLEAR = 0.06, 0.08, 0.15
-"""Differences, of 1: of what is left out at first, of each pixel of a thing, and of a thing on average."""
+"""Minimum differences, on a scale of 0 to 1: of what is masked out at first, of each pixel of a moving thing, and of a
+moving thing on average."""
 AGREEING = 3
-"""Other photos that must show what the fit shows there, and more than those that do not."""
+"""Minimum number of other photos that must show what the fit shows there; they must also outnumber those that look
+different."""
 SAME = 0.08
-"""A photo shows the same place if it is as far away, but for this share."""
+"""Relative tolerance in depth within which a photo shows the same place."""
 THROUGH = 0.88
-"""A photo sees through a place if the place is nearer than this share of what the photo shows."""
+"""A photo sees through a place that is nearer than this fraction of the depth that the photo shows there."""
 ASKED = 100
-"""Other photos that are asked, at most."""
+"""Maximum number of other photos that each photo is compared with."""
 APART = 3
-"""They are farther than this in the order of the photos: what moves slowly is in those too."""
+"""They are more than this many photos away: things that move slowly are in nearer photos, too."""
 LARGE = 1 / 90
-"""Of an image: a thing is no smaller."""
+"""Minimum size of a moving thing, as a fraction of the image."""
 GROWN = 6
-"""Pixels of half the size by which a thing grows into what is suspect around it, whatever others say of that."""
+"""Pixels, at half the size, by which a thing grows into suspect pixels around it, whatever other photos show there."""
 CONFIRMED = 0.5
-"""Share of a thing's pixels whose depth other photos confirm: of what moves it is less."""
+"""A thing moved only if other photos confirm the depth of less than this fraction of its pixels."""
 OPAQUE = 0.5
-"""A pixel at least this opaque shows how far away things are."""
+"""Minimum alpha at which the depth of a rendered pixel counts."""
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -61,16 +65,16 @@ Floats = NDArray[np.float64]
 def find_moving(
     reconstruction: Reconstruction, depths: Depths, settings: FitSettings, progress: Progress = silent
 ) -> Tensor:
-    """Find the pixels of photos that show what moved.
+    """Find the pixels of photos that show moving things.
 
     Args:
         reconstruction: photos with poses.
-        depths: of their pixels, as ``find_depths`` returns them.
-        settings: of the fit that is to come, on which it depends how long this takes.
-        progress: told about views of the small fit.
+        depths: depths of their pixels, as ``find_depths`` returns them.
+        settings: settings of the fit that is to come; they determine how long this takes.
+        progress: called after every step of the small fit.
 
     Returns:
-        [N, H, W] bool, as large as the depths; nothing of photos that are never fitted.
+        [N, H, W] bool, as large as the depths; nothing is found in photos that are never fitted.
 
     Raises:
         CaptureError: as ``fit`` does.
@@ -85,10 +89,10 @@ def find_moving(
         device="cpu",
     )
     rows, frame = trained(len(reconstruction.paths)), frame_of(reconstruction.camera_to_world)
-    if reconstruction.depths:  # a sensor measures what moves, too
+    if reconstruction.depths:  # a sensor also measures moving things
         (seen,) = pictures(reconstruction, frame, [depths.known.shape[2]])
         depths = confirmed(depths, seen, rows, small.threads)
-    depths = replace(depths, likely=depths.known)  # what nobody confirms may have moved
+    depths = replace(depths, likely=depths.known)  # whatever no other photo confirms may have moved
     fitting = Fitting(reconstruction, small, depths)
     seen, _ = fitting.level(0.0)
     moving = torch.zeros_like(depths.known, dtype=torch.bool)
@@ -107,14 +111,15 @@ def find_moving(
 
 @dataclass(frozen=True)
 class Comparison:
-    """How photos differ from a fit, and what other photos say of these places, at half the size.
+    """How photos differ from a fit, and what other photos show of the same places, at half the size.
 
     Attributes:
         known: [R, h, w] bool, whether other photos confirm the depth of a pixel.
-        unlike: [R, h, w] float32, how different a photo is there, of 1, averaged over some pixels.
-        agreeing: [R, h, w] int16, how many of the others show the place that the fit shows there, and look like it.
-        disagreeing: how many show that place, and look different.
-        through: how many see through it.
+        unlike: [R, h, w] float32, how much a photo differs from the fit, from 0 to 1, averaged over some pixels.
+        agreeing: [R, h, w] int16, number of other photos that show the place that the fit shows there, and look like
+            the fit.
+        disagreeing: number of other photos that show that place, and look different.
+        through: number of other photos that see through it.
     """
 
     known: Tensor
@@ -124,10 +129,10 @@ class Comparison:
     through: Tensor
 
     def things(self, strict: bool) -> Tensor:
-        """The pixels of what moved, or without ``strict`` of what may have: [R, h, w] bool.
+        """Return the pixels of what moved, or without ``strict`` of what may have moved: [R, h, w] bool.
 
         Args:
-            strict: whether to find only large and clear things, about whose place other photos agree with the fit.
+            strict: whether to find only large and clear things, where other photos agree with the fit.
         """
         clear = (self.unlike > UNLIKE) & (self.agreeing >= AGREEING) & (self.agreeing > self.disagreeing)
         ghosts = (self.through >= AGREEING) & (self.through > 2 * (self.agreeing + self.disagreeing))
@@ -151,15 +156,15 @@ class Comparison:
 def compared(
     fitting: Fitting, seen: Pictures, reconstruction: Reconstruction, ignored: Tensor, known: Tensor
 ) -> Comparison:
-    """Compare the photos that a fit is trained on with it.
+    """Compare the photos that a fit is trained on with its renders.
 
     Args:
         fitting: the fit.
         seen: its photos.
         reconstruction: their poses.
-        ignored: [N, H, W] bool, pixels that do not count where exposures are sought.
-        known: [N, H, W] bool, whether other photos confirm the depth of a pixel; elsewhere a photo that looks as the
-            fit does has no vote, since where the sky is nobody knows.
+        ignored: [N, H, W] bool, pixels that do not count when exposures are estimated.
+        known: [N, H, W] bool, whether other photos confirm the depth of a pixel; elsewhere a photo that looks like the
+            fit has no vote, since the depth of the sky, for one, is unknown.
     """
     rows, (height, width) = fitting.trained, seen.pixels.shape[1:3]
     poses = reconstruction.camera_to_world[rows]
@@ -175,7 +180,7 @@ def compared(
     depth = torch.where(drawn.alpha > OPAQUE, drawn.depth, 0.0)[:, : 2 * height : 2, : 2 * width : 2]
     known = known[rows][:, : 2 * height : 2, : 2 * width : 2]
     alike = torch.where(known, depth, 0.0)
-    signed = torch.where(unlike < SUSPECT, alike, -depth)  # positive where a photo looks as the fit does
+    signed = torch.where(unlike < SUSPECT, alike, -depth)  # positive where a photo looks like the fit
     K, counts = reconstruction.K_at(width, height), torch.zeros(3, len(rows), height, width, dtype=torch.int16)
     for row, pose in enumerate(poses):
         places = pixel_places(depth[row], pose, K)
@@ -189,17 +194,17 @@ def compared(
 
 
 def difference(drawn: Floats, photo: Floats, ignored: Mask) -> Floats:
-    """How a photo differs from what is drawn, but for a gain and an offset of each channel.
+    """Return how a photo differs from a render, apart from a gain and an offset of each channel.
 
-    These are sought by what is alike: larger differences count less, the more so the larger they are.
+    Gain and offset are estimated from what is alike: the larger a difference is, the less it weighs.
 
     Args:
-        drawn: [H, W, 3] in [0, 1].
-        photo: likewise.
+        drawn: [H, W, 3] in [0, 1], the render.
+        photo: [H, W, 3] in [0, 1].
         ignored: [H, W] bool, pixels that do not count for gain and offset.
 
     Returns:
-        [H, W]: the largest of the channels, averaged over some pixels with their signs.
+        [H, W]: the largest absolute difference of the channels, whose signed differences are averaged over some pixels.
     """
     counted = 1.0 - ignored[..., None]
     weights, apart = np.broadcast_to(counted, drawn.shape), np.zeros_like(drawn)
@@ -215,14 +220,14 @@ def difference(drawn: Floats, photo: Floats, ignored: Mask) -> Floats:
 
 
 def asked(row: int, count: int) -> list[int]:
-    """Which of ``count`` photos are asked about one of them."""
+    """Return which of ``count`` photos one of them is compared with."""
     others = [other for other in range(count) if abs(other - row) > APART]
     stride = max(1, -(-len(others) // ASKED))
     return others[row % stride :: stride]
 
 
 def _rounded(pixels: Mask) -> Mask:
-    """Without holes and gaps, and a pixel larger."""
+    """Fill the holes and gaps of a mask, and grow it by a pixel."""
     closed = ndimage.binary_closing(np.pad(pixels, 3, mode="edge"), np.ones((5, 5)))[3:-3, 3:-3]
     whole: Mask = ndimage.binary_dilation(ndimage.binary_fill_holes(closed))
     return whole

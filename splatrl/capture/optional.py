@@ -1,4 +1,4 @@
-"""What the extra ``capture`` installs."""
+"""Packages that the extra ``capture`` installs."""
 
 import importlib
 from types import ModuleType
@@ -8,10 +8,10 @@ def needed(name: str) -> ModuleType:
     """Import a package of the extra ``capture``.
 
     Args:
-        name: of the module.
+        name: name of the module.
 
     Raises:
-        ImportError: says how to install it.
+        ImportError: where it is missing; says how to install it.
     """
     try:
         return importlib.import_module(name)

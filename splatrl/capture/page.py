@@ -1,4 +1,4 @@
-"""``report.html``, what came out of a capture: figures, what went wrong, and pictures; one static page."""
+"""The report of a capture, ``report.html``: figures, what went wrong, and pictures, on one static page."""
 
 from collections.abc import Sequence
 from html import escape
@@ -32,16 +32,16 @@ def report_page(
     notes: Sequence[str],
     pictures: Sequence[str],
 ) -> str:
-    """The page as HTML, without scripts, with pictures by their file names.
+    """Return the report as HTML without scripts, with pictures by their file names.
 
     Args:
-        name: of the scene.
+        name: name of the scene.
         placed: cameras and points in the world.
-        area: where it is.
-        found: suggestions.
-        quality: figures.
-        notes: what went wrong, a sentence each.
-        pictures: names of the files beside the page.
+        area: bounds and walkable area of the place.
+        found: suggested goals and object position.
+        quality: figures of the check.
+        notes: what went wrong, one sentence each.
+        pictures: names of the image files beside the page.
     """
     rows = "".join(
         f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in _figures(placed, area, found, quality)

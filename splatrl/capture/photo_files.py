@@ -1,4 +1,4 @@
-"""Photos of a folder: upright by their EXIF, with the focal length that it tells."""
+"""Photos of a folder: upright according to their EXIF, with the focal length that it states."""
 
 import math
 from collections import Counter
@@ -19,20 +19,21 @@ from splatrl.images import PHOTO_FORMATS, PHOTO_SUFFIXES
 UNREAD = (".heic", ".heif", ".avif", ".dng", ".tif", ".tiff", ".jxl")
 EXIF_IFD, FOCAL_35MM, GPS_IFD = 0x8769, 0xA405, 0x8825
 NAMED = 5
-"""Photos that a message names, at most."""
+"""Maximum number of photos that a message names."""
 ONE_LENS = 0.1
-"""Share by which focal lengths of one lens differ at most: by their rounding, and the focus."""
+"""Maximum relative difference between focal lengths of one lens, which vary with rounding and focus."""
 DIAGONAL_35MM = math.hypot(36, 24)
 
 
 def photos_of(folder: Path) -> list[Path]:
-    """The photos of a folder in the order of the numbers in their names.
+    """Return the photos of a folder in the order of the numbers in their names.
 
     Args:
-        folder: to look in, not in its sub-folders.
+        folder: the folder to look in; its sub-folders are not searched.
 
     Raises:
-        CaptureError: where there are none, or some of a kind that is not read, without the same photo as another kind.
+        CaptureError: where there are no photos, or some of an unsupported format without a readable file of the same
+            name.
     """
     files = [path for path in folder.iterdir() if not path.name.startswith(".") and path.is_file()]
     found = sorted((path for path in files if path.suffix.lower() in PHOTO_SUFFIXES), key=natural)
@@ -50,7 +51,7 @@ def photos_of(folder: Path) -> list[Path]:
 
 
 def read_photo(path: Path, stream: BinaryIO | None = None, upright: bool = True) -> Image.Image:
-    """Read a photo, RGB; arguments as for ``images.read_photo``.
+    """Read a photo as RGB; arguments as for ``images.read_photo``.
 
     Raises:
         CaptureError: for a file that is broken, of another kind, or too large.
@@ -62,14 +63,14 @@ def read_photo(path: Path, stream: BinaryIO | None = None, upright: bool = True)
 
 
 def lying(paths: list[Path], longest: int) -> list[bool]:
-    """Which photos must be turned by a quarter to be of one size with most of the others.
+    """Return which photos must be turned by a quarter to have the size that most of the others have.
 
     Args:
-        paths: of all photos of a folder.
-        longest: the most pixels along the longer side of what they are scaled down to.
+        paths: all photos of a folder.
+        longest: maximum pixels along the longer side after scaling down.
 
     Raises:
-        CaptureError: where some are of another size however they are turned, or cannot be read.
+        CaptureError: where some have another size whichever way they are turned, or cannot be read.
     """
     try:
         sizes = [shrunk_size(images.photo_size(path), longest) for path in paths]
@@ -86,14 +87,14 @@ def lying(paths: list[Path], longest: int) -> list[bool]:
 
 
 def focal_length(folder: Path, size: tuple[int, int]) -> float | None:
-    """The focal length that the EXIF of photos tells.
+    """Return the focal length that the EXIF of photos states.
 
     Args:
-        folder: of photos.
-        size: width and height of the images that it is for, pixels.
+        folder: the folder of the photos.
+        size: width and height of the images that the focal length is for, pixels.
 
     Returns:
-        Pixels; None where no photo tells it.
+        Pixels; None where no photo states it.
 
     Raises:
         CaptureError: where photos were taken with several lenses, or zoomed.
@@ -117,10 +118,10 @@ def focal_length(folder: Path, size: tuple[int, int]) -> float | None:
 
 
 def gps_place(path: Path) -> tuple[float, float] | None:
-    """Where the EXIF of a photo says that it was taken.
+    """Return where a photo was taken according to its EXIF.
 
     Returns:
-        Latitude and longitude, degrees, to the north and to the east positive; None where it does not tell them.
+        Latitude and longitude, degrees, positive to the north and to the east; None where EXIF does not state them.
     """
     try:
         told = _exif(path, GPS_IFD)
@@ -136,11 +137,11 @@ def _named(names: list[str]) -> str:
 
 
 def _exif(path: Path, directory: int) -> dict[int, Any]:
-    """What a directory of a photo's EXIF holds, by tag."""
+    """Return the tags of one directory in a photo's EXIF."""
     with Image.open(path, formats=PHOTO_FORMATS) as image:
         return dict(image.getexif().get_ifd(directory))
 
 
 def _degrees(told: Iterable[float]) -> float:
-    """Of degrees, minutes and seconds."""
+    """Convert degrees, minutes and seconds to degrees."""
     return sum(float(part) / unit for part, unit in zip(told, (1, 60, 3600), strict=True))

@@ -27,15 +27,15 @@ Floats = NDArray[np.float64]
 
 GOALS = "goals.png"
 THUMBNAIL = 320
-"""Pixels of what a goal sees."""
+"""Side of the view from a goal, pixels."""
 ROWS = 6
-"""Photos in a comparison, at most."""
+"""Maximum number of photos in a comparison."""
 WIDTH = 480
-"""Pixels of a photo in it."""
+"""Width of a photo in a comparison, pixels."""
 BODY = 0.1
 """Metres above and below the robot's height within which solid things are drawn."""
 LONG = 2.5
-"""Times as long as wide: maps of a longer place stand one above the other."""
+"""Ratio of a place's extent along x to that along y above which its two maps are stacked."""
 PATH, BLOCKED, POINTS = "#1f6feb", "#d1242f", "#8a6d3b"
 _MOST_POINTS = 20_000
 
@@ -46,11 +46,11 @@ def draw_goals(
     """Draw what a robot sees at each goal, side by side, as PNG.
 
     Args:
-        gaussians: in the world frame.
-        goals: at least one, each x and y in metres and yaw in degrees.
-        height: of the robot's camera, world, metres.
-        path: where to; ends in .png.
-        antialiased: whether it is to be drawn so; False is the classic 3DGS image.
+        gaussians: the scene's Gaussians, world frame.
+        goals: at least one goal, each x and y in metres and yaw in degrees.
+        height: height of the robot's camera, world, metres.
+        path: the file to write; ends in .png.
+        antialiased: whether to render antialiased; False gives the classic 3DGS image.
     """
     poses = []
     for x, y, yaw in goals:
@@ -66,13 +66,13 @@ def draw_goals(
 
 
 def draw_comparison(photos: Sequence[Floats], renders: Sequence[Floats], scores: Sequence[float], path: Path) -> None:
-    """Draw photos, renders of the same cameras and four times their difference side by side, as PNG.
+    """Draw photos, renders from the same cameras and four times their difference side by side, as PNG.
 
     Args:
-        photos: at least one, each [H, W, 3] in [0, 1].
-        renders: as many.
-        scores: PSNR of each, dB.
-        path: where to; ends in .png.
+        photos: at least one photo, each [H, W, 3] in [0, 1].
+        renders: as many renders, of the same shape.
+        scores: PSNR of each render, dB.
+        path: the file to write; ends in .png.
     """
     rows = np.unique(np.linspace(0, len(photos) - 1, ROWS).round().astype(int)).tolist()
     height, width = photos[0].shape[:2]
@@ -95,12 +95,12 @@ def draw_comparison(photos: Sequence[Floats], renders: Sequence[Floats], scores:
 
 
 def draw_moving(photos: Sequence[Path], moving: Tensor, path: Path) -> None:
-    """Draw the photos that show most of what moved, two beside each other, with that in red, as PNG.
+    """Draw the photos with the most moving pixels, in two columns and with these pixels in red, as PNG.
 
     Args:
-        photos: all of them.
-        moving: [N, h, w] bool, where each shows what moved.
-        path: where to; ends in .png.
+        photos: all photos.
+        moving: [N, h, w] bool, pixels of each photo that show moving things.
+        path: the file to write; ends in .png.
     """
     shares = moving.flatten(1).float().mean(1)
     rows = shares.argsort(descending=True, stable=True)[: min(ROWS, int((shares > 0).sum()))].sort().values
@@ -124,20 +124,20 @@ def draw_map(
     goals: Sequence[Sequence[float]] = (),
     thing: Sequence[float] | None = None,
 ) -> None:
-    """Draw the place from above with the camera's path, and free space and points beside it, as PNG.
+    """Draw the place from above with the camera's path, and beside it free space and points, as PNG.
 
     Args:
-        gaussians: world frame.
+        gaussians: the scene's Gaussians, world frame.
         placed: cameras and points.
-        area: bounds, walk and what is solid.
+        area: bounds, walkable area and what is solid.
         free: [N] bool, whether the path is free at each camera.
-        path: where to; ends in .png.
-        goals: x, y and yaw in degrees of poses to mark, the first of them largest.
-        thing: x, y, z of a place to mark.
+        path: the file to write; ends in .png.
+        goals: poses to mark, each x, y and yaw in degrees; the first is drawn largest.
+        thing: x, y, z of an object position to mark.
     """
     lower, upper = area.bounds[0][:2], area.bounds[1][:2]
     cut = area.robot_height + 0.3
-    ground = top_down(gaussians, lower, upper, cut, depth=cut + DEPTH)  # the floor is at 0, far below a drone
+    ground = top_down(gaussians, lower, upper, cut, depth=cut + DEPTH)  # down to the floor at 0, far below a drone
     solid = footprint(area.occupancy, area.robot_height - BODY, area.robot_height + BODY, ground).numpy()
     cameras, points = (
         placed.reconstruction.camera_to_world[:, :3, 3].numpy(),

@@ -1,4 +1,4 @@
-"""All stages of a capture, one after the other; what each has made is kept, so a second call continues."""
+"""All stages of a capture, one after the other; each keeps its result, so that a second call continues."""
 
 import hashlib
 import json
@@ -40,9 +40,9 @@ from splatrl.scenes import Gaussians, read_gaussians, write_gaussians
 from splatrl.scenes.description import SCENE_FILE, SPLAT
 
 VERSION = 2
-"""Of what the stages keep: raise it when the same settings give another result."""
+"""Version of what the stages keep: raise it when the same settings give another result."""
 STAGES = "stages"
-"""Sub-folder of a capture in which stages keep what they have made; it can be deleted once the scene is there."""
+"""Sub-folder of a capture in which the stages keep their results; it can be deleted once the scene is there."""
 LIES = (
     "lies on its side: expected upright images, got up to the left or to the right. Turn it in an editor, or by "
     "`ffmpeg -display_rotation 90 -i FILM -c copy TURNED.mp4` (or 270), and capture that."
@@ -56,21 +56,21 @@ UPSIDE_DOWN = (
 
 @dataclass(frozen=True)
 class CaptureSettings:
-    """How a capture is made.
+    """Settings of a capture.
 
     Attributes:
-        count: fewest and most images that are taken of a video.
-        longest: the most pixels along the longer side of these images.
+        count: minimum and maximum number of images that are taken from a video.
+        longest: maximum pixels along the longer side of these images.
         force: whether to go on with a capture that a first look refuses, or without the images that cannot be joined,
-            and to replace a scene that is there.
-        seed: of everything that is random.
-        camera_height: of the camera above the floor on average, metres, where that tells the scale.
-        distance: between two points in an image, where that tells the scale.
+            and to replace an existing scene.
+        seed: seed of everything that is random.
+        camera_height: mean height of the camera above the floor, metres, where that sets the scale.
+        distance: distance between two points in images, where that sets the scale.
         marker: side of a printed marker's black square, metres.
         splat: name of the splat file in the scene's folder; one that ends in .spz is small.
-        fit: how Gaussians are fitted.
-        still: whether nothing moved while it was filmed, so that nobody looks for that.
-        resolution: what follows the robots' image size; None takes the width and the cap of ``fit``.
+        fit: settings of the fit.
+        still: whether nothing moved while it was filmed, so that moving things need not be looked for.
+        resolution: sets the width and the cap of the fit by the robots' image size; None takes those of ``fit``.
     """
 
     count: tuple[int, int] = (120, 200)
@@ -93,25 +93,25 @@ def capture(
     progress: Progress = silent,
     say: Callable[[str], object] = print,
 ) -> Quality:
-    """Make a scene to train in of a video, a folder of photos, or a recording that already knows its poses.
+    """Make a scene to train in from a video, a folder of photos, or a recording that already has poses.
 
     Args:
         source: a video, a folder of photos, or whatever ``read_recording`` reads.
-        folder: of the scene; what stages have made is kept in its sub-folder ``stages``.
-        settings: how.
-        progress: told how far each stage is.
-        say: told what came of each stage, in a line.
+        folder: the scene's folder; the stages keep their results in its sub-folder ``stages``.
+        settings: settings of the capture.
+        progress: called with the progress of each stage.
+        say: called with the outcome of each stage, as one line.
 
     Returns:
-        How good the capture is; the report in ``folder`` says more.
+        The quality of the capture; the report in ``folder`` says more.
 
     Raises:
         CaptureError: for a capture that cannot work; says why, and what to do.
-        FileExistsError: for a scene that is there already, without ``force``.
+        FileExistsError: for an existing scene, without ``force``.
         ImportError: without the extra ``capture``.
         ValueError: where another process works in the folder.
     """
-    if folder.resolve() == source.resolve():  # its pictures would be photos of the next capture
+    if folder.resolve() == source.resolve():  # the next capture would take its pictures for photos
         raise CaptureError(f"{folder}: expected another folder for the scene than the source; name one by --out")
     if (folder / SCENE_FILE).exists() and not settings.force:
         raise FileExistsError(f"{folder / SCENE_FILE}: already exists; name another folder by --out, or give --force")
@@ -125,7 +125,7 @@ def capture(
             return build_scene(placed, folder, settings, notes, progress, say)
     finally:
         for each in made:
-            with suppress(OSError):  # something was kept in it
+            with suppress(OSError):  # not empty: something was kept in it
                 each.rmdir()
 
 
@@ -136,17 +136,17 @@ def reconstruct(
     progress: Progress = silent,
     say: Callable[[str], object] = print,
 ) -> tuple[Placed, list[str]]:
-    """The first half of a capture: where the cameras were, in a world that stands upright.
+    """Run the first half of a capture: find where the cameras were, in a world that stands upright.
 
     Args:
-        source: as for ``capture``, as are the others.
-        folder: of the scene.
-        settings: how.
-        progress: told how far each stage is.
-        say: told what came of each stage.
+        source: as for ``capture``, like the other arguments.
+        folder: the scene's folder.
+        settings: settings of the capture.
+        progress: called with the progress of each stage.
+        say: called with the outcome of each stage.
 
     Returns:
-        The cameras in the world, and what the report has to say of these stages.
+        The cameras in the world, and the remarks of these stages for the report.
 
     Raises:
         CaptureError: for a capture that cannot work.
@@ -182,18 +182,18 @@ def build_scene(
     progress: Progress = silent,
     say: Callable[[str], object] = print,
 ) -> Quality:
-    """The second half of a capture: fit Gaussians to what the cameras saw, check them, and write the folder.
+    """Run the second half of a capture: fit Gaussians to what the cameras saw, check them, and write the folder.
 
     Args:
         placed: the cameras in the world.
-        folder: of the scene.
-        settings: how.
-        notes: for the report.
-        progress: told how far the fit is.
-        say: told what came of each stage.
+        folder: the scene's folder.
+        settings: settings of the capture.
+        notes: remarks for the report.
+        progress: called with the progress of the fit.
+        say: called with the outcome of each stage.
 
     Raises:
-        FileExistsError: for a scene that is there already, without ``force``.
+        FileExistsError: for an existing scene, without ``force``.
     """
     stages = folder / STAGES
     frame = frame_of(placed.reconstruction.camera_to_world)
@@ -226,7 +226,7 @@ def build_scene(
 
 
 def _first_look(photos: Photos, force: bool, progress: Progress, say: Callable[[str], object]) -> list[str]:
-    """Refuse a capture that cannot work, or with force say so in the report."""
+    """Refuse a capture that cannot work, or with ``force`` return the reason for the report."""
     seen = look(photos, progress)
     cause = seen.cause()
     if cause is None:
@@ -236,7 +236,7 @@ def _first_look(photos: Photos, force: bool, progress: Progress, say: Callable[[
 
 
 def _unless_forced(cause: str, force: bool, stage: str, say: Callable[[str], object]) -> str:
-    """What the report says of a capture that cannot work, where it is made all the same."""
+    """Refuse a capture for this cause, or with ``force`` print the cause and return it for the report."""
     if not force:
         raise CaptureError(f"{cause} --force goes on all the same.")
     say(f"{stage:<11} {cause}")
@@ -244,7 +244,7 @@ def _unless_forced(cause: str, force: bool, stage: str, say: Callable[[str], obj
 
 
 def _depths(placed: Placed, frame: Frame, stages: Path, progress: Progress) -> Depths:
-    """How far away the photos' pixels are, found once and kept."""
+    """Return the depths of the photos' pixels, found once and kept."""
     found, rows = placed.reconstruction, trained(len(placed.reconstruction.paths))
 
     def find() -> dict[str, torch.Tensor]:
@@ -255,7 +255,7 @@ def _depths(placed: Placed, frame: Frame, stages: Path, progress: Progress) -> D
 
 
 def _moving(placed: Placed, depths: Depths, stages: Path, settings: FitSettings, progress: Progress) -> torch.Tensor:
-    """Where the photos show what moved, found once and kept."""
+    """Return where the photos show moving things, found once and kept."""
     found = placed.reconstruction
 
     def find() -> dict[str, torch.Tensor]:
@@ -265,8 +265,8 @@ def _moving(placed: Placed, depths: Depths, stages: Path, settings: FitSettings,
 
 
 def _kept(path: Path, digest: str, find: Callable[[], dict[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
-    """What a stage finds, found once and kept with a fingerprint of all that it depends on."""
-    with suppress(FileNotFoundError, ValueError):  # what is damaged is found again
+    """Return what a stage finds, found once and kept with a fingerprint of everything that it depends on."""
+    with suppress(FileNotFoundError, ValueError):  # a damaged file is replaced
         kept = read_arrays(path)
         if str(kept.pop("digest", None)) == digest:
             return {name: torch.from_numpy(values) for name, values in kept.items()}
@@ -285,7 +285,7 @@ def _fitted(
     progress: Progress,
     say: Callable[[str], object],
 ) -> Gaussians:
-    """The Gaussians of a placed reconstruction, fitted once and kept; a fit that was killed goes on."""
+    """Return the Gaussians of a placed reconstruction, fitted once and kept; a fit that was killed resumes."""
     path, digest = stages / "fit.ply", _digest(placed.reconstruction, settings, depths.moving)
     stamp = stages / "fit.txt"
     if path.exists() and stamp.exists() and stamp.read_text(errors="replace") == digest:
@@ -303,13 +303,13 @@ def _fitted(
     with replacing(stamp) as stream:
         stream.write(digest.encode())
     checkpoint.remove()
-    return read_gaussians(path)  # a second call has the same bytes
+    return read_gaussians(path)  # so that a second call returns the same bytes
 
 
 def _digest(
     reconstruction: Reconstruction, settings: FitSettings | None = None, moving: torch.Tensor | None = None
 ) -> str:
-    """Fingerprint of all that depths, or with settings a fit that leaves something out, depend on."""
+    """Return a fingerprint of everything that depths, or with settings a fit that masks moving things, depend on."""
     chosen = {} if settings is None else asdict(settings) | {"threads": None, "device": None}
     digest = hashlib.blake2b(json.dumps([VERSION, chosen], sort_keys=True).encode(), digest_size=16)
     for values in (reconstruction.K, reconstruction.camera_to_world, reconstruction.points, reconstruction.seen_by):

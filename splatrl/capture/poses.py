@@ -30,25 +30,25 @@ def find_poses(
     exact_camera: bool = False,
     least: float = mapping.ENOUGH,
 ) -> Reconstruction:
-    """Find the pose of every image, the camera's intrinsics, and points; points only where the poses are known.
+    """Find the pose of every image, the camera's intrinsics, and points; just the points where the poses are known.
 
-    A second call with the same images and settings reads what the first one kept; after a kill it goes on. The same
+    A second call with the same images and settings reads what the first one kept; after a kill, it resumes. The same
     images and seed give the same result.
 
     Args:
-        photos: of one place, taken with one camera; without lens distortion where the poses are known.
-        folder: of the capture; results come into its sub-folders ``structure`` and ``undistorted``.
-        seed: of every random sample.
-        progress: told about images, pairs of images and cameras.
+        photos: photos of one place, taken with one camera; without lens distortion where the poses are known.
+        folder: the capture's folder; results are written to its sub-folders ``structure`` and ``undistorted``.
+        seed: seed of every random sample.
+        progress: called for images, pairs of images and cameras.
         exact_camera: whether ``photos.K`` is exact and the images are without lens distortion; otherwise it is a first
-            guess. Known poses need an exact camera, and this is then taken for granted.
-        least: smallest share of images whose pose must be found.
+            guess. Known poses need an exact camera, so with them this is taken for granted.
+        least: minimum fraction of images whose pose must be found.
 
     Returns:
         Cameras and points, with images that have no lens distortion.
 
     Raises:
-        CaptureError: where too few poses are found; says which part of the video broke off.
+        CaptureError: where too few poses are found; says which parts of the video could not be joined.
         ImportError: without the extra ``capture``.
         ValueError: for known poses, or an exact camera, without K.
     """
@@ -63,7 +63,7 @@ def find_poses(
     _start_over_unless(folder, work, digest)
     try:
         model = read_arrays(work / structure.MODEL)
-    except (FileNotFoundError, ValueError):  # what is damaged is found again
+    except (FileNotFoundError, ValueError):  # nothing there yet, or damaged
         write_job(work, job)
         run_child("splatrl.capture.structure", work, progress)
         model = read_arrays(work / structure.MODEL)
@@ -72,7 +72,7 @@ def find_poses(
 
 
 def job_of(photos: Photos, seed: int = 0, exact_camera: bool = False) -> Job:
-    """What ``find_poses`` has to do, with the same arguments."""
+    """Return the job that ``find_poses`` does with the same arguments."""
     folder = photos.paths[0].parent
     if any(path.parent != folder for path in photos.paths):
         raise ValueError("photos.paths: expected images of one folder")
@@ -125,17 +125,17 @@ def _check_share(photos: Photos, found: np.ndarray, least: float) -> None:
 
 
 def _timed(photos: Photos) -> bool:
-    """Whether something says when the images were taken; photos of a folder are numbered."""
+    """Return whether capture times are known; the photos of a folder are only numbered."""
     return not torch.equal(photos.seconds, torch.arange(len(photos.paths), dtype=photos.seconds.dtype))
 
 
 def missing_runs(found: np.ndarray, count: int, most: int = 4) -> list[tuple[int, int]]:
-    """Stretches of images without a pose.
+    """Return the longest stretches of images without a pose.
 
     Args:
-        found: numbers of the images with one.
-        count: how many images there are.
-        most: so many of the longest are returned.
+        found: indices of the images with a pose.
+        count: number of images.
+        most: maximum number of stretches to return.
 
     Returns:
         First and last image of each, in the order in which they were taken.

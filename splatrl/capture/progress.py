@@ -1,10 +1,10 @@
-"""How a stage tells how far it is."""
+"""Progress callbacks of the stages."""
 
 from collections.abc import Callable
 
 Progress = Callable[[str, int, int], None]
-"""Called with what is being done, how many units of it are done, and how many there are."""
+"""Called with the name of the work in progress, the number of units done, and their total."""
 
 
 def silent(what: str, done: int, total: int) -> None:
-    """Tell nobody."""
+    """Ignore all progress."""

@@ -1,4 +1,4 @@
-"""How finely a capture is fitted: as finely as the robots that are to train in it will see."""
+"""Resolution of a fit: as fine as what the robots that are to train in the scene will see."""
 
 import math
 from dataclasses import dataclass, replace
@@ -8,20 +8,20 @@ from splatrl.capture.fit import FitSettings
 from splatrl.envs.robot import Robot
 
 MARGIN = 2.0
-"""Pixels of a photo for each pixel of a robot that looks from where the photo was taken: robots go nearer."""
+"""Pixels of a photo per pixel of a robot that looks from where the photo was taken: robots go nearer."""
 PIXELS = 320 * 240
-"""Of a photo for which ``FitSettings.cap`` is meant."""
+"""Number of pixels in a fitted image for which ``FitSettings.cap`` is meant."""
 
 
 @dataclass(frozen=True)
 class Resolution:
-    """The robots' camera, and what goes before it.
+    """The robots' camera, and values that take precedence over what follows from it.
 
     Attributes:
-        robot_width: of a robot's image, pixels.
+        robot_width: width of a robot's image, pixels.
         robot_fov_deg: its horizontal field of view, degrees.
-        width: of the images that are fitted, pixels; None follows the robots.
-        gaussians: at most; None follows the number of pixels.
+        width: width of the images that are fitted, pixels; None derives it from the robots' camera.
+        gaussians: maximum number of Gaussians; None derives it from the number of pixels.
 
     Raises:
         ValueError: for a camera that sees nothing.
@@ -38,14 +38,14 @@ class Resolution:
             raise ValueError(f"robot: expected 1 pixel or more across, and a view of 0° to 180°, got {got}")
 
     def of(self, reconstruction: Reconstruction, fit: FitSettings) -> FitSettings:
-        """Settings of a fit with the width and the cap that the robots need.
+        """Return settings of a fit with the width and the cap that the robots need.
 
         The width gives ``MARGIN`` times the pixels per degree of a robot's image, but no less than the settings have
         and no more than the photos. The cap grows with the number of pixels beyond ``PIXELS``.
 
         Args:
-            reconstruction: whose photos are fitted.
-            fit: all other settings.
+            reconstruction: the reconstruction whose photos are fitted.
+            fit: the settings to start from.
         """
         focal = self.robot_width / 2 / math.tan(math.radians(self.robot_fov_deg) / 2)
         needed = math.ceil(MARGIN * focal * reconstruction.width / float(reconstruction.K[0, 0]))

@@ -1,4 +1,4 @@
-"""How many metres a reconstruction's unit is: by two points that somebody clicked, the cameras' height, or GPS."""
+"""Metres per unit of a reconstruction, from two clicked points or from GPS."""
 
 import math
 from collections.abc import Sequence
@@ -16,21 +16,21 @@ Floats = NDArray[np.float64]
 ScaleFrom = Literal["recorded", "marker", "distance", "camera_height", "gps", "unknown"]
 
 NEAREST = 12
-"""Points around a click that say how far away it is."""
+"""Number of points around a click that determine how far away it is."""
 CLICK_ERROR = 6.0
-"""Pixels that clicks are off, at worst."""
+"""Largest error of a click, pixels."""
 FARTHEST = 0.1
-"""Share of the image's width from a click within which they must lie."""
+"""Maximum distance of the points around a click, as a fraction of the image's width."""
 
 DEGREE = 111_195.0
-"""Metres of a degree of latitude."""
+"""Metres per degree of latitude."""
 LEAST_PLACES, MOST_ERROR = 5, 0.1
-"""Photos that know their place, and the share by which GPS may be off, for it to tell the scale."""
+"""Minimum number of photos with a GPS position, and maximum relative error of GPS, for it to set the scale."""
 
 
 @dataclass(frozen=True)
 class Click:
-    """A place in an image of a reconstruction, pixels from its upper left corner."""
+    """A position in an image of a reconstruction, pixels from its upper left corner."""
 
     image: int
     x: float
@@ -42,9 +42,9 @@ class Distance:
     """Two points that are a known distance apart, each clicked in one image, or in several for more accuracy.
 
     Attributes:
-        start: where one of them is seen.
-        end: where the other is.
-        metres: between them.
+        start: clicks on one point.
+        end: clicks on the other.
+        metres: distance between them.
 
     Raises:
         ValueError: for a point without a click, or a distance that is not above 0.
@@ -62,17 +62,17 @@ class Distance:
 
     @classmethod
     def between(cls, start: Click, end: Click, metres: float) -> "Distance":
-        """Two points clicked once each, in one image or in two."""
+        """Return the distance between two points clicked once each, in one image or in two."""
         return cls((start,), (end,), metres)
 
     @classmethod
     def in_image(cls, image: int, x0: float, y0: float, x1: float, y1: float, metres: float) -> "Distance":
-        """Two points clicked in one image."""
+        """Return the distance between two points clicked in one image."""
         return cls.between(Click(image, x0, y0), Click(image, x1, y1), metres)
 
 
 def scale_by_distance(reconstruction: Reconstruction, distance: Distance) -> float:
-    """Metres per unit from two clicked points.
+    """Return metres per unit from two clicked points.
 
     Raises:
         CaptureError: where a click has no depth, or the two are one point.
@@ -85,17 +85,17 @@ def scale_by_distance(reconstruction: Reconstruction, distance: Distance) -> flo
 
 
 def scale_by_gps(gps: Tensor | None, plan: Floats) -> tuple[float, float] | None:
-    """Metres per unit from where photos say that they were taken, by the similarity that fits the cameras' plan best.
+    """Return metres per unit from the photos' GPS, by the similarity that fits the cameras' plan best.
 
     Heights do not count: those of GPS are several times worse.
 
     Args:
         gps: [N, 2], as in ``Reconstruction``.
-        plan: [N, 2] of the cameras from above, in any unit.
+        plan: [N, 2] positions of the cameras from above, in any unit.
 
     Returns:
-        The scale, and the share by which it may be off: how far places are from where they fit, over how far they are
-        from their middle. None where that is too much, or too few photos know their place.
+        The scale and its possible relative error: the residuals of the fit over the positions' distances from their
+        mean (root mean squares). None where that is too large, or too few photos have a position.
     """
     if gps is None:
         return None
@@ -103,9 +103,9 @@ def scale_by_gps(gps: Tensor | None, plan: Floats) -> tuple[float, float] | None
     if known.sum() < LEAST_PLACES:
         return None
     latitude, longitude = gps.numpy()[known].T
-    east = np.mod(longitude - longitude[0] + 180.0, 360.0) - 180.0  # across the date line too
+    east = np.mod(longitude - longitude[0] + 180.0, 360.0) - 180.0  # also across the date line
     told = DEGREE * np.stack([east * math.cos(math.radians(latitude[0])), latitude - latitude[0]], 1)
-    a, b = plan[known] @ [1, 1j], told @ [1, 1j]  # a turn and a scale of the plane are one complex factor
+    a, b = plan[known] @ [1, 1j], told @ [1, 1j]  # a rotation and a scale are one complex factor
     a, b = a - a.mean(), b - b.mean()
     if not (a.any() and b.any()):
         return None
@@ -115,7 +115,7 @@ def scale_by_gps(gps: Tensor | None, plan: Floats) -> tuple[float, float] | None
 
 
 def clicked_point(reconstruction: Reconstruction, clicks: Sequence[Click]) -> Floats:
-    """The point [3] that was clicked: as deep as the points around it, and near to where rays of several images meet.
+    """Return the clicked point [3], from the depth of the points around it and from where rays of several images meet.
 
     Raises:
         CaptureError: for an image that does not exist, rays that do not meet, or a click without points around it.
@@ -131,16 +131,16 @@ def clicked_point(reconstruction: Reconstruction, clicks: Sequence[Click]) -> Fl
     estimates = [met]
     reach = _uncertainty(poses[:, :3, 3], met, float(reconstruction.K[0, 0]))
     for click in clicks:
-        with suppress(CaptureError):  # where there are no points, the rays alone tell
+        with suppress(CaptureError):  # without points around it, only the rays count
             point = _by_points(reconstruction, click)
-            if np.linalg.norm(point - met) <= reach:  # otherwise they lie before or behind what was clicked
+            if np.linalg.norm(point - met) <= reach:  # otherwise they lie in front of or behind it
                 estimates.append(point)
     middle: Floats = np.median(estimates, axis=0)
     return middle
 
 
 def _uncertainty(centers: Floats, point: Floats, focal: float) -> float:
-    """How far along their rays clicks that are ``CLICK_ERROR`` off may move the point where these meet."""
+    """Return how far clicks that are ``CLICK_ERROR`` off may move the point where their rays meet, along these rays."""
     ways = point - centers
     lengths = np.linalg.norm(ways, axis=1)
     cosine = float(((ways / lengths[:, None]) @ (ways / lengths[:, None]).T).min())
@@ -149,7 +149,7 @@ def _uncertainty(centers: Floats, point: Floats, focal: float) -> float:
 
 
 def triangulate(camera_to_world: Floats, K: Floats, pixels: Floats) -> Floats:
-    """The point [3] that comes nearest to where V cameras see it, by least squares over pixels.
+    """Return the point [3] with the least squared reprojection error in V cameras, pixels.
 
     Args:
         camera_to_world: [V, 4, 4].
@@ -176,14 +176,14 @@ def triangulate(camera_to_world: Floats, K: Floats, pixels: Floats) -> Floats:
 
 
 def rays_through(camera_to_world: Floats, K: Floats, pixels: Floats) -> Floats:
-    """Unit directions [V, 3] in the world of pixels [V, 2], one a camera."""
+    """Return the unit directions [V, 3], in the world, of the rays through pixels [V, 2], one per camera."""
     local = np.concatenate([pixels, np.ones((len(pixels), 1))], 1) @ np.linalg.inv(K).T
     rays = np.einsum("vij,vj->vi", camera_to_world[:, :3, :3], local)
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
 def _by_points(reconstruction: Reconstruction, click: Click) -> Floats:
-    """The point [3] on the ray of a click where the surface through the points around it is."""
+    """Return the point [3] where the ray of a click meets the surface through the points around it."""
     pose, K = reconstruction.camera_to_world[click.image].numpy(), reconstruction.K.numpy()
     seen = reconstruction.seen_point[reconstruction.seen_by == click.image].unique()
     local = (reconstruction.points[seen].numpy() - pose[:3, 3]) @ pose[:3, :3]
@@ -204,12 +204,12 @@ def _by_points(reconstruction: Reconstruction, click: Click) -> Floats:
 
 
 def _plane_at_zero(offsets: Floats, inverse: Floats) -> float:
-    """Inverse depth at the click: a plane's, which is linear in pixels, reweighted against what lies elsewhere."""
+    """Return the inverse depth at the click, from a plane (linear in pixels) that is reweighted against outliers."""
     middle = float(np.median(inverse))
     width = np.median(np.linalg.norm(offsets, axis=1)) + 1e-9
     near = 1.0 / (1.0 + (np.linalg.norm(offsets, axis=1) / width) ** 2)
     terms = np.concatenate([offsets / width, np.ones((len(offsets), 1))], 1)
-    pull = np.diag([0.3, 0.3, 0.0])  # towards a plane that faces the camera
+    pull = np.diag([0.3, 0.3, 0.0])  # regularises towards a plane that faces the camera
     weights = near / (1.0 + ((inverse - middle) / (0.1 * middle)) ** 2)
     value = middle
     for _ in range(10):

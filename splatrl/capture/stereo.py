@@ -1,8 +1,8 @@
-"""How far away what photos show is: measured by a sensor, or found by comparing neighbouring photos.
+"""Depth of what photos show: measured by a sensor, or found by comparing neighbouring photos.
 
-Photos are compared by plane sweep (Collins 1996): of many depths, each pixel takes the one at which its neighbours show
-the same, smoothed along four directions (semi-global matching, Hirschmüller 2008). What the depths of other photos
-confirm counts as known.
+Photos are compared by plane sweep (Collins 1996): among many depths, each pixel takes the one at which its neighbours
+show the same, smoothed along four directions (semi-global matching, Hirschmüller 2008). Depths that other photos
+confirm count as known.
 """
 
 from dataclasses import dataclass, replace
@@ -19,25 +19,25 @@ from splatrl.native import _core
 from splatrl.native.threads import usable_cores
 
 WIDTH = 160
-"""Of the photos that are compared, pixels."""
+"""Width of the photos that are compared, pixels."""
 LEVELS = 64
-"""Inverse depths that are tried."""
+"""Number of inverse depths that are tried."""
 REACH = (0.6, 1.5)
-"""Range of these, in the smallest and largest inverse depth of the points that a photo shows."""
+"""Factors that turn the smallest and largest inverse depth of the points that a photo shows into the range to try."""
 COMPARED, WITNESSES = 6, 12
-"""Neighbours that a photo is compared with; and whose depths are asked to confirm its own."""
+"""Number of neighbours that a photo is compared with, and of neighbours whose depths may confirm its own."""
 CONFIRMED, TOLERANCE = 3, 0.05
-"""So many of them must agree, to within this share of the depth."""
+"""Minimum number of neighbours that must agree, and the relative tolerance in depth."""
 APART = 0.1
-"""Distance to the best neighbours, in the median depth."""
+"""Distance to the best neighbours, relative to the median depth."""
 TURNED = 0.8
-"""Least cosine between the optical axes of neighbours."""
+"""Minimum cosine between the optical axes of neighbours."""
 FEWEST = 10
-"""Points that a photo must show, for a range of depths."""
+"""Minimum number of points that a photo must show to get a range of depths."""
 AT_ONCE = 16
-"""Photos between two words of progress."""
+"""Number of photos between two reports of progress."""
 IGNORED = -1.0
-"""In place of an inverse depth: what a photo shows there is not compared."""
+"""Stands in place of an inverse depth for pixels that are not compared."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Depths:
     Attributes:
         likely: [N, H, W] float32 inverse depths, the best guess; 0 where there is none.
         known: [N, H, W] float32 inverse depths that a sensor measured or other photos confirm; 0 elsewhere.
-        moving: [N, H, W] bool, where photos show what moved: a fit leaves that out. None where nobody looked for it.
+        moving: [N, H, W] bool, where photos show moving things, which a fit leaves out; None where unknown.
     """
 
     likely: Tensor
@@ -55,18 +55,18 @@ class Depths:
     moving: Tensor | None = None
 
     def far(self, frame: Frame) -> Tensor:
-        """``known`` as depths in the unit of the reconstruction, 0 where unknown: [N, H, W]."""
+        """Return ``known`` as depths in the unit of the reconstruction, 0 where unknown: [N, H, W]."""
         return torch.where(self.known > 0, frame.extent / self.known.clamp_min(1e-12), 0.0)
 
     def without(self, moving: Tensor) -> "Depths":
-        """The same, but that nothing counts where photos show what moved: [N, H, W] bool."""
+        """Return the depths without the pixels that show moving things, given as [N, H, W] bool."""
         likely, known = (torch.where(moving, 0.0, inverse) for inverse in (self.likely, self.known))
         return Depths(likely, known, moving)
 
     def at(self, seen: Pictures, rows: Tensor) -> Tensor:
-        """What is known of the pixels of these photos at another size, points that they saw included: [N, H, W].
+        """Return the known inverse depths of these photos at another size, points that they saw included: [N, H, W].
 
-        ``IGNORED`` where they show what moved.
+        Pixels that show moving things are ``IGNORED``.
         """
         size = seen.pixels.shape[1:3]
         out = resized(self.known, size)
@@ -81,7 +81,7 @@ class Depths:
 
 
 def resized(values: Tensor, size: torch.Size) -> Tensor:
-    """Values [N, h, w] float32, the nearest of them for each pixel of a size [H, W]."""
+    """Resize values [N, h, w] float32 to a size [H, W] by nearest neighbour."""
     return torch.nn.functional.interpolate(values[:, None], size=size, mode="nearest-exact")[:, 0].contiguous()
 
 
@@ -92,14 +92,14 @@ def find_depths(
     threads: int | None = None,
     progress: Progress = silent,
 ) -> Depths:
-    """Find how far away photos' pixels are.
+    """Find the depths of the photos' pixels.
 
     Args:
         reconstruction: photos with poses; where it has a sensor's depths, these are taken.
-        frame: of the fit.
-        rows: [R] int64, the photos that may be looked at.
-        threads: None takes all cores that this process may use; the result does not depend on it.
-        progress: told about photos.
+        frame: frame of the fit.
+        rows: [R] int64, indices of the photos that may be used.
+        threads: number of threads; None takes all cores that this process may use. The result does not depend on it.
+        progress: called after every batch of photos.
 
     Raises:
         CaptureError: for a depth image that cannot be read.
@@ -126,13 +126,13 @@ def find_depths(
 
 
 def confirmed(depths: Depths, seen: Pictures, rows: Tensor, threads: int | None = None) -> Depths:
-    """The same, but that only what the depths of other photos confirm is known.
+    """Return the depths with only those as known that the depths of other photos confirm.
 
     Args:
-        depths: of the photos' pixels.
+        depths: depths of the photos' pixels.
         seen: the photos, as large as the depths.
-        rows: [R] int64, the photos that may be looked at; nothing is known of others.
-        threads: None takes all cores that this process may use; the result does not depend on it.
+        rows: [R] int64, indices of the photos that may be used; nothing is known of others.
+        threads: number of threads; None takes all cores that this process may use. The result does not depend on it.
     """
     places, known = (seen.camera_to_world.contiguous(), seen.K.contiguous()), torch.zeros_like(depths.likely)
     cores, witnesses = threads or usable_cores(), witnesses_of(seen, rows)
@@ -141,7 +141,7 @@ def confirmed(depths: Depths, seen: Pictures, rows: Tensor, threads: int | None 
 
 
 def witnesses_of(seen: Pictures, rows: Tensor) -> Tensor:
-    """Which photos see the same as each of ``rows``: [R, WITNESSES] int64, −1 where there are no more."""
+    """Return the photos that see the same as each of ``rows``: [R, WITNESSES] int64, padded with −1."""
     neighbours = torch.full((len(rows), WITNESSES), -1)
     for line, row in enumerate(rows.tolist()):
         inverse = seen.soundings[seen.firsts[row] : seen.firsts[row + 1], 2]
@@ -152,7 +152,7 @@ def witnesses_of(seen: Pictures, rows: Tensor) -> Tensor:
 
 
 def neighbours_of(seen: Pictures, row: int, rows: Tensor, depth: float) -> Tensor:
-    """Up to ``WITNESSES`` of the views ``rows`` that see the same from a little to the side: [n] int64."""
+    """Return up to ``WITNESSES`` of the views ``rows`` that see the same from a little to the side: [n] int64."""
     poses = seen.camera_to_world
     others = rows[(rows != row) & (poses[rows, :3, 2] @ poses[row, :3, 2] > TURNED)]
     distance = (poses[others, :3, 3] - poses[row, :3, 3]).norm(dim=1).clamp_min(1e-6)
@@ -160,7 +160,7 @@ def neighbours_of(seen: Pictures, row: int, rows: Tensor, depth: float) -> Tenso
 
 
 def measured(reconstruction: Reconstruction, frame: Frame, rows: Tensor) -> Depths:
-    """The depths of a sensor, at the size at which photos would be compared."""
+    """Return the depths of a sensor, at the size at which photos would be compared."""
     width = min(WIDTH, reconstruction.width)
     height = max(1, round(reconstruction.height * width / reconstruction.width))
     known = torch.zeros(len(reconstruction.paths), height, width)

@@ -1,8 +1,8 @@
 """Structure from motion with COLMAP, in a process of its own: ``python -m splatrl.capture.structure JOB``.
 
-COLMAP aborts where another thread reads its database, and its logs are its only progress; a process of its own can be
-killed at any time. What is in the database when that happens is not computed again. The process ends when its standard
-input closes, so that it never outlives the caller.
+COLMAP aborts where another thread reads its database, and only its logs show its progress; a process of its own can be
+killed at any time. What is in the database by then is not computed again. The process ends when its standard input
+closes, so that it never outlives the caller.
 """
 
 import os
@@ -23,21 +23,23 @@ from splatrl.files import replacing
 MODEL, PAIRS, SEARCHED = "model.npz", "pairs.txt", "searched"
 FEATURES = 4096
 FAINTEST = 0.003
-"""Contrast of a feature, at least; with COLMAP's 0.0067 shaded walls and lawns hold too few."""
+"""Minimum contrast of a feature; with COLMAP's 0.0067, shaded walls and lawns hold too few."""
 FEW, FAINTER = 1000, 0.0008
-"""An image with fewer features is searched again for fainter ones: blurred, or bare walls and sky."""
+"""Number of features below which an image is searched again, and the minimum contrast then: such images are blurred, or
+show bare walls and sky."""
 SPARSE = 40
-"""Up to so many images: all pairs, and features from the doubled image, as photos far from each other need."""
+"""Maximum number of images of which all pairs are matched, with features from the doubled image, as photos far from
+each other need."""
 
 
 def pairs(count: int) -> list[tuple[int, int]]:
-    """The pairs of images to match: neighbours near and far, and every tenth with every other tenth.
+    """Return the pairs of images to match: neighbours near and far, and every tenth image with every other tenth.
 
     Args:
-        count: how many images there are.
+        count: number of images.
 
     Returns:
-        The smaller number first, ascending.
+        Indices of two images each, the smaller one first, ascending.
     """
     if count <= SPARSE:
         return [(first, second) for first in range(count) for second in range(first + 1, count)]
@@ -50,7 +52,7 @@ def run(folder: Path) -> None:
     """Do the job of a folder.
 
     Args:
-        folder: with ``job.json``; ``model.npz`` appears in it.
+        folder: the folder with ``job.json``; ``model.npz`` is written to it.
     """
     import pycolmap
 
@@ -62,12 +64,12 @@ def run(folder: Path) -> None:
 
 
 def match_images(pycolmap: Any, folder: Path, job: Job) -> None:
-    """Find features in all images, and which of them show the same; what the folder's database holds is not found anew.
+    """Extract features from all images, and match them; what the folder's database already holds is kept.
 
     Args:
         pycolmap: the module.
-        folder: of the job.
-        job: what it describes.
+        folder: the job's folder.
+        job: the job that the folder describes.
     """
     pycolmap.set_random_seed(job.seed)
     _extract(pycolmap, folder, job)
@@ -75,13 +77,16 @@ def match_images(pycolmap: Any, folder: Path, job: Job) -> None:
 
 
 def _extract(pycolmap: Any, folder: Path, job: Job) -> None:
-    """One camera for all images, with square pixels: a camera that never rolls does not show its fx and fy apart."""
+    """Extract features, with one camera for all images.
+
+    Unless the camera is known, its pixels are taken to be square: a camera that never rolls does not tell fx from fy.
+    """
     database = folder / DATABASE
     reader = pycolmap.ImageReaderOptions(camera_model="PINHOLE" if job.fixed else "RADIAL")
     if job.K is not None:
         intrinsics = [job.K[0][0], job.K[1][1], job.K[0][2], job.K[1][2]]
         reader.camera_params = ", ".join(map(repr, intrinsics if job.fixed else [*intrinsics[1:], 0.0, 0.0]))
-    if not database.exists():  # before any features, so that the numbers of the images follow their order
+    if not database.exists():  # before any features, so that the ids of the images follow their order
         pycolmap.Database.open(database).close()
     pycolmap.import_images(database, job.images, pycolmap.CameraMode.SINGLE, job.names, reader)
     options = pycolmap.FeatureExtractionOptions()
@@ -104,9 +109,10 @@ def _extract(pycolmap: Any, folder: Path, job: Job) -> None:
 
 
 def _without_features(database: Path) -> list[str]:
-    """Take away the features of images that have few, so that COLMAP searches them again; returns their names.
+    """Delete the features of images that have few, so that COLMAP searches them again; return the images' names.
 
-    Where a second search was interrupted, those that it had reached already are searched once more, or had enough.
+    After an interrupted second search, images that it had already reached are searched once more, unless they now have
+    enough.
     """
     with closing(sqlite3.connect(database)) as connection, connection:
         few = connection.execute("SELECT image_id FROM keypoints WHERE rows < ? ORDER BY image_id", (FEW,)).fetchall()
@@ -125,12 +131,12 @@ def _match(pycolmap: Any, folder: Path, job: Job) -> None:
     pairing = pycolmap.ImportedPairingOptions(block_size=50, match_list_path=str(folder / PAIRS))
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = job.seed
-    options = pycolmap.FeatureMatchingOptions(num_threads=1)  # with two, a pair in a thousand differs from run to run
+    options = pycolmap.FeatureMatchingOptions(num_threads=1)  # with two, one pair in a thousand varies between runs
     pycolmap.match_image_pairs(folder / DATABASE, options, pairing, verification, pycolmap.Device.cpu)
 
 
 def _descriptors(pycolmap: Any, folder: Path, job: Job) -> list[np.ndarray]:
-    """Of every image, in the order in which they were taken."""
+    """Return the descriptors of every image, in the order in which the images were taken."""
     database = pycolmap.Database.open(folder / DATABASE)
     numbers = {image.name: image.image_id for image in database.read_all_images()}
     found = [database.read_descriptors(numbers[name]) for name in job.names]
@@ -190,7 +196,7 @@ def _keep(folder: Path, job: Job, model: Any) -> None:
 
 
 def _opencv(camera: Any) -> np.ndarray:
-    """OpenCV's fx, fy, cx, cy, k1, k2, p1, p2."""
+    """Return OpenCV's fx, fy, cx, cy, k1, k2, p1, p2."""
     parameters = np.zeros(8)
     parameters[:4] = camera.focal_length_x, camera.focal_length_y, camera.principal_point_x, camera.principal_point_y
     if camera.model.name == "RADIAL":
@@ -199,7 +205,7 @@ def _opencv(camera: Any) -> np.ndarray:
 
 
 def _end_with_the_caller() -> None:
-    while os.read(0, 4096):  # not sys.stdin, whose lock the interpreter wants at its end
+    while os.read(0, 4096):  # not sys.stdin, whose lock the interpreter needs to exit
         pass
     os._exit(1)
 

@@ -1,4 +1,4 @@
-"""Where a robot could be sent in a captured place: poses that see something, and a free place for a thing to find."""
+"""Suggest where to send a robot in a captured place: poses with a view, and a free place for an object to find."""
 
 import math
 from dataclasses import dataclass
@@ -19,24 +19,24 @@ from splatrl.spherical_harmonics import C0
 
 Floats = NDArray[np.float64]
 Goal = tuple[float, float, float]
-"""x and y in metres and yaw in degrees."""
+"""x and y in metres, and yaw in degrees."""
 
 ROOM = (0.35, 0.3, 0.2, 0.1, 0.05)
-"""Metres of free space around a robot, the first that leaves enough places."""
+"""Free space around a robot, metres; the first value that leaves enough places is taken."""
 ENOUGH = 6
 NEAR = (0.4, 2.5)
-"""Metres to what a goal sees, where steps are ``GRID``; farther where they are longer."""
+"""Range of distances to what a goal sees, metres, where steps are ``GRID``; longer steps scale it up."""
 HALF_VIEW = math.radians(35.0)
 HEADINGS = 16
 COUNT = 4
-"""Goals to choose from."""
+"""Number of goals to choose from."""
 MOST = 200
-"""Places that are looked at where no path is known."""
+"""Maximum number of places that are examined where no path is known."""
 SAMPLE = 20_000
 THING = 1.6
-"""Width of a thing in steps: of an apple of 0.16 m and steps of 0.1 m."""
+"""Width of an object in steps: that of an apple of 0.16 m with steps of 0.1 m."""
 APART = 0.7
-"""Metres between them, or an eighth of a turn."""
+"""Minimum distance between goals, metres, unless they differ by an eighth of a turn."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class Suggestions:
     """What a robot could look for.
 
     Attributes:
-        goals: the best first; empty where nothing is free.
-        thing: x, y, z of a free place with room around it; None where nothing is free.
+        goals: goals, the best first; empty where nothing is free.
+        thing: x, y, z of a free place with room around it, for an object; None where nothing is free.
     """
 
     goals: list[Goal]
@@ -62,7 +62,7 @@ class Seen:
     Attributes:
         points: [P, 3] float64, world, metres.
         colors: [P, 3] float64 in [0, 1].
-        path: [N, 2] float64, where people walked, x and y in metres; None where nobody knows.
+        path: [N, 2] float64, where people walked, x and y in metres; None where unknown.
     """
 
     points: Floats
@@ -71,14 +71,14 @@ class Seen:
 
 
 def seen_by_cameras(placed: Placed) -> Seen:
-    """The points of a reconstruction, and the path of its cameras."""
+    """Return the points of a reconstruction, and the path of its cameras."""
     reconstruction = placed.reconstruction
     path = reconstruction.camera_to_world[:, :2, 3].numpy()
     return Seen(reconstruction.points.numpy(), reconstruction.colors.numpy() / 255.0, path)
 
 
 def seen_in_splat(gaussians: Gaussians) -> Seen:
-    """Up to ``SAMPLE`` opaque Gaussians as points."""
+    """Return opaque Gaussians as points, evenly thinned out to fewer than twice ``SAMPLE``."""
     chosen = gaussians[gaussians.opacities >= OPAQUE]
     chosen = chosen[:: max(1, len(chosen.means) // SAMPLE)]
     colors = (0.5 + C0 * chosen.sh[:, 0]).clamp(0, 1)
@@ -88,8 +88,9 @@ def seen_in_splat(gaussians: Gaussians) -> Seen:
 def suggest(seen: Seen, area: Area) -> Suggestions:
     """Find goals in the largest connected free part of the place where people walked, at the robot's height.
 
-    A goal stands on the robot's lattice near the path, where one is known, and faces near points of many colours:
-    there is something to recognise. The thing stands where the room around it is widest.
+    A goal stands on the robot's lattice near the path, where one is known, and faces near points of many colours, so
+    that there is something to recognise. The object stands where there is most room around it, preferably near the
+    middle.
     """
     places, clearance = _free_places(area)
     if len(places) == 0:
@@ -117,12 +118,12 @@ def suggest(seen: Seen, area: Area) -> Suggestions:
 
 
 def thing_size(area: Area) -> float | None:
-    """Metres across, of a thing that fills the view of a robot with the area's step; None where the usual one does."""
+    """Return the width, metres, of an object that fills a robot's view at the area's step; None for the usual width."""
     return None if area.step is None else round(THING * area.step, 2)
 
 
 def place_proposals(area: Area, found: Suggestions) -> dict[str, Any]:
-    """What a ``scene.yaml`` says about training in a place, by the keys of ``PROPOSALS``."""
+    """Return what a ``scene.yaml`` says about training in a place, by the keys of ``PROPOSALS``."""
     return {
         "robot_height": area.robot_height,
         "walk": [list(corner) for corner in area.walk],
@@ -135,7 +136,7 @@ def place_proposals(area: Area, found: Suggestions) -> dict[str, Any]:
 
 
 def _free_places(area: Area) -> tuple[Floats, Floats]:
-    """Places [F, 2] of the robot's lattice that are free and connected, and the room around each, metres."""
+    """Return the free and connected places [F, 2] of the robot's lattice, and the clearance around each, metres."""
     edge = area.step or GRID
     lower, upper = np.array(area.walk)
     axes = [low + edge * np.arange(round((high - low) / edge) + 1) for low, high in zip(lower, upper, strict=True)]
@@ -155,8 +156,10 @@ def _free_places(area: Area) -> tuple[Floats, Floats]:
 
 
 def _scores(seen: Seen, varied: Floats, place: Floats, height: float, wider: float) -> Floats:
-    """How much there is to recognise from a place in each heading: [HEADINGS]; ``varied`` is the deviation [P] between
-    the channels of each colour."""
+    """Score how much there is to recognise from a place in each heading: [HEADINGS].
+
+    ``varied`` is the standard deviation [P] across the channels of each colour.
+    """
     points, colors = seen.points, seen.colors
     offsets = points - [*place, height]
     apart = np.sqrt(offsets[:, 0] ** 2 + offsets[:, 1] ** 2)
@@ -165,7 +168,7 @@ def _scores(seen: Seen, varied: Floats, place: Floats, height: float, wider: flo
     varied = varied[near]
     scores = np.zeros(HEADINGS)
     for heading in range(HEADINGS):
-        turn = bearing - heading * math.tau / HEADINGS + math.pi  # above -2π, since bearings are above -π
+        turn = bearing - heading * math.tau / HEADINGS + math.pi  # more than -2π, since bearings are more than -π
         shown = np.abs(np.where(turn < 0.0, turn + math.tau, turn) - math.pi) < HALF_VIEW
         if shown.sum() >= 10:
             variety = float(colors[shown].std(0).sum() + varied[shown].mean())

@@ -1,4 +1,4 @@
-"""How far a reconstruction is from the truth, where that is known: for videos that were rendered, and for sensors."""
+"""How far a reconstruction is from the truth, where that is known: for rendered videos, and for sensors."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from splatrl.files import refusing
 
 Floats = NDArray[np.float64]
 MOST_BYTES = 2**28
-"""Of its arrays: poses of a video of hours."""
+"""Maximum size of its arrays: room for the poses of a video of hours."""
 KEYS = {"camera_to_world": (None, 4, 4), "time": (None,), "K": (3, 3)}
 
 
@@ -27,7 +27,7 @@ class Truth:
     Attributes:
         camera_to_world: [F, 4, 4] float64, metres, world frame, OpenCV camera axes.
         time: [F] float64, seconds from the first frame, ascending.
-        K: [3, 3] float64, of the video's images, pixels.
+        K: [3, 3] float64, intrinsics of the video's images, pixels.
     """
 
     camera_to_world: Tensor
@@ -41,12 +41,12 @@ class Deviation:
 
     Attributes:
         world_from_capture: [4, 4] float64 similarity that brings its cameras closest to the true ones.
-        path: root of the mean squared distance of the cameras after that, as a share of the path's length.
+        path: root-mean-square distance of the cameras after that, relative to the path's length.
         metres: the same in metres.
         turn_deg: median angle between found and true cameras after that, degrees.
         up_deg: angle between its up and the true one, degrees.
-        scale: of its lengths, as a share: 0.02 where a metre is given as 1.02.
-        focal: of its focal length, as a share.
+        scale: relative error of its lengths: 0.02 where a metre is given as 1.02.
+        focal: relative error of its focal length.
     """
 
     world_from_capture: Tensor
@@ -83,7 +83,7 @@ def read_truth(video: Path) -> Truth:
 
 
 def true_poses(reconstruction: Reconstruction, truth: Truth) -> Tensor:
-    """The true poses [N, 4, 4] of the cameras of a reconstruction, by the time at which they took their images.
+    """Return the true poses [N, 4, 4] of a reconstruction's cameras, by the times at which they took their images.
 
     Raises:
         ValueError: where the reconstruction does not know these times.
@@ -94,12 +94,12 @@ def true_poses(reconstruction: Reconstruction, truth: Truth) -> Tensor:
 
 
 def poses_at(seconds: Tensor, truth: Truth) -> Tensor:
-    """The true poses [N, 4, 4] at the frames that are nearest to some times [N], seconds."""
+    """Return the true poses [N, 4, 4] at the frames nearest to some times [N], seconds."""
     return truth.camera_to_world[(seconds[:, None] - truth.time).abs().argmin(1)]
 
 
 def closest_similarity(found: Tensor, true: Tensor) -> Tensor:
-    """The similarity that brings points closest to others (Umeyama 1991): [N, 3], [N, 3] -> [4, 4] float64."""
+    """Return the similarity that brings points closest to others (Umeyama 1991): [N, 3], [N, 3] -> [4, 4] float64."""
     a, b = found.double().numpy(), true.double().numpy()
     middle_a, middle_b = a.mean(0), b.mean(0)
     u, stretch, vt = np.linalg.svd((b - middle_b).T @ (a - middle_a))
@@ -111,7 +111,7 @@ def closest_similarity(found: Tensor, true: Tensor) -> Tensor:
 
 
 def distances(found: Tensor, true: Tensor) -> Tensor:
-    """How far points are from others once a similarity has brought them closest: [N, 3], [N, 3] -> [N]."""
+    """Return how far points are from others once a similarity has brought them closest: [N, 3], [N, 3] -> [N]."""
     transform = closest_similarity(found, true)
     return (found @ transform[:3, :3].T + transform[:3, 3] - true).norm(dim=1)
 
@@ -120,9 +120,9 @@ def deviation(placed: Placed, truth: Truth, width: int) -> Deviation:
     """Compare a placed reconstruction with the truth.
 
     Args:
-        placed: its cameras know when they took their images.
-        truth: in a world with z up.
-        width: of the images to which the truth's K belongs, pixels.
+        placed: the reconstruction; its cameras know when they took their images.
+        truth: the truth, in a world with z up.
+        width: width of the images to which the truth's K belongs, pixels.
     """
     reconstruction = placed.reconstruction
     poses, true = reconstruction.camera_to_world, true_poses(reconstruction, truth)

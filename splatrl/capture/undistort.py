@@ -1,4 +1,4 @@
-"""Images without lens distortion."""
+"""Removal of lens distortion from images."""
 
 import json
 import shutil
@@ -23,24 +23,25 @@ def undistorted(
     made: Path,
     progress: Progress = silent,
 ) -> tuple[list[Path], Tensor]:
-    """Take the lens distortion out of images, so that a pinhole camera explains them; nothing black at the edges.
+    """Remove the lens distortion of images, so that a pinhole camera explains them, without black edges.
 
     Args:
-        paths: of the images, all of one size.
+        paths: the image files, all of one size.
         size: width and height, pixels.
-        K: [3, 3] float64 intrinsics, pixels, the centre of the first pixel at (0.5, 0.5).
+        K: [3, 3] float64 intrinsics, pixels, with the centre of the first pixel at (0.5, 0.5).
         distortion: OpenCV's k1, k2, p1, p2 (and more).
         made: the folder for the new images, which appears whole or not at all; one that an earlier call made from the
             same files with the same camera is kept.
-        progress: told about every image.
+        progress: called for every image.
 
     Returns:
-        Paths of the new images, of the same size and in the same order, and their K [3, 3] float64.
+        Paths of the new images, of the same size and in the same order, and their K [3, 3] float64; the given ones
+        where there is no distortion.
     """
     cv2 = needed("cv2")
     if not np.any(distortion):
         return paths, K
-    half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV's first pixel has its centre at 0
+    half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV has the centre of the first pixel at 0
     given = K.numpy() - half
     new, _ = cv2.getOptimalNewCameraMatrix(given, distortion, size, 0, size)
     names = [f"{path.stem}.jpg" for path in paths]

@@ -1,4 +1,4 @@
-"""Up, made more exact by what stands upright and lies level in a place."""
+"""Refine the upward direction by what stands upright and lies level in a place."""
 
 import math
 from typing import NamedTuple
@@ -9,26 +9,28 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 WITHIN, SAMPLED, CELLS = 0.9, 6000, 200
-"""Points so near to the middle, as a quantile, are asked; about so many, in so many cells along an axis."""
+"""Quantile of the distance from the middle up to which points are used, about how many of these are sampled, and the
+number of cells along an axis."""
 FARTHEST, STEP = 10, 1
-"""Degrees from the direction that is given, beyond its lean, and between those that are tried."""
+"""Degrees that are searched around the given direction, beyond its lean, and the step of the search."""
 UNSURE, LEANING, UNLIKELY = math.radians(3.0), 0.45, 0.03
-"""Radians by which the direction that is given is usually off, and the share of its lean; the entropy that costs."""
+"""Usual error of the given direction, radians; the fraction of its lean that adds to it; and the entropy that an error
+of that size costs."""
 CLEAR = 0.25
-"""How much less entropy than at most directions nearby a place has that is clearly upright."""
+"""Minimum gap between the least and the median entropy of the directions searched in a clearly upright place."""
 ONE_WAY = math.radians(10.0)
-"""Lean of cameras that look all around, at most; these know more than a place that is not clearly upright."""
+"""Maximum lean of cameras that look all around; these know more than a place that is not clearly upright."""
 _YAWS = np.radians(np.arange(0.0, 90.0, 3.0))
 
 
 class Held(NamedTuple):
-    """What the way in which cameras were held says about up.
+    """The upward direction according to the way in which cameras were held.
 
     Attributes:
-        up: [3] unit vector, away from the earth.
-        side: [3] unit vector at right angles to it, about which it may be wrong: where cameras look one way, nothing
-            tells a camera that looks down from ground that falls away.
-        lean: by how much, radians; about 0 for cameras that look all around.
+        up: [3] unit vector, upwards (away from the earth).
+        side: [3] unit vector perpendicular to it, the axis about which it may be wrong: where cameras look one way,
+            nothing distinguishes a camera that looks down from ground that slopes away.
+        lean: by how much it may be wrong, radians; about 0 for cameras that look all around.
     """
 
     up: Floats
@@ -37,16 +39,16 @@ class Held(NamedTuple):
 
 
 def straightened(points: Floats, held: Held) -> tuple[Floats, bool]:
-    """Turn up to where walls stand and floors lie.
+    """Refine up so that walls stand upright and floors lie level.
 
-    Walls and floors put many points at few coordinates along three axes at right angles, one of them up. So the
+    Walls and floors put many points at few coordinates along three perpendicular axes, one of them up. So the
     histograms of the points' coordinates are sharpest, with the least entropy, where up is right. The axes about which
-    it may be off are tried one after the other. What is far from how the cameras were held costs entropy, and a place
-    that is not clearly upright decides nothing where cameras looked all around.
+    it may be off are searched one after the other. Directions far from how the cameras were held are penalised, and
+    where cameras looked all around, a place that is not clearly upright decides nothing.
 
     Args:
         points: [P, 3].
-        held: what the cameras say.
+        held: up according to the cameras.
 
     Returns:
         Up, [3] unit vector, and whether the place is clearly upright.
@@ -64,14 +66,14 @@ def straightened(points: Floats, held: Held) -> tuple[Floats, bool]:
 
 
 def entropy(values: Floats) -> float:
-    """Of the histogram of coordinates in [−1, 1] along an axis, [N]: the less, the sharper."""
+    """Return the entropy of the histogram of coordinates [N] in [−1, 1] along an axis: the less, the sharper."""
     cells = np.clip((values + 1.0) * (CELLS / 2), 0, CELLS - 1).astype(int)
     shares = np.bincount(cells, minlength=CELLS) / len(values)
     return float(-(shares * np.log(np.maximum(shares, 1e-12))).sum())
 
 
 def _straightest(off: Floats, up: Floats, side: Floats, lean: float) -> tuple[Floats, float]:
-    """The direction with the least entropy about an axis from ``up``, and how much less it is than that of most."""
+    """Return the direction of least entropy when ``up`` turns about an axis, and its gap to the median entropy."""
     side = side - up * (side @ up)
     side = side / np.linalg.norm(side)
     ahead, across = np.cross(up, side), off @ side
@@ -80,7 +82,7 @@ def _straightest(off: Floats, up: Floats, side: Floats, lean: float) -> tuple[Fl
         return np.asarray(math.cos(angle) * up + math.sin(angle) * ahead)
 
     def cost(angle: float, yaws: Floats) -> tuple[float, float]:
-        """The entropy with the floor's axes as sharp as can be, and their yaw."""
+        """Return the entropy with the floor's axes turned to be as sharp as possible, and their yaw."""
         along = off @ direction(angle + 0.5 * math.pi)
         level = [
             entropy(math.cos(yaw) * along + math.sin(yaw) * across)

@@ -1,4 +1,4 @@
-"""Frames of a video and when they are shown, upright."""
+"""The frames of a video, upright, and the times at which they are shown."""
 
 import math
 from collections.abc import Iterator
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mts", ".m2ts", ".ts", ".3gp", ".mpg", ".wmv")
 
 BLACK, THINNEST, EDGE = 24, 0.01, 0.005
-"""Grey level of a bar at most, its least share of the image's side, and the share beside it that its edge blurs."""
+"""Maximum grey level of a bar, its minimum width as a fraction of the image's side, and the extra fraction that is cut
+off because the bar's edge is blurred."""
 
 
 @contextmanager
@@ -28,10 +29,11 @@ def open_video(path: Path) -> Iterator["InputContainer"]:
     """Open a video.
 
     Args:
-        path: of the file.
+        path: the video file.
 
     Raises:
-        CaptureError: where it cannot be read, is not a video in one of ``images.CONTAINERS``, or has too large images.
+        CaptureError: where it cannot be read, is not a video in one of ``images.CONTAINERS``, or has images that are
+            too large.
     """
     try:
         with images.open_video(path) as container:
@@ -41,13 +43,13 @@ def open_video(path: Path) -> Iterator["InputContainer"]:
 
 
 def size(path: Path) -> tuple[int, int]:
-    """Width and height of a video's images as they are stored, pixels.
+    """Return the width and height of a video's images as they are stored, pixels.
 
     Args:
-        path: of the video.
+        path: the video file.
 
     Raises:
-        CaptureError: as by ``open_video``.
+        CaptureError: as ``open_video`` does.
     """
     with open_video(path) as container:
         return container.streams.video[0].width, container.streams.video[0].height
@@ -57,7 +59,7 @@ class Encoding(NamedTuple):
     """How a video's images are to be shown.
 
     Attributes:
-        transfer: FFmpeg's number of the function by which values stand for light.
+        transfer: FFmpeg's number of the transfer function, by which values stand for light.
         aspect: width of a pixel over its height.
     """
 
@@ -66,13 +68,13 @@ class Encoding(NamedTuple):
 
 
 def encoding_of(path: Path) -> Encoding:
-    """How a video's images are to be shown.
+    """Return how a video's images are to be shown.
 
     Args:
-        path: of the video.
+        path: the video file.
 
     Raises:
-        CaptureError: as by ``open_video``.
+        CaptureError: as ``open_video`` does.
     """
     with open_video(path) as container:
         transfer = int(container.streams.video[0].codec_context.color_trc)
@@ -80,16 +82,16 @@ def encoding_of(path: Path) -> Encoding:
 
 
 def packet_times(path: Path) -> np.ndarray:
-    """When each frame of a video is shown, without decoding any; those that an edit has cut away are left out.
+    """Return when each frame of a video is shown, without decoding any; frames that an edit has cut away are left out.
 
     Args:
-        path: of the video.
+        path: the video file.
 
     Returns:
         [N] float64 seconds, ascending, in the time of the file.
 
     Raises:
-        CaptureError: as by ``open_video``, or where the file holds no frames or no times.
+        CaptureError: as ``open_video`` does, or where the file holds no frames or no times.
     """
     with open_video(path) as container:
         stream = container.streams.video[0]
@@ -105,13 +107,13 @@ def frames(path: Path) -> Iterator[tuple[float, "VideoFrame"]]:
     """Decode a video.
 
     Args:
-        path: of the video.
+        path: the video file.
 
     Yields:
-        Seconds in the time of the file, and the frame, not yet upright.
+        Seconds in the time of the file, and the frame, not yet turned upright.
 
     Raises:
-        CaptureError: as by ``open_video``, or where the size of the images changes.
+        CaptureError: as ``open_video`` does, or where the size of the images changes.
     """
     with open_video(path) as container:
         stream = container.streams.video[0]
@@ -128,11 +130,11 @@ def frames(path: Path) -> Iterator[tuple[float, "VideoFrame"]]:
 
 
 def grey(frame: "VideoFrame", longest: int) -> np.ndarray:
-    """The brightness of a frame as decoded, scaled down: [H, W] uint8.
+    """Return the brightness of a frame, scaled down: [H, W] uint8.
 
     Args:
-        frame: as decoded.
-        longest: the most pixels along the longer side.
+        frame: the frame as decoded.
+        longest: maximum pixels along the longer side.
     """
     scale = min(1.0, longest / max(frame.width, frame.height))
     small = frame.reformat(max(3, round(frame.width * scale)), max(3, round(frame.height * scale)), "gray")
@@ -140,12 +142,12 @@ def grey(frame: "VideoFrame", longest: int) -> np.ndarray:
 
 
 def upright(frame: "VideoFrame", longest: int, encoding: Encoding) -> Image.Image:
-    """The image of a frame, turned as the phone was held, with square pixels, scaled down by area, in the usual range.
+    """Return a frame's image as the phone was held, with square pixels, scaled down by area, in standard dynamic range.
 
     Args:
-        frame: as decoded.
-        longest: the most pixels along the longer side.
-        encoding: of the video.
+        frame: the frame as decoded.
+        longest: maximum pixels along the longer side.
+        encoding: encoding of the video.
     """
     image = images.square_pixels(frame.to_image(), encoding.aspect)
     if frame.rotation:
@@ -154,25 +156,25 @@ def upright(frame: "VideoFrame", longest: int, encoding: Encoding) -> Image.Imag
 
 
 def shrunk(image: Image.Image, longest: int) -> Image.Image:
-    """An RGB image with at most ``longest`` pixels along its longer side, every pixel the mean of those it covers."""
+    """Scale an RGB image down, by area, to at most ``longest`` pixels along its longer side; never enlarge it."""
     size = shrunk_size(image.size, longest)
     return image if size == image.size else image.resize(size, Image.Resampling.BOX)
 
 
 def shrunk_size(size: tuple[int, int], longest: int) -> tuple[int, int]:
-    """Width and height that an image of another has once it is ``shrunk``, pixels."""
+    """Return the width and height of an image of this size once it is ``shrunk``, pixels."""
     scale = min(1.0, longest / max(size))
     return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
 
 
 def within_bars(rows: np.ndarray, columns: np.ndarray) -> tuple[int, int, int, int]:
-    """What is left of images without black bars, as editors and messengers put on two sides to change a film's shape.
+    """Return what is left of images without the black bars with which editors and messengers change a film's shape.
 
-    The same is taken from two opposite sides, so that the middle of the image stays where the lens looked.
+    The same width is cut from two opposite sides, so that the middle of the image stays where the lens pointed.
 
     Args:
-        rows: [H] the brightest grey level of each row, in any of the images.
-        columns: [W] likewise.
+        rows: [H] brightest grey level of each row, over all images.
+        columns: [W] brightest grey level of each column, over all images.
 
     Returns:
         Left, upper, right and lower edge, pixels.

@@ -12,30 +12,30 @@ from splatrl.collision.voxels import Voxels
 from splatrl.scenes.scene import Bounds, Scene
 
 REACH = 6.0
-"""Metres from the most open place to the edge of the area to walk in, along x and y."""
+"""Maximum distance from the most open place to the edge of the walkable area, along x and y, metres."""
 ABOVE = 0.5
-"""Metres above a robot that count, at least."""
+"""Minimum reach of the bounds above and below a robot's height, metres."""
 CLOSED = 3
-"""Voxels over which holes in a captured floor are closed."""
+"""Number of voxels over which holes in a captured floor are closed."""
 FEWEST = 16
-"""Voxels of free floor without which there is nowhere to walk."""
+"""Minimum number of voxels of free floor; with fewer, there is nowhere to walk."""
 MOST_VOXELS = 256
-"""Along the diagonal of where robots can be."""
+"""Maximum number of voxels along the diagonal of where robots can be."""
 VIEW = 2.0
-"""Metres around the area to walk in that pictures of it show."""
+"""Maximum margin around the walkable area that pictures of it show, metres."""
 
 
 def walkable_area(scene: Scene, occupancy: Occupancy, floor: float, height: float) -> Area | None:
     """Find the free floor around the most open place, and what is solid there.
 
     Args:
-        scene: in the world frame.
+        scene: the scene, world frame.
         occupancy: what is solid in the whole scene, coarsely.
         floor: height of the floor, world, metres.
-        height: of a robot above it, metres.
+        height: height of a robot's camera above the floor, metres.
 
     Returns:
-        None where no floor is free at that height.
+        The area; None where too little floor is free at that height.
     """
     free = _free_floor(occupancy, floor, height)
     labels, count = ndimage.label(free)
@@ -64,7 +64,7 @@ def walkable_area(scene: Scene, occupancy: Occupancy, floor: float, height: floa
 
 
 def _free_floor(occupancy: Occupancy, floor: float, height: float) -> NDArray[np.bool_]:
-    """Columns of voxels that have a floor and nothing solid above it up to a robot: [X, Y] bool."""
+    """Return which columns of voxels have a floor and nothing solid above it up to a robot: [X, Y] bool."""
     edge, bottom = occupancy.resolution, occupancy.origin_key[2]
     top = max(bottom, math.ceil((floor + height + 2 * edge) / edge))
     low = min(max(bottom, math.floor((floor - 2 * edge) / edge)), top)

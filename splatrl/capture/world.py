@@ -1,4 +1,4 @@
-"""The world stage: a reconstruction turned upright, scaled to metres, and put on its floor."""
+"""World stage: turn a reconstruction upright, scale it to metres, and put it on its floor."""
 
 import math
 from dataclasses import dataclass, replace
@@ -17,11 +17,11 @@ from splatrl.capture.upright import entropy
 Floats = NDArray[np.float64]
 
 USUAL_HEIGHT = 1.5
-"""Metres: where people hold a camera. A place of unknown scale is drawn as if they had."""
+"""Height at which people hold a camera, metres; a place of unknown scale is scaled as if they had."""
 SCALE_ERROR = {"recorded": 0.01, "distance": 0.03, "camera_height": 0.05}
-"""Largest relative errors found in trials; a marker's own views tell its error."""
+"""Largest relative errors found in trials, by the source of the scale; a marker's own views tell its error."""
 OUTERMOST = (0.05, 0.95)
-"""Quantiles of the cameras' heights beyond which they are taken for wrong."""
+"""Quantiles of the cameras' heights beyond which heights count as wrong."""
 _TURNS = np.radians(np.arange(0.0, 90.0, 0.5))
 
 
@@ -30,14 +30,14 @@ class Placed:
     """A reconstruction in the world: z up, floor at z = 0, x along the longest wall, x = y = 0 in mid-walk.
 
     Attributes:
-        reconstruction: in that frame, in metres where ``metric``.
+        reconstruction: cameras and points in that frame, in metres where ``metric``.
         world_from_capture: [4, 4] float64 similarity that brought it there.
-        scale_from: what told the scale.
-        scale_error: how far off the scale may be, as a share; None where it is unknown.
-        up_from: what told which way is up.
-        up_error_deg: how far off that may be, degrees.
-        camera_height: height of the cameras on average, as ``mean_height`` has it, metres.
-        floor_points: points of the reconstruction that lie on the floor.
+        scale_from: source of the scale.
+        scale_error: possible relative error of the scale; None where it is unknown.
+        up_from: source of the upward direction.
+        up_error_deg: possible error of the upward direction, degrees.
+        camera_height: mean height of the cameras above the floor, as defined by ``mean_height``, metres.
+        floor_points: number of points of the reconstruction that lie on the floor.
     """
 
     reconstruction: Reconstruction
@@ -51,7 +51,7 @@ class Placed:
 
     @property
     def metric(self) -> bool:
-        """Whether lengths are metres; otherwise they are what they would be of a camera 1.5 m above the floor."""
+        """Whether lengths are metres; otherwise they are scaled as if the camera had been 1.5 m above the floor."""
         return self.scale_from != "unknown"
 
 
@@ -68,12 +68,12 @@ def place(
     The scale comes from the first of: recorded poses, a printed marker, a known distance, a known camera height, GPS.
 
     Args:
-        reconstruction: in any frame and unit.
-        up: [3], the direction away from the earth in its frame, where it was recorded.
+        reconstruction: a reconstruction in any frame and unit.
+        up: [3], the upward direction (away from the earth) in its frame, where it was recorded.
         metric: whether its unit is the metre already.
         marker: side of the printed markers to look for in the images, metres; None looks for none.
         distance: two clicked points with the metres between them.
-        camera_height: of the cameras above the floor on average over the time of the film, metres.
+        camera_height: mean height of the cameras above the floor over the time of the film, metres.
 
     Raises:
         CaptureError: for too few cameras or points, or a distance that cannot be measured.
@@ -109,15 +109,15 @@ def place(
 
 
 def mean_height(heights: Floats, seconds: Tensor | None) -> float:
-    """Height of the cameras on average over the time of the film.
+    """Return the mean height of the cameras over the time of the film.
 
-    Where images in between have no pose, the camera counts as having gone on evenly: a median over those that have one
-    is several per cent off where somebody raises and lowers the camera. A few poses that are far off count as the
+    Between images with poses, the camera counts as having moved evenly: the median of these images' heights is several
+    per cent off where somebody raises and lowers the camera. A few heights that are far off are clamped to the
     outermost of the others.
 
     Args:
-        heights: [N] of the cameras.
-        seconds: [N], ascending, when they took their images; None where nothing says so.
+        heights: [N] heights of the cameras.
+        seconds: [N] times at which they took their images, ascending; None where unknown.
     """
     held = np.clip(heights, *np.quantile(heights, OUTERMOST))
     if seconds is None or not seconds[-1] > seconds[0]:
@@ -126,7 +126,7 @@ def mean_height(heights: Floats, seconds: Tensor | None) -> float:
 
 
 def moved(reconstruction: Reconstruction, transform: Floats) -> Reconstruction:
-    """A reconstruction in another frame, by a 4×4 similarity."""
+    """Transform a reconstruction to another frame by a 4×4 similarity."""
     scale = float(np.linalg.det(transform[:3, :3]) ** (1 / 3))
     linear, shift = torch.from_numpy(transform[:3, :3]), torch.from_numpy(transform[:3, 3])
     poses = reconstruction.camera_to_world.clone()
@@ -137,7 +137,7 @@ def moved(reconstruction: Reconstruction, transform: Floats) -> Reconstruction:
 
 
 def held_poses(reconstruction: Reconstruction) -> Floats:
-    """Poses [N, 4, 4] of the cameras as they were held: as if ``Photos.turned`` had turned none."""
+    """Return the poses [N, 4, 4] of the cameras as they were held, without the turns of ``Photos.turned``."""
     poses: Floats = reconstruction.camera_to_world.numpy().copy()
     if reconstruction.turned is not None:
         lies = reconstruction.turned.numpy()
@@ -154,7 +154,7 @@ def _scale(
     distance: Distance | None,
     camera_height: float | None,
 ) -> tuple[float, ScaleFrom, float | None]:
-    """Metres per unit, what told it, and how far off it may be."""
+    """Return metres per unit, their source, and their possible relative error."""
     if metric:
         return 1.0, "recorded", SCALE_ERROR["recorded"]
     found = None if marker is None else scale_by_marker(reconstruction, marker)
@@ -180,7 +180,7 @@ def _world_from_capture(poses: Floats, points: Floats, ground: Ground, scale: fl
     yaw = wall_direction(flat[(heights > 0.1 * above) & (heights < 1.5 * above), :2])
     spin = np.array([[math.cos(yaw), math.sin(yaw), 0.0], [-math.sin(yaw), math.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
     turn = spin @ turn
-    if (turn @ poses[0, :3, 2])[0] < 0:  # of the two ways along the wall, the one that the first camera looks
+    if (turn @ poses[0, :3, 2])[0] < 0:  # of the two ways along the wall, the one in which the first camera looks
         turn = np.diag([-1.0, -1.0, 1.0]) @ turn
     walked = poses[:, :3, 3] @ turn.T
     middle = 0.5 * (walked.min(0) + walked.max(0))
@@ -192,13 +192,13 @@ def _world_from_capture(poses: Floats, points: Floats, ground: Ground, scale: fl
 
 
 def wall_direction(places: Floats) -> float:
-    """The direction of the longest wall, radians in (−π/2, π/2].
+    """Return the direction of the longest wall, radians in (−π/2, π/2].
 
-    Walls at right angles make the two histograms of the points' coordinates sharp: the turn that has the least entropy
+    Walls at right angles make the two histograms of the points' coordinates sharp: the rotation with the least entropy
     is taken, and of its two directions the one in which the points reach farther.
 
     Args:
-        places: [P, 2] of points on walls and things.
+        places: [P, 2] positions of points on walls and things.
     """
     if len(places) < 10:
         return 0.0
@@ -222,7 +222,7 @@ def wall_direction(places: Floats) -> float:
 
 
 def _standing(up: Floats) -> Floats:
-    """The smallest rotation [3, 3] that turns ``up`` to +z."""
+    """Return the smallest rotation [3, 3] that turns ``up`` to +z."""
     if up[2] < -0.999999:
         return np.diag([1.0, -1.0, -1.0])
     x, y, z = up

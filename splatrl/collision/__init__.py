@@ -1,4 +1,4 @@
-"""What is solid in a scene, and whether a robot's body touches it."""
+"""Voxel occupancy of a scene, and the checkers that test a robot's body against it."""
 
 from splatrl.collision.base import Checker
 from splatrl.collision.cuda import CudaChecker

@@ -1,4 +1,4 @@
-"""What every collision checker promises."""
+"""The interface that every collision checker implements."""
 
 from typing import Protocol
 
@@ -13,7 +13,7 @@ class Checker(Protocol):
     body: Body
 
     def collides(self, body_to_world: Tensor) -> Tensor:
-        """Whether the body touches an occupied voxel.
+        """Return whether the body touches an occupied voxel at each pose.
 
         Args:
             body_to_world: [B, 4, 4] float32, metres.
@@ -27,23 +27,23 @@ class Checker(Protocol):
         ...
 
     def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
-        """How much of a straight move is free before the body touches something.
+        """Return the fraction of each straight move that is free before the body touches something.
 
         Args:
             start: [B, 4, 4] float32 body_to_world.
             end: [B, 4, 4] float32 body_to_world.
 
         Returns:
-            [B] float32 in [0, 1]: 1 where nothing is touched on the way, ends included.
+            [B] float32 in [0, 1]: 1 where nothing is touched along the whole move, both ends included.
         """
         ...
 
     def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
-        """Whether anything is hit on the way, ends included: ``free_fraction(start, end) < 1``, [B] bool."""
+        """Return whether each move hits anything, ends included: ``free_fraction(start, end) < 1``, [B] bool."""
         ...
 
     def clearance(self, points: Tensor) -> Tensor:
-        """A lower bound on the distance from points to the nearest occupied voxel.
+        """Return a lower bound on the distance from each point to the nearest occupied voxel.
 
         Args:
             points: [B, 3] float32 world, metres.
@@ -54,20 +54,20 @@ class Checker(Protocol):
         ...
 
     def ranges(self, body_to_world: Tensor, beams: Tensor, reach: float) -> Tensor:
-        """How far beams from the body's origin go before they enter an occupied voxel.
+        """Cast beams from the body's origin and return how far each goes before it enters an occupied voxel.
 
-        Exact: the distance at which the ray enters the voxel's box, rounded to single precision. A voxel holds its
-        lower faces and not its upper ones, and a ray that only touches an edge may pass.
+        The result is exact: the distance at which the ray enters the voxel's box, rounded to single precision. A voxel
+        contains its lower faces but not its upper ones, and a ray that only touches an edge may pass.
 
         Args:
             body_to_world: [B, 4, 4] float32, metres.
             beams: [R, 3] float32 unit vectors, body frame.
-            reach: metres; what is farther away is not seen.
+            reach: maximum range, metres; anything farther away is not seen.
 
         Returns:
-            [B, R] float32 metres: 0 from inside an occupied voxel, ``reach`` where nothing is met.
+            [B, R] float32 metres: 0 for a ray that starts in an occupied voxel, ``reach`` where nothing is hit.
 
         Raises:
-            ValueError: for a pose that is not rigid, beams that are no unit vectors, or a reach that is not positive.
+            ValueError: for a pose that is not rigid, beams that are not unit vectors, or a reach that is not positive.
         """
         ...

@@ -1,4 +1,4 @@
-"""Axis-aligned boxes in voxels."""
+"""Converts axis-aligned boxes to ranges of voxels."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -7,15 +7,16 @@ from torch import Tensor
 from splatrl.collision.voxel_grid import check_resolution, checked_points
 
 _FACE_SLACK = 1e-3
-"""In voxels: a box must reach farther than this into a voxel to cover it, because 0.3 is rarely exactly 3 · 0.1."""
+"""Tolerance at faces, in voxels: a box covers a voxel only if it reaches farther than this into it, because in floating
+point 0.3 is rarely exactly 3 · 0.1."""
 _FARTHEST = 2.0**53
-"""Largest key: beyond it float64 cannot tell neighbouring voxels apart."""
+"""Largest key; beyond it, float64 cannot tell neighbouring voxels apart."""
 
 
 def box_keys(
     lower: Tensor | ArrayLike, upper: Tensor | ArrayLike, resolution: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The voxels that boxes cover, wholly or in part.
+    """Return the range of voxels that each box covers, wholly or in part.
 
     Args:
         lower: [N, 3] lower corners, world, metres.

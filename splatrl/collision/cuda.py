@@ -1,4 +1,4 @@
-"""Collision on a GPU: the grid and the mathematics of ``NativeChecker``, one launch per query."""
+"""Collision checking on a GPU: the grid and arithmetic of ``NativeChecker``, with one kernel launch per query."""
 
 import ctypes
 from functools import cached_property
@@ -16,19 +16,19 @@ from splatrl.native.cuda.kernels import CudaKernels, Load, uploaded
 
 BLOCK_THREADS = 256
 BLOCKS_A_MULTIPROCESSOR = 2
-"""Blocks that the compiler leaves enough registers for."""
+"""Resident blocks per multiprocessor for which the compiler must leave enough registers (``__launch_bounds__``)."""
 _KINDS = (Box, Sphere, Capsule)
-"""Bodies in the order of Shape::Kind."""
+"""Body classes in the order of the C++ enum Shape::Kind."""
 _WARP = 32
 _MOST_AT_ONCE = 1024
-"""The most queries that a block takes at once: MOST_OPEN of cuda/collide.cu."""
+"""Maximum queries that a block processes at once; equals MOST_OPEN of cuda/collide.cu."""
 _MOST_BLOCKS = 2**16
 _ALIGNED = 16
-"""Bytes of a pose that are read at once, and so its alignment."""
+"""Bytes of a pose that one load reads, and therefore the alignment that a pose needs."""
 
 
 def kernel_defines(body: Body) -> dict[str, int]:
-    """Macros that ``cuda/collide.cu`` is compiled with.
+    """Return the macros with which ``cuda/collide.cu`` is compiled for a body.
 
     Raises:
         ValueError: for anything other than a body.
@@ -43,7 +43,7 @@ def kernel_defines(body: Body) -> dict[str, int]:
 
 
 class _Grid(ctypes.Structure):
-    """``Grid`` of collision_grid.h."""
+    """Mirrors the C++ struct ``Grid`` of collision_grid.h."""
 
     _fields_ = (
         ("size", ctypes.c_int * 3),
@@ -58,7 +58,7 @@ class _Grid(ctypes.Structure):
 
 
 class _Shape(ctypes.Structure):
-    """``Shape`` of collision_shape.h."""
+    """Mirrors the C++ struct ``Shape`` of collision_shape.h."""
 
     _fields_ = (
         ("kind", ctypes.c_int),
@@ -68,7 +68,7 @@ class _Shape(ctypes.Structure):
 
 
 class _Queries(ctypes.Structure):
-    """``Queries`` of cuda/collide.cu."""
+    """Mirrors the C++ struct ``Queries`` of cuda/collide.cu."""
 
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("start", "end", "hits", "fractions", "fault")),
@@ -77,7 +77,7 @@ class _Queries(ctypes.Structure):
 
 
 class _RayGrid(ctypes.Structure):
-    """``RayGrid`` of rays.h."""
+    """Mirrors the C++ struct ``RayGrid`` of rays.h."""
 
     _fields_ = (
         ("size", ctypes.c_int * 3),
@@ -89,7 +89,7 @@ class _RayGrid(ctypes.Structure):
 
 
 class _Beams(ctypes.Structure):
-    """``Beams`` of cuda/collide.cu."""
+    """Mirrors the C++ struct ``Beams`` of cuda/collide.cu."""
 
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("poses", "ways", "fault")),
@@ -98,30 +98,30 @@ class _Beams(ctypes.Structure):
 
 
 class CudaChecker:
-    """Gives the answers of ``NativeChecker`` on a CUDA device, without synchronising with the host.
+    """Gives the same answers as ``NativeChecker`` on a CUDA device, without synchronising with the host.
 
-    One look-up in the distance field settles most poses, one thread each; the others are searched by 32 threads each,
-    one column of voxels per thread. Arithmetic is in double precision, as on the CPU; row i has the same answer
-    alone and in any batch. Kernels are compiled once per machine, in seconds, and cached.
+    One look-up in the distance field settles most poses, with one thread per pose; each of the others is searched by a
+    warp of 32 threads, with one column of voxels per thread. Arithmetic is in double precision, as on the CPU; a row
+    has the same answer alone and in any batch. Kernels are compiled once per machine, which takes seconds, and cached.
 
-    Tensors on the device are read in place, and what is wrong with them is recorded there: a pose that is not finite
-    or not rigid counts as a hit (a free share of 0, a clearance of 0), and ``raise_faults`` reports it later. Tensors
-    elsewhere are copied to the device and back, and invalid ones are refused at once.
+    Tensors on the device are read in place, and errors in them are recorded there: a pose that is not finite or not
+    rigid counts as a hit (free fraction 0, clearance 0), and ``raise_faults`` reports it later. Tensors elsewhere are
+    copied to the device and the answers back, and invalid ones are refused at once.
 
     Args:
-        occupancy: what is solid.
-        body: what is tested, in the body frame.
+        occupancy: the solid voxels.
+        body: the body to test, in the body frame.
         device: a CUDA device.
-        load: loads the kernels; None compiles them for ``device``.
+        load: function that loads the kernels; None compiles them for ``device``.
 
     Attributes:
-        occupancy: what is solid.
-        body: what is tested.
-        device: where queries are answered.
+        occupancy: the solid voxels.
+        body: the body under test.
+        device: the device that answers queries.
 
     Raises:
         ValueError: for anything other than a body.
-        ImportError: where the extra ``cuda`` is not installed.
+        ImportError: if the extra ``cuda`` is not installed.
     """
 
     def __init__(
@@ -154,20 +154,20 @@ class CudaChecker:
         return CudaChecker, (self.occupancy, self.body, self.device)
 
     def collides(self, body_to_world: Tensor) -> Tensor:
-        """Whether the body touches a solid voxel: see ``Checker.collides``."""
+        """Return whether the body touches a solid voxel at each pose; see ``Checker.collides``."""
         return self._answers("find_hits", torch.bool, body_to_world=body_to_world)
 
     def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
-        """The free share of each move: see ``Checker.free_fraction``. It never goes beyond the first contact."""
+        """Return the free fraction of each move, never beyond the first contact; see ``Checker.free_fraction``."""
         return self._answers("follow_moves", torch.float32, start=start, end=end)
 
     def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
-        """Whether anything is hit on the way, ends included: [B] bool."""
+        """Return whether each move hits anything, ends included: [B] bool."""
         return self._answers("follow_moves", torch.bool, start=start, end=end)
 
     @torch.compiler.disable
     def clearance(self, points: Tensor) -> Tensor:
-        """A lower bound on the distance to the nearest solid voxel: see ``DistanceField.clearance``."""
+        """Return a lower bound on the distance to the nearest solid voxel; see ``DistanceField.clearance``."""
         check_shape("points", points, (3,))
         places, faults = self._here(points), self._faults_for(points)
         metres = torch.empty(len(places), device=self.device)
@@ -181,16 +181,16 @@ class CudaChecker:
 
     @torch.compiler.disable
     def ranges(self, body_to_world: Tensor, beams: Tensor, reach: float) -> Tensor:
-        """How far beams reach, one thread each: see ``Checker.ranges``. A pose that is refused sees nothing but 0.
+        """Cast beams, with one thread per beam; see ``Checker.ranges``. Beams of an invalid pose have range 0.
 
-        The first call copies the grid of rays to the device.
+        The first call copies the ray caster's grid to the device.
         """
         check_shape("body_to_world", body_to_world, (4, 4))
         check_shape("beams", beams, (3,))
         poses, ways = self._here(body_to_world), self._here(beams)
         faults = self._faults_for(body_to_world, beams)
         check_reach(reach)
-        if faults is self._faults_elsewhere:  # on the device a check would synchronise
+        if faults is self._faults_elsewhere:  # checking beams on the device would synchronise
             check_beams(beams)
         metres = torch.empty(len(poses), len(ways), device=self.device)
         if metres.numel() > 0:
@@ -211,14 +211,14 @@ class CudaChecker:
         return _RayGrid(sizes, resolution, 1.0 / resolution, corner_of(self.occupancy), self._room.data_ptr())
 
     def raise_faults(self) -> None:
-        """Raise the faults recorded in poses and points since the last call; see ``Faulty``."""
+        """Raise the faults recorded for poses and points since the last call; see ``Faulty``."""
         row = self._faults.take()
         if row is not None:
             raise ValueError(f"row {row}: expected finite numbers and, for a pose, an orthonormal rotation")
 
     @torch.compiler.disable
     def _answers(self, query: str, dtype: torch.dtype, **poses: Tensor) -> Tensor:
-        """Answer a query about poses, or about the two ends of moves."""
+        """Answer a query about poses, or about moves given by their two end poses."""
         for name, values in poses.items():
             check_shape(name, values, (4, 4))
         here = [self._here(values) for values in poses.values()]
@@ -238,12 +238,12 @@ class CudaChecker:
         return answers.to(asked.device)
 
     def _at_once(self, count: int) -> int:
-        """Queries per block: many, so that its warps finish together, but few enough to give every block some."""
+        """Return queries per block: enough that its warps finish together, but few enough to occupy every block."""
         share = -(-count // (BLOCKS_A_MULTIPROCESSOR * self._kernels.multiprocessors))
         return min(-(-share // _WARP) * _WARP, _MOST_AT_ONCE)
 
     def _here(self, values: Tensor) -> Tensor:
-        """The same numbers as contiguous float32 on the device, aligned for reads of 16 bytes."""
+        """Return the values as contiguous float32 on the device, aligned for 16-byte loads."""
         floats = values.detach().to(self.device, torch.float32).contiguous()
         return floats if floats.data_ptr() % _ALIGNED == 0 else floats.clone()
 

@@ -1,4 +1,4 @@
-"""Where a scene's Gaussians are opaque enough to be solid."""
+"""Finds the voxels in which a scene's Gaussians are opaque enough to be solid."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,22 +15,22 @@ from splatrl.native._core import add_density
 from splatrl.scenes.gaussians import Gaussians
 
 _EXTENT = 3.0
-"""A Gaussian ends this many standard deviations from its mean."""
+"""Standard deviations from its mean at which a Gaussian is cut off."""
 
 
 @dataclass(frozen=True)
 class DensitySettings:
-    """Which Gaussians count, and how dense a voxel must be to be solid.
+    """Settings for which Gaussians count and how dense a voxel must be to be solid.
 
-    In YAML it is a node of its own: ``_target_: splatrl.collision.DensitySettings`` and these keys.
+    In YAML this is a node of its own, with ``_target_: splatrl.collision.DensitySettings`` and these keys.
 
     Attributes:
-        min_opacity: Gaussians below it are haze and left out, in [0, 1].
-        cutoff: absorbed share of light above which a voxel is solid, in (0, 1).
-        min_volume: cubic metres below which a connected component is a floater and dropped. The volume is that of
-            whole voxels, so nothing is dropped on a grid where fewer than two voxels amount to it.
-        max_scale: Gaussians with a larger standard deviation, metres, are sky and left out. None takes 20 voxels, or
-            1 m where that is more; this is what bounds the work for one Gaussian.
+        min_opacity: opacity in [0, 1] below which Gaussians are taken for haze and left out.
+        cutoff: fraction of the light that a voxel must absorb to be solid, in (0, 1).
+        min_volume: volume below which a connected component is taken for a floater and dropped, cubic metres. Volume
+            is counted in whole voxels, so nothing is dropped on a grid where a single voxel is at least this large.
+        max_scale: standard deviation above which Gaussians are taken for sky and left out, metres. None takes 20
+            voxels or 1 m, whichever is larger. This limit bounds the work per Gaussian.
 
     Raises:
         ValueError: for a value out of range.
@@ -62,27 +62,29 @@ def solid_voxels(
     crop: Bounds | None,
     max_voxels: int,
 ) -> tuple[NDArray[np.bool_], tuple[int, int, int], int]:
-    """Find the voxels that absorb at least ``settings.cutoff`` of the light, and drop what floats.
+    """Find the voxels that absorb at least ``settings.cutoff`` of the light, and drop floaters.
 
-    A voxel's density is σ = Σ opacity · exp(−½ d²) over the Gaussians whose 3σ extent reaches it, with d a lower bound
-    of the Mahalanobis distance from the mean to the voxel: the distance to the box around the voxel that lies along
-    the Gaussian's own axes. It is exact where these are the world's, and it never misses a voxel that a thin slanted
-    surface crosses. The voxel is solid if 1 − e^−σ ≥ ``cutoff`` and its 26-connected component is large enough.
+    A voxel's density is σ = Σ opacity · exp(−½ d²) over the Gaussians whose 3σ extent reaches it, where d is a lower
+    bound on the Mahalanobis distance from the mean to the voxel: the distance to the box that encloses the voxel and is
+    aligned with the Gaussian's own axes. It is exact if these are the world's axes, and it never misses a voxel that a
+    thin slanted surface crosses. The voxel is solid if 1 − e^−σ ≥ ``cutoff`` and its 26-connected component is large
+    enough.
 
-    All pieces of a scene add to one grid, so voxels at the borders of blocks are those of the blocks merged.
+    All pieces of a scene add to one grid, so voxels at the borders of blocks are the same as for the merged blocks.
 
     Args:
-        pieces: each gives some of the Gaussians in the world frame. One is in memory at a time; those with something in
-            the grid are asked twice, for its size and for densities.
+        pieces: functions that each load some of the Gaussians, in the world frame. Only one piece is in memory at a
+            time; a piece with Gaussians in the grid is loaded twice, for the grid's size and for densities, and without
+            a crop every piece is loaded once more, for the bounds.
         resolution: edge of a voxel, metres.
         settings: which Gaussians count and what is solid.
         crop: lower and upper corner of the grid, metres. None takes the box that holds the 5th to the 95th percentile
-            of the Gaussians' extents along each axis, widened on all sides by half its longest one: all of a
-            room, none of the splats that stray kilometres away.
-        max_voxels: the largest grid that may be made.
+            of the Gaussians' extents along each axis, widened on all sides by half its longest side: this covers all
+            of a room, but none of the splats that stray kilometres away.
+        max_voxels: maximum number of voxels in the grid.
 
     Returns:
-        Solid voxels [X, Y, Z] bool, the key of the first, and how many voxels were dropped with floaters.
+        Solid voxels [X, Y, Z] bool, the key of the first, and the number of voxels dropped as floaters.
 
     Raises:
         ValueError: for a resolution or a crop out of range, or a grid above ``max_voxels``.
@@ -120,13 +122,13 @@ def solid_voxels(
 
 
 class _Ellipsoids(NamedTuple):
-    """The Gaussians of a piece that count."""
+    """The Gaussians of a piece that pass the opacity and scale limits."""
 
     means: NDArray[np.float64]  # [N, 3] metres, like all lengths here
-    axes: NDArray[np.float64]  # [N, 3, 3], columns
+    axes: NDArray[np.float64]  # [N, 3, 3], one axis per column
     scales: NDArray[np.float64]  # [N, 3]
     opacities: NDArray[np.float64]  # [N]
-    reach: NDArray[np.float64]  # [N, 3], how far they extend along the world's axes
+    reach: NDArray[np.float64]  # [N, 3], half extents along the world's axes
 
 
 def _ellipsoids(gaussians: Gaussians, min_opacity: float, max_scale: float) -> _Ellipsoids:
@@ -143,8 +145,11 @@ def _ellipsoids(gaussians: Gaussians, min_opacity: float, max_scale: float) -> _
 def _voxels(
     part: _Ellipsoids, within: NDArray[np.float64], resolution: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]:
-    """Which Gaussians reach into a box [2, 3], and for those the key of the first voxel and one past the last."""
-    (lower, upper), beyond = within, 2 * resolution  # where no voxel of the box is: a floater's key may have no int64
+    """Return which Gaussians reach into a box [2, 3], and for those the key of the first voxel and one past the last.
+
+    Extents are clamped to just outside the box, because the key of a stray splat may overflow int64.
+    """
+    (lower, upper), beyond = within, 2 * resolution
     least = np.minimum(np.maximum(part.means - part.reach, lower), upper + beyond)
     most = np.maximum(np.minimum(part.means + part.reach, upper), lower - beyond)
     first, end = np.floor(least / resolution).astype(np.int64), np.ceil(most / resolution).astype(np.int64)
@@ -165,5 +170,5 @@ def _populated_bounds(parts: Sequence[_Ellipsoids]) -> NDArray[np.float64]:
 def _without_floaters(solid: NDArray[np.bool_], min_voxels: float) -> NDArray[np.bool_]:
     labels, _ = ndimage.label(solid, np.ones((3, 3, 3)))
     large = np.bincount(labels.reshape(-1)) >= min_voxels - 1e-6
-    large[0] = False  # label 0 is free space
+    large[0] = False  # label 0 marks free space
     return large[labels]

@@ -1,4 +1,4 @@
-"""Collision by the Flexible Collision Library (Pan et al. 2012): the exact reference of the other checkers."""
+"""Collision checking with the Flexible Collision Library (Pan et al. 2012): the exact reference for other checkers."""
 
 import math
 from typing import Any
@@ -17,35 +17,36 @@ from splatrl.collision.octree import encode_octree
 from splatrl.collision.rays import ranges_by_formula
 
 _SLACK = 1e-5
-"""Metres by which a body must clear the nearest voxel to be free without asking FCL: far above rounding."""
+"""Gap to the nearest voxel, metres, beyond which a body is free without asking FCL: far above rounding error."""
 
 
 class FclChecker:
-    """Tests a box, a sphere or a capsule against OctoMap octrees of the occupancy, by default a single one.
+    """Tests a box, a sphere or a capsule against OctoMap octrees of the occupancy, by default a single octree.
 
-    FCL tests one pose after another, some microseconds each; before that, the distance field settles the poses that
-    are clear of everything, which never changes an answer. A touch counts as a hit. A move is tested in steps in which
-    no point of the body travels more than half a voxel (``Displacement``), so it may miss that it grazes a voxel's edge
-    by less than that, and the answer is the same in both directions. A checker serves one thread; copies and pickles
-    build their own octree.
+    FCL tests poses one by one, which takes some microseconds each; before that, the distance field settles the poses
+    that are clear of everything, which never changes an answer. A touch counts as a hit. A move is tested in steps in
+    which no point of the body travels more than half a voxel (``Displacement``), so the test may miss a body that
+    grazes a voxel's edge by less than that; the answer is the same in both directions. A checker may be used by one
+    thread only; copies and pickles build their own octrees.
 
     Attributes:
-        occupancy: what is solid.
-        body: what is tested, in the body frame.
-        blocks: edge of the base voxels that have an octree each, metres; None for one octree of everything.
+        occupancy: the solid voxels.
+        body: the body under test, in the body frame.
+        blocks: edge of the base voxels that each have their own octree, metres; None for one octree of everything.
     """
 
     def __init__(self, occupancy: Occupancy, body: Body, blocks: float | None = None) -> None:
         """Build the octrees.
 
         Args:
-            occupancy: what is solid, with keys within ±32768.
-            body: what is tested.
-            blocks: None for one octree, the fastest; a length in metres for the published layout: an octree for each
-                non-empty base voxel of that edge, tested in turn. The answers are the same.
+            occupancy: the solid voxels, with keys within ±32768.
+            body: the body to test.
+            blocks: None for one octree, which is fastest; a length in metres for the published layout: one octree for
+                each non-empty base voxel of that edge, tested in turn. The answers are the same.
 
         Raises:
-            ValueError: for a voxel beyond what the octree's keys reach, or blocks that are not finite metres above 0.
+            ValueError: for a voxel outside the range of the octree's keys, or blocks that are not finite metres above
+                0.
         """
         if blocks is not None and not (math.isfinite(blocks) and blocks > 0):
             raise ValueError(f"blocks: expected finite metres above 0, or None for one octree, got {blocks}")
@@ -62,7 +63,7 @@ class FclChecker:
 
     @torch.compiler.disable
     def collides(self, body_to_world: Tensor) -> Tensor:
-        """Whether the body touches a solid voxel: see ``Checker.collides``."""
+        """Return whether the body touches a solid voxel at each pose; see ``Checker.collides``."""
         poses = checked_poses("body_to_world", body_to_world).numpy()
         hits = torch.zeros(len(poses), dtype=torch.bool)
         for row in self._near(poses):
@@ -71,9 +72,9 @@ class FclChecker:
 
     @torch.compiler.disable
     def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
-        """The share of each move up to the last free step: see ``Checker.free_fraction``.
+        """Return the fraction of each move up to its last free step; see ``Checker.free_fraction``.
 
-        0 where the body touches something at the start, 1 where it is free all the way and at the end.
+        It is 0 where the body touches something at the start, and 1 where it is free all the way, the end included.
         """
         move = Displacement(
             checked_poses("start", start),
@@ -84,7 +85,7 @@ class FclChecker:
         rows = torch.arange(len(move.steps)).repeat_interleave(move.steps + 1)
         index = torch.arange(len(rows)) - (move.steps + 1).cumsum(0)[rows] + move.steps[rows] + 1
         poses = move.at(rows, index).numpy()
-        first: dict[int, int] = {}  # row of a move -> index of the first of its poses that hits
+        first: dict[int, int] = {}  # row of a move -> index of its first pose that hits
         for near in self._near(poses):
             row = int(rows[near])
             if row not in first and self._hit(poses[near]):
@@ -95,34 +96,34 @@ class FclChecker:
         return fraction.to(start.device)
 
     def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
-        """Whether anything is hit on the way, ends included: [B] bool."""
+        """Return whether each move hits anything, ends included: [B] bool."""
         return self.free_fraction(start, end) < 1.0
 
     @torch.compiler.disable
     def clearance(self, points: Tensor) -> Tensor:
-        """A lower bound on the distance to the nearest solid voxel: see ``DistanceField.clearance``."""
+        """Return a lower bound on the distance to the nearest solid voxel; see ``DistanceField.clearance``."""
         return torch.from_numpy(self._field.clearance(points)).float().to(points.device)
 
     def ranges(self, body_to_world: Tensor, beams: Tensor, reach: float) -> Tensor:
-        """How far beams reach, every solid voxel tried: see ``ranges_by_formula``."""
+        """Cast beams by testing every solid voxel; see ``ranges_by_formula``."""
         return ranges_by_formula(self.occupancy, body_to_world, beams, reach)
 
     def _near(self, poses: NDArray[np.float64]) -> list[int]:
-        """Rows of poses [M, 4, 4] that FCL has to test."""
+        """Return the rows of poses [M, 4, 4] that FCL has to test."""
         return np.flatnonzero(self._field.clearance(poses[:, :3, 3]) <= self.body.radius + _SLACK).tolist()
 
     def _hit(self, pose: NDArray[np.float64]) -> bool:
-        """Whether the body touches something at a rigid pose [4, 4]."""
+        """Return whether the body touches something at a rigid pose [4, 4]."""
         self._body_object.setTranslation(pose[:3, 3])
         self._body_object.setRotation(pose[:3, :3])
         return any(
-            fcl.collide(self._body_object, octree, self._request, fcl.CollisionResult())  # a used result keeps its hit
+            fcl.collide(self._body_object, octree, self._request, fcl.CollisionResult())  # reused results keep hits
             for octree in self._octrees
         )
 
 
 def fcl_shape(body: Body) -> Any:
-    """A body as FCL's geometry."""
+    """Convert a body to FCL geometry."""
     match body:
         case Box():
             return fcl.Box(*body.size)
@@ -133,9 +134,9 @@ def fcl_shape(body: Body) -> Any:
 
 
 def fcl_octrees(occupancy: Occupancy, blocks: float | None = None) -> list[Any]:
-    """The solid voxels as FCL's octrees: one, or one for each block of that edge (metres) that holds voxels' centres.
+    """Build FCL octrees of the solid voxels: one, or one for each block of that edge (metres) that holds voxel centres.
 
-    Where nothing is solid there is none, because FCL takes an octree without nodes for a solid one.
+    If nothing is solid the list is empty, because FCL takes an octree without nodes for a solid one.
     """
     if occupancy.count == 0:
         return []
@@ -154,5 +155,5 @@ def _octree(occupancy: Occupancy) -> Any:
     stream = encode_octree(occupancy)
     try:
         return fcl.OcTree(occupancy.resolution, stream)
-    except OverflowError:  # bytes that C has no sign for, as on ARM
+    except OverflowError:  # C's char is unsigned here, as on ARM
         return fcl.OcTree(occupancy.resolution, stream.view(np.uint8))

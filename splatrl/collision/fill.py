@@ -1,4 +1,4 @@
-"""Finds what cannot be reached, to make it solid: captured things are hollow."""
+"""Finds unreachable free space, so that it can be made solid: captured objects are hollow."""
 
 import math
 import warnings
@@ -13,7 +13,7 @@ from splatrl.native import _core
 from splatrl.native.threads import threads_of
 
 Region = tuple[NDArray[np.bool_], tuple[int, int, int]]
-"""Voxels [X, Y, Z] bool and the key of the first."""
+"""Voxels [X, Y, Z] bool, and the key of the first one."""
 
 
 def unreached_voxels(
@@ -26,26 +26,26 @@ def unreached_voxels(
 ) -> Region | None:
     """Find the free voxels that cannot be reached from the seeds when openings narrower than ``opening`` are closed.
 
-    A ball of that diameter floods the free space from the seeds. What it touches is reached, and so are free voxels
-    up to ``opening`` further on, so that corners and crevices stay free; behind a gap too narrow for the
-    ball this leaves a rim of that depth. All else is unreached. The flood stays within the grid, because what a
-    capture did not see, such as the back of a counter, is open to the outside; so robots that leave the grid come back
-    only the way they went.
+    A ball of that diameter floods the free space from the seeds. Voxels that it touches are reached, and so are free
+    voxels up to ``opening`` further on, so that corners and crevices stay free; behind a gap too narrow for the ball,
+    this leaves a free rim of that depth. Everything else is unreached. The flood stays within the grid, because
+    surfaces that a capture did not see, such as the back of a counter, are open to the outside; so robots that leave
+    the grid can come back only the way they went.
 
-    Of the regions that seeds lie in or beside, the one with the most seeds is flooded, so a seed on the wrong
-    side of a wall does no harm. A seed lies beside a region that is no farther than ``opening`` from it.
+    Of the regions that contain seeds or lie next to one, the one with the most seeds is flooded, so a seed on the wrong
+    side of a wall does no harm. A region lies next to a seed if it is no farther than ``opening`` from it.
 
     Args:
         occupied: [X, Y, Z] bool.
         origin_key: key of the first voxel.
         resolution: edge of a voxel, metres.
-        opening: metres, at least 0; rounded to whole voxels. A body that is nowhere thinner can go only where
-            the ball can.
-        seeds: [N, 3] world, metres: places that are free and reached. None floods the largest region.
+        opening: diameter of the ball, metres, at least 0; rounded to whole voxels. A body that is nowhere thinner than
+            this can go only where the ball can.
+        seeds: [N, 3] world, metres: places known to be free and reachable. None floods the largest region.
         around: lower and upper corner, metres, of a box that the flooded grid always includes: where robots are.
 
     Returns:
-        The unreached voxels; None where no seed is near a region, because then nothing is known.
+        The unreached voxels; None if no seed is near a region, because then nothing is known.
 
     Raises:
         ValueError: for an ``opening`` that is not finite or below 0, malformed seeds or corners, or a grid that is
@@ -56,8 +56,8 @@ def unreached_voxels(
     places = None if seeds is None else checked_points("seeds", seeds)
     padded, origin = _widened(occupied, np.array(origin_key, np.int64), resolution, around)
     wide = round(opening / resolution)
-    clear = _distances(~padded)  # from each free centre to the nearest solid one
-    touch = 0.5 * (wide + 1) + 1e-6  # a gap of `wide` voxels has its middle at most this far from its walls
+    clear = _distances(~padded)  # from each free voxel's centre to the nearest solid one's
+    touch = 0.5 * (wide + 1) + 1e-6  # bounds the distance from the middle of a gap of `wide` voxels to its walls
     regions, count = ndimage.label(clear > touch)
     region = _flooded(regions, count, places, origin, resolution, touch + wide)
     if region is None:
@@ -73,7 +73,11 @@ def unreached_voxels(
 def _widened(
     occupied: NDArray[np.bool_], origin: NDArray[np.int64], resolution: float, around: Bounds | None
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """The free voxels of the grid, widened to hold ``around``, inside a wall one voxel thick; and its first key."""
+    """Widen the grid to hold ``around`` and enclose it in a wall one voxel thick.
+
+    Returns:
+        The free voxels of the new grid, and the key of its first voxel.
+    """
     first, end = origin, origin + occupied.shape
     if around is not None:
         corners = checked_box("around", around) / resolution
@@ -86,7 +90,7 @@ def _widened(
 
 
 def _distances(solid: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """From each voxel's centre to the nearest solid one's, in voxels: [X, Y, Z]."""
+    """Return the distance from each voxel's centre to the nearest solid one's, in voxels: [X, Y, Z]."""
     found = np.empty(solid.shape, np.float32)
     _core.find_distances(np.ascontiguousarray(solid), 1.0, found, threads_of(None))
     return found
@@ -100,7 +104,10 @@ def _flooded(
     resolution: float,
     reach: float,
 ) -> int | None:
-    """Label of the region to flood: the one with the most seeds, or the largest; None where no seed is near one."""
+    """Return the label of the region to flood: the one with the most seeds, or the largest if there are no seeds.
+
+    The result is None if there is no region, or no seed near one.
+    """
     if count == 0:
         return None
     if places is None:

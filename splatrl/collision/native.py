@@ -1,4 +1,4 @@
-"""Collision in C++: a bit grid and its distance field, exact, thousands of bodies at once."""
+"""Exact collision checking in C++ on a bit grid and its distance field, thousands of poses at once."""
 
 from collections.abc import Callable
 from functools import cached_property
@@ -18,7 +18,7 @@ from splatrl.native.threads import threads_of
 
 
 class Queries(Protocol):
-    """What C++ answers, by the addresses of C-contiguous CPU memory; see ``_core.Collider``."""
+    """Queries answered in C++, given the addresses of C-contiguous CPU memory; see ``_core.Collider``."""
 
     def collides(self, poses: int, out: int, count: int, threads: int, /) -> int: ...
     def free_fraction(self, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...
@@ -27,12 +27,12 @@ class Queries(Protocol):
 
 
 class NativeQueries:
-    """The queries of a checker in C++, whatever grids they ask.
+    """The queries of a C++ checker, whether one grid answers them or several.
 
     Attributes:
-        body: what is tested, in the body frame.
+        body: the body under test, in the body frame.
         threads: cores that a large batch is spread over.
-        core: answers them.
+        core: the C++ object that answers the queries.
     """
 
     body: Body
@@ -41,7 +41,7 @@ class NativeQueries:
 
     @torch.compiler.disable
     def collides(self, body_to_world: Tensor) -> Tensor:
-        """Whether the body touches a solid voxel: see ``Checker.collides``."""
+        """Return whether the body touches a solid voxel at each pose; see ``Checker.collides``."""
         poses = _floats("body_to_world", body_to_world, (4, 4))
         hits = torch.empty(len(poses), dtype=torch.bool)
         if self.core.collides(poses.data_ptr(), hits.data_ptr(), len(poses), self.threads) >= 0:
@@ -50,18 +50,18 @@ class NativeQueries:
 
     @torch.compiler.disable
     def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
-        """The free share of each move: see ``Checker.free_fraction``. It never goes beyond the first contact."""
+        """Return the free fraction of each move, never beyond the first contact; see ``Checker.free_fraction``."""
         fraction = torch.empty(len(start), dtype=torch.float32)
         return self._move(self.core.free_fraction, start, end, fraction)
 
     @torch.compiler.disable
     def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
-        """Whether anything is hit on the way, ends included: [B] bool."""
+        """Return whether each move hits anything, ends included: [B] bool."""
         return self._move(self.core.sweeps, start, end, torch.empty(len(start), dtype=torch.bool))
 
     @torch.compiler.disable
     def clearance(self, points: Tensor) -> Tensor:
-        """A lower bound on the distance to the nearest solid voxel: see ``DistanceField.clearance``."""
+        """Return a lower bound on the distance to the nearest solid voxel; see ``DistanceField.clearance``."""
         places = _floats("points", points, (3,))
         metres = torch.empty(len(places), dtype=torch.float32)
         if self.core.clearance(places.data_ptr(), metres.data_ptr(), len(places), self.threads) >= 0:
@@ -80,33 +80,34 @@ class NativeQueries:
 class NativeChecker(NativeQueries):
     """Tests a box, a sphere or a capsule, at any rotation, against the voxels of an occupancy.
 
-    Answers are those of ``FclChecker`` on the same voxels, except for touches: anything within a micrometre is always
-    a hit, whereas FCL's answer depends on the rounding of the pose. What lies outside the grid is free. The distance
-    field settles most poses with one look-up; the others are tested against the voxels around them, column by
-    column, on all separating axes at once. A move at a fixed orientation is tested exactly, as the solid that the body
-    sweeps (a zonotope for a box). A move that turns is cut into parts; in each, the body has the orientation of the
-    middle and is grown by the most that its points can be off, at most a tenth of a voxel. So it never misses a hit,
-    but may report one where the body passes closer than that.
+    Answers are the same as those of ``FclChecker`` on the same voxels, except for touches: anything within a
+    micrometre is always a hit, whereas FCL's answer depends on the rounding of the pose. Everything outside the grid is
+    free. The distance field settles most poses with one look-up; the others are tested against the voxels around them,
+    column by column, on all separating axes at once. A move at a fixed orientation is tested exactly, as the solid that
+    the body sweeps (a zonotope for a box). A move that turns is cut into parts; in each, the body keeps the orientation
+    at the middle of the part and is grown by the largest displacement that this causes, at most a tenth of a voxel. So
+    the test never misses a hit, but may report one where the body passes closer than that.
 
-    Tensors on the CPU are read and written in place; others are copied to it and back.
+    Tensors on the CPU are read and written in place; others are copied to the CPU and the answers back.
 
     Attributes:
-        occupancy: what is solid.
-        body: what is tested, in the body frame.
+        occupancy: the solid voxels.
+        body: the body under test, in the body frame.
         threads: cores that a large batch is spread over.
-        collider: the body in the grid.
+        collider: the C++ collider of the body and the grid.
     """
 
     def __init__(self, occupancy: Occupancy, body: Body, threads: int | None = None) -> None:
         """Pack the grid and compute its distance field.
 
         Args:
-            occupancy: what is solid.
-            body: what is tested.
-            threads: cores that a large batch is spread over, at most all that this process may use, as None does.
+            occupancy: the solid voxels.
+            body: the body to test.
+            threads: cores that a large batch is spread over, at most those that this process may use; None takes all
+                of them.
 
         Raises:
-            ValueError: for fewer threads than one.
+            ValueError: for fewer than one thread.
         """
         self.occupancy = occupancy
         self.body = body
@@ -118,7 +119,7 @@ class NativeChecker(NativeQueries):
 
     @torch.compiler.disable
     def ranges(self, body_to_world: Tensor, beams: Tensor, reach: float) -> Tensor:
-        """How far beams reach: see ``Checker.ranges``. The first call measures how much room is around each voxel."""
+        """Cast beams; see ``Checker.ranges``. The first call computes the free space around each voxel."""
         poses, ways = _floats("body_to_world", body_to_world, (4, 4)), _floats("beams", beams, (3,))
         check_beams(ways)
         check_reach(reach)
@@ -149,13 +150,13 @@ def collider(occupancy: Occupancy, body: Body) -> _core.Collider:
 
 
 def corner_of(occupancy: Occupancy) -> tuple[float, float, float]:
-    """Lower corner of the grid, world, metres."""
+    """Return the lower corner of the grid, world, metres."""
     x, y, z = (key * occupancy.resolution for key in occupancy.origin_key)
     return x, y, z
 
 
 def check_shape(name: str, values: Tensor, shape: tuple[int, ...]) -> None:
-    """Refuse anything but a batch of tensors of this shape."""
+    """Refuse anything but a tensor that is a batch of this shape."""
     if not isinstance(values, Tensor):
         raise ValueError(f"{name}: expected a torch.Tensor, got {type(values).__name__}")
     if values.shape[1:] != shape or values.ndim != len(shape) + 1:
@@ -163,20 +164,20 @@ def check_shape(name: str, values: Tensor, shape: tuple[int, ...]) -> None:
 
 
 def check_pairs(starts: Tensor, ends: Tensor) -> None:
-    """Refuse moves of which one end is missing."""
+    """Refuse moves with different numbers of starts and ends."""
     if len(starts) != len(ends):
         raise ValueError(f"end: expected as many poses as start, {len(starts)}, got {len(ends)}")
 
 
 def refuse(**poses: Tensor) -> None:
-    """Say which pose is not rigid, and why."""
+    """Raise an error that names the first pose that is not rigid, and why it is not."""
     for name, values in poses.items():
         checked_poses(name, values.float())
     raise ValueError(f"{', '.join(poses)}: expected rigid poses in scenes that there are")
 
 
 def _dimensions(body: Body) -> tuple[tuple[float, float, float], float, float]:
-    """Half extents, half the length of the cylinder and radius; 0 where a body has none, metres."""
+    """Return half extents, half the cylinder's length and the radius, metres; 0 for those that a body lacks."""
     if isinstance(body, Box):
         x, y, z = body.size
         return (0.5 * x, 0.5 * y, 0.5 * z), 0.0, 0.0
@@ -186,7 +187,7 @@ def _dimensions(body: Body) -> tuple[tuple[float, float, float], float, float]:
 
 
 def _floats(name: str, values: Tensor, shape: tuple[int, ...]) -> Tensor:
-    """The same numbers as contiguous float32 in main memory."""
+    """Return the values as contiguous float32 on the CPU."""
     check_shape(name, values, shape)
     if values.dtype is torch.float32 and values.device.type == "cpu" and values.is_contiguous() and not values.is_neg():
         return values

@@ -1,4 +1,4 @@
-"""Which voxels of a scene are solid: how they are found and how they are edited."""
+"""Finds and edits the solid voxels of a scene."""
 
 import math
 import os
@@ -25,29 +25,29 @@ if TYPE_CHECKING:
     from splatrl.scenes.scene import Scene
 
 HEADERS = 4096
-"""Bytes of an occupancy's arrays besides its bits, at most."""
+"""Maximum bytes of an occupancy's arrays besides its bits."""
 
 
 @dataclass(frozen=True, eq=False)
 class Occupancy(Voxels):
-    """Solid voxels in the world frame, with the ways to find and to edit them; everything outside the grid is free.
+    """Solid voxels in the world frame, and the methods that find and edit them; everything outside the grid is free.
 
-    See ``Voxels`` for the attributes. An occupancy never changes: editing one returns another.
+    See ``Voxels`` for the attributes. An occupancy is immutable: editing one returns another.
     """
 
     @classmethod
     def empty(cls, resolution: float = 0.05) -> "Occupancy":
-        """A world in which nothing is solid."""
+        """Make an occupancy in which nothing is solid."""
         return cls(np.zeros((0, 0, 0), bool), (0, 0, 0), resolution)
 
     @classmethod
     def from_keys(cls, keys: ArrayLike, resolution: float, max_voxels: int = MAX_VOXELS) -> "Occupancy":
-        """The smallest grid around some solid voxels.
+        """Make the smallest grid around given solid voxels.
 
         Args:
             keys: [M, 3] integers, repeats allowed.
             resolution: edge of a voxel, metres.
-            max_voxels: the largest grid that may be made.
+            max_voxels: maximum number of voxels in the grid.
 
         Raises:
             ValueError: for keys of another shape or dtype, or a grid above ``max_voxels``.
@@ -70,13 +70,13 @@ class Occupancy(Voxels):
         crop: Bounds | None = None,
         max_voxels: int = MAX_VOXELS,
     ) -> "Occupancy":
-        """The voxels that hold at least one point of a cloud.
+        """Make an occupancy of the voxels that hold at least one point of a cloud.
 
         Args:
             points: [N, 3] world, metres.
             resolution: edge of a voxel, metres.
-            crop: lower and upper corner, metres; points outside are left out. None keeps all.
-            max_voxels: the largest grid that may be made.
+            crop: lower and upper corner, metres; points outside are left out. None keeps all points.
+            max_voxels: maximum number of voxels in the grid.
 
         Raises:
             ValueError: for another shape, a non-finite point, or a grid above ``max_voxels``.
@@ -96,13 +96,13 @@ class Occupancy(Voxels):
         resolution: float = 0.05,
         max_voxels: int = MAX_VOXELS,
     ) -> "Occupancy":
-        """The voxels that axis-aligned boxes fill, wholly or in part.
+        """Make an occupancy of the voxels that axis-aligned boxes fill, wholly or in part.
 
         Args:
             lower: [N, 3] lower corners, world, metres.
             upper: [N, 3] upper corners, world, metres, above ``lower``.
             resolution: edge of a voxel, metres.
-            max_voxels: the largest grid that may be made.
+            max_voxels: maximum number of voxels in the grid.
 
         Raises:
             ValueError: for other shapes, non-finite corners, a box without volume, or a grid above ``max_voxels``.
@@ -125,7 +125,7 @@ class Occupancy(Voxels):
         crop: Bounds | None = None,
         max_voxels: int = MAX_VOXELS,
     ) -> "Occupancy":
-        """The voxels that a scene's Gaussians make opaque; see ``solid_voxels`` for the method and the arguments."""
+        """Make an occupancy of the voxels that Gaussians make opaque; see ``solid_voxels`` for method and arguments."""
         return cls.from_pieces([lambda: gaussians], resolution, density, crop, max_voxels)
 
     @classmethod
@@ -137,7 +137,7 @@ class Occupancy(Voxels):
         crop: Bounds | None = None,
         max_voxels: int = MAX_VOXELS,
     ) -> "Occupancy":
-        """The same for a scene that comes in pieces, one of which is in memory at a time."""
+        """Do the same as ``from_gaussians`` for a scene in pieces, of which only one is in memory at a time."""
         solid, origin, floaters = solid_voxels(pieces, resolution, density, crop, max_voxels)
         return cls(solid, origin, resolution, floaters).trimmed()
 
@@ -149,10 +149,10 @@ class Occupancy(Voxels):
         crop: Bounds | None = None,
         max_voxels: int = MAX_VOXELS,
     ) -> "Occupancy":
-        """``from_points`` of a point cloud file, whose coordinates are world metres.
+        """Apply ``from_points`` to a point cloud file whose coordinates are world metres.
 
         Raises:
-            FileNotFoundError: where there is no such file.
+            FileNotFoundError: if there is no such file.
             ValueError: for a damaged file, one without a point inside the crop, or a grid above ``max_voxels``.
         """
         points = read_points(path)
@@ -177,23 +177,23 @@ class Occupancy(Voxels):
         clear: Sequence[Bounds] = (),
         add: Sequence[Bounds] = (),
     ) -> "Occupancy":
-        """What is solid in a scene, edited and filled, kept in the scene's cache until an argument changes.
+        """Find what is solid in a scene, edit and fill it, and keep it in the scene's cache until an argument changes.
 
         Args:
             scene: holds ``gaussians`` in the world frame, ``bounds`` and a cache.
-            seeds: [N, 3] places that robots reach, for ``fill``.
-            around: lower and upper corner of where robots are, for ``fill``.
+            seeds: [N, 3] places that robots can reach, world, metres, for ``fill``.
+            around: lower and upper corner of the region where robots are, metres, for ``fill``.
             resolution: edge of a voxel, metres.
             density: which Gaussians are solid; unused with a cloud.
             crop: lower and upper corner of the grid, metres. None takes the scene's bounds, widened on all sides by a
-                tenth of their longest one.
-            max_voxels: the largest grid that may be made.
-            cloud: a point cloud file, PLY or PCD, in world metres: a scan of the place, by laser or by depth camera,
-                whose points say what is solid in place of the Gaussians. None takes the Gaussians.
-            fill: widest opening, metres, that counts as closed when what lies behind it is made solid: see ``solid``.
-                None leaves hollow things hollow.
-            clear: boxes, as lower and upper corner, in which nothing is solid.
-            add: boxes that are solid, even inside one of ``clear``.
+                tenth of their longest side.
+            max_voxels: maximum number of voxels in the grid.
+            cloud: a point cloud file, PLY or PCD, in world metres: a laser or depth-camera scan of the place, whose
+                points determine what is solid in place of the Gaussians. None takes the Gaussians.
+            fill: widest opening that counts as closed when what lies behind it is made solid, metres; see ``solid``.
+                None leaves hollow objects hollow.
+            clear: boxes, each a lower and an upper corner, metres, in which nothing is solid.
+            add: boxes that are solid, even inside a box of ``clear``.
         """
         within = _widened(scene.bounds) if crop is None else crop
         cleared, added = _boxes("clear", clear), _boxes("add", add)
@@ -225,17 +225,17 @@ class Occupancy(Voxels):
 
     @cached_property
     def digest(self) -> str:
-        """Fingerprint of what is solid, and where."""
+        """Fingerprint of the solid voxels and their positions."""
         frame = [*map(int, (*self.occupied.shape, *self.origin_key)), float(self.resolution)]
         digest = blake2b(repr(frame).encode(), digest_size=16)
         digest.update(np.packbits(self.occupied).tobytes())
         return digest.hexdigest()
 
     def __or__(self, other: "Occupancy") -> "Occupancy":
-        """What is solid in either of two grids of one resolution.
+        """Return the union of the solid voxels of two grids of the same resolution.
 
         Raises:
-            ValueError: for grids of two resolutions, or so far apart that the grid around both is too large.
+            ValueError: for grids of different resolutions, or so far apart that the grid around both is too large.
         """
         if not math.isclose(self.resolution, other.resolution, rel_tol=1e-9):
             raise ValueError(f"|: expected two grids of one resolution, got {self.resolution} and {other.resolution} m")
@@ -252,11 +252,11 @@ class Occupancy(Voxels):
         return Occupancy(occupied, tuple(first.tolist()), self.resolution, floaters, filled)
 
     def with_boxes(self, lower: Tensor | ArrayLike, upper: Tensor | ArrayLike) -> "Occupancy":
-        """The same with boxes [N, 3] (lower and upper corners, metres) made solid: the union with ``from_boxes``."""
+        """Return a copy in which boxes, given by corners [N, 3] in metres, are solid: the union with ``from_boxes``."""
         return self | Occupancy.from_boxes(lower, upper, self.resolution)
 
     def without(self, free: Voxels) -> "Occupancy":
-        """The same without the voxels that lie, centre and corners, in those of another grid."""
+        """Return a copy without the voxels whose centre and corners all lie in occupied voxels of another grid."""
         solid = self.keys()
         open_ = np.ones(len(solid), bool)
         for corner in np.concatenate([[[0.5] * 3], np.stack(np.meshgrid(*[[0.01, 0.99]] * 3), -1).reshape(-1, 3)]):
@@ -266,7 +266,7 @@ class Occupancy(Voxels):
         return replace(self, occupied=occupied)
 
     def carved(self, lower: Tensor | ArrayLike, upper: Tensor | ArrayLike) -> "Occupancy":
-        """The same without the voxels that boxes [N, 3] (lower and upper corners, metres) cover, wholly or in part."""
+        """Return a copy without the voxels that boxes, given by corners [N, 3] in metres, cover wholly or in part."""
         occupied = self.occupied.copy()
         for first, end in zip(*box_keys(lower, upper, self.resolution), strict=True):
             x, y, z = np.clip([first - self.origin_key, end - self.origin_key], 0, occupied.shape).T
@@ -276,9 +276,9 @@ class Occupancy(Voxels):
     def solid(
         self, opening: float, seeds: Tensor | ArrayLike | None = None, around: Bounds | None = None
     ) -> "Occupancy":
-        """The same, with everything that cannot be reached made solid; see ``unreached_voxels``.
+        """Return a copy in which everything that cannot be reached is solid; see ``unreached_voxels``.
 
-        Where nothing is free near the seeds, nothing changes and a warning is given.
+        If nothing is free near the seeds, nothing changes and a warning is issued.
         """
         found = unreached_voxels(self.occupied, self.origin_key, self.resolution, opening, seeds, around)
         if found is None:
@@ -291,7 +291,7 @@ class Occupancy(Voxels):
         return filled.trimmed()
 
     def trimmed(self) -> "Occupancy":
-        """The same solid voxels in the smallest grid that holds them."""
+        """Return the same solid voxels in the smallest grid that holds them."""
         if not self.occupied.any():
             return replace(Occupancy.empty(self.resolution), floaters=self.floaters, filled=self.filled)
         (box,) = ndimage.find_objects(self.occupied.view(np.int8))
@@ -304,18 +304,18 @@ def _window(start: NDArray[np.int64], shape: tuple[int, ...]) -> tuple[slice, ..
 
 
 def _widened(bounds: Bounds) -> Bounds:
-    lower, upper = np.array(bounds, np.float64)  # may be flat, as the scene may
+    lower, upper = np.array(bounds, np.float64)  # a flat scene has flat bounds
     margin = 0.1 * (upper - lower).max()
     return (lower - margin).tolist(), (upper + margin).tolist()
 
 
 def _boxes(name: str, boxes: Sequence[Bounds]) -> NDArray[np.float64]:
-    """Lower and upper corners: [N, 2, 3]."""
+    """Check boxes and stack their lower and upper corners: [N, 2, 3]."""
     return np.array([checked_box(name, box) for box in boxes]).reshape(-1, 2, 3)
 
 
 def _flood(opening: float, seeds: Tensor | ArrayLike | None, around: Bounds | None) -> dict[str, Any]:
-    """The arguments of ``solid``, checked."""
+    """Check and return the arguments of ``solid``."""
     return {
         "opening": opening,
         "seeds": None if seeds is None else checked_points("seeds", seeds),
@@ -324,5 +324,5 @@ def _flood(opening: float, seeds: Tensor | ArrayLike | None, around: Bounds | No
 
 
 def _written(value: Any) -> Any:
-    """A value for JSON: an array, which may have a row for every state of a robot, by its digest."""
+    """Represent a value in JSON: an array, which may have a row for every state of a robot, by its digest."""
     return blake2b(value.tobytes(), digest_size=16).hexdigest() if isinstance(value, np.ndarray) else value

@@ -1,4 +1,4 @@
-"""The octree of an occupancy, as the stream that OctoMap keeps in its binary files (Hornung et al. 2013)."""
+"""Encodes an occupancy as an octree, in the stream format of OctoMap's binary files (Hornung et al. 2013)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,25 +10,25 @@ DEPTH = 16
 
 _OFFSET = 2 ** (DEPTH - 1)
 _LEAF, _INNER = 2, 3
-"""Codes of a solid leaf and of a child that has children; 0 is unknown, 1 a free leaf, and neither is needed here."""
+"""Codes of a solid leaf and of an inner child. Code 0 is unknown and 1 a free leaf; neither is needed here."""
 
 
 def encode_octree(occupancy: Occupancy) -> NDArray[np.int8]:
     """Encode solid voxels as an OctoMap ``.bt`` stream without its header.
 
-    Every inner node is one little-endian uint16 of eight 2-bit codes, child i in bits 2i and 2i + 1, where bit 0 of i
-    is x, bit 1 y and bit 2 z. Nodes come depth first, parents before children. A node whose eight children are all
-    solid is one solid leaf.
+    Every inner node is one little-endian uint16 of eight 2-bit codes: child i in bits 2i and 2i + 1, where bit 0 of i
+    is x, bit 1 y and bit 2 z. Nodes are ordered depth first, parents before children. A node whose eight children are
+    all solid becomes one solid leaf.
 
     Args:
-        occupancy: what is solid; its keys within ±32768.
+        occupancy: the solid voxels, with keys within ±32768.
 
     Returns:
-        [2 · nodes] int8, which is what ``fcl.OcTree`` takes where C's ``char`` has a sign; no bytes at all for an empty
+        [2 · nodes] int8, which is what ``fcl.OcTree`` takes where C's ``char`` is signed; no bytes at all for an empty
         occupancy.
 
     Raises:
-        ValueError: for a voxel beyond what the octree's keys reach.
+        ValueError: for a voxel outside the range of the octree's keys.
     """
     keys = occupancy.keys() + _OFFSET
     outside = ((keys < 0) | (keys >= 2**DEPTH)).any(1)
@@ -40,7 +40,7 @@ def encode_octree(occupancy: Occupancy) -> NDArray[np.int8]:
         )
     nodes = np.sort(_morton(keys.astype(np.uint64)))
     full = np.ones(len(nodes), bool)
-    places, words = [], []  # of the inner nodes of each depth
+    places, words = [], []  # positions and codes of the inner nodes, one array per depth
     for depth in range(DEPTH - 1, -1, -1):
         if len(nodes) == 0:
             break

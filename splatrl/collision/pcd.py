@@ -1,4 +1,4 @@
-"""PCD, the point cloud format of the Point Cloud Library, version 0.7 and earlier."""
+"""Reads PCD, the point cloud format of the Point Cloud Library, version 0.7 and earlier."""
 
 import io
 import math
@@ -18,17 +18,17 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class PcdHeader:
-    """How the rows are written.
+    """The layout of a PCD file's rows.
 
     Attributes:
         data: ``ascii`` or ``binary``.
-        count: rows.
+        count: number of rows.
         kinds: NumPy types of x, y and z.
-        columns: positions of x, y and z among a row's values.
-        offsets: positions of x, y and z among a row's bytes.
+        columns: indices of x, y and z among a row's values.
+        offsets: byte offsets of x, y and z in a row.
         width: values per row.
         stride: bytes per row.
-        size: bytes of the header.
+        size: length of the header, bytes.
     """
 
     data: str
@@ -42,7 +42,7 @@ class PcdHeader:
 
 
 def read_pcd(path: Path) -> NDArray[np.float64]:
-    """Read x, y and z of the points: [N, 3].
+    """Read the x, y and z of all points: [N, 3].
 
     Raises:
         ValueError: for a damaged file, one without x, y and z, or a compressed one.
@@ -50,7 +50,7 @@ def read_pcd(path: Path) -> NDArray[np.float64]:
     header = _read_header(path)
     held = path.stat().st_size - header.size
     least = header.count * (header.stride if header.data == "binary" else header.width)
-    if held < least:  # an ASCII value takes a byte or more
+    if held < least:  # an ASCII value takes at least one byte
         raise ValueError(f"{path}: expected {least} bytes or more after the header, got {held}")
     if header.count == 0:
         return np.zeros((0, 3))

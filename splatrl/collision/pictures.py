@@ -1,4 +1,4 @@
-"""Pictures of an occupancy: from above, and as blocks seen from a corner."""
+"""Draws pictures of an occupancy: maps from above, and blocks seen from a corner."""
 
 import math
 from pathlib import Path
@@ -17,27 +17,27 @@ from splatrl.files import replacing
 SOLID, FREE, NOTHING = "#3b4252", "#cfe8d5", "#f4f4f4"
 COLORS = "viridis"
 LIGHT = {"top": 1.0, "x": 0.78, "y": 0.58}
-"""Brightness of the faces that look up, along −x and along −y."""
+"""Brightness of the faces that face up, −x and −y."""
 CUBE = {"top": [(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)], "x": [(0, 0, 0), (0, 1, 0), (0, 1, 1), (0, 0, 1)]}
 CUBE["y"] = [(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1)]
-"""Corners of these faces of the unit cube."""
+"""Corners of the same faces of the unit cube."""
 
 
 def draw_maps(voxels: Voxels, path: Path, low: float, high: float) -> None:
-    """Draw a height map and, beside it, where a body between two heights is free, as PNG.
+    """Draw a height map and, beside it, a map of where a body between two heights is free, as a PNG.
 
     The height map shows, for each column, the top of the highest solid voxel below ``high`` + 1 m, so that a ceiling
-    hides nothing. On the right a column is dark where something is solid between ``low`` and ``high``, green where
-    nothing is but something lies below, and pale where nothing lies below either.
+    hides nothing. In the map on the right, a column is dark where something is solid between ``low`` and ``high``,
+    green where nothing is but something solid lies below, and pale where nothing solid lies below either.
 
     Args:
-        voxels: what is solid; may be empty.
-        path: where to; ends in .png.
+        voxels: the solid voxels; may be empty.
+        path: file to write, which ends in .png.
         low: lower end of the body, metres.
-        high: upper end, metres.
+        high: upper end of the body, metres.
 
     Raises:
-        ValueError: where ``low`` is not below ``high``.
+        ValueError: if ``low`` is not below ``high``.
     """
     if not low < high:
         raise ValueError(f"low: expected metres below high, got {low} and {high}")
@@ -70,17 +70,17 @@ def draw_maps(voxels: Voxels, path: Path, low: float, high: float) -> None:
 def draw_blocks(
     voxels: Voxels, path: Path, below: float | None = None, quarter_turns: int = 0, size: int = 900
 ) -> None:
-    """Draw the solid voxels as blocks seen from above a corner, coloured by height, as PNG.
+    """Draw the solid voxels as blocks seen from above a corner, coloured by height, as a PNG.
 
-    The view is isometric, from the corner of the lowest x and y. Only faces towards the eye are drawn, back to front.
+    The view is isometric, from the corner of lowest x and y. Only faces towards the viewer are drawn, back to front.
 
     Args:
-        voxels: what is solid; may be empty.
-        path: where to; ends in .png.
+        voxels: the solid voxels; may be empty.
+        path: file to write, which ends in .png.
         below: height at which the scene is cut open, metres; None cuts nothing.
-        quarter_turns: counter-clockwise, of the scene before it is drawn: 1 looks from the highest y, 2 from the
-            highest x and y, 3 from the highest x.
-        size: of the longer side of the picture, pixels.
+        quarter_turns: counter-clockwise quarter turns of the scene before it is drawn: 1 looks from the highest y, 2
+            from the highest x and y, 3 from the highest x.
+        size: length of the picture's longer side, pixels.
     """
     occupied = voxels.occupied
     if below is not None:
@@ -88,7 +88,7 @@ def draw_blocks(
     occupied = np.rot90(occupied, quarter_turns)
     shape = np.array(occupied.shape)
     across, up = math.cos(math.radians(30.0)), math.sin(math.radians(30.0))
-    project = np.array([[across, -across, 0.0], [-up, -up, -1.0]])  # of a step along x, y and z: right, down
+    project = np.array([[across, -across, 0.0], [-up, -up, -1.0]])  # a step along x, y and z, as right and down
     corners = np.stack(np.meshgrid(*[(0, extent) for extent in shape], indexing="ij"), -1).reshape(-1, 3) @ project.T
     first, last = corners.min(0), corners.max(0)
     scale = 2 * (size - 40) / max(*(last - first), 1.0)
@@ -104,12 +104,12 @@ def draw_blocks(
 
 
 def _layer(voxels: Voxels, z: float) -> int:
-    """Index of the layer that holds a height, clamped to the grid and the first layer above it."""
+    """Return the index of the layer that holds a height, clamped to the grid and the first layer above it."""
     return min(max(math.floor(z / voxels.resolution + 1e-6) - voxels.origin_key[2], 0), voxels.occupied.shape[2])
 
 
 def _heights(voxels: Voxels, ceiling: int) -> NDArray[np.float64]:
-    """Top of the highest solid voxel of each column below a layer, metres: [X, Y], NaN where there is none."""
+    """Return the top of each column's highest solid voxel below a layer, metres: [X, Y], NaN where there is none."""
     column = voxels.occupied[:, :, :ceiling]
     if column.size == 0:
         return np.full(column.shape[:2], np.nan)
@@ -118,7 +118,7 @@ def _heights(voxels: Voxels, ceiling: int) -> NDArray[np.float64]:
 
 
 def _faces(occupied: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8]]:
-    """The faces that can be seen, farthest first: cells [M, 3], corners [M, 4, 3] beside them, colours [M, 3]."""
+    """Return the visible faces, farthest first: cells [M, 3], corners relative to them [M, 4, 3], colours [M, 3]."""
     padded = np.pad(occupied, 1)
     beside = {"top": padded[1:-1, 1:-1, 2:], "x": padded[:-2, 1:-1, 1:-1], "y": padded[1:-1, :-2, 1:-1]}
     ramp = 255 * colormaps[COLORS](np.linspace(0.0, 1.0, max(occupied.shape[2], 1)))[:, :3]

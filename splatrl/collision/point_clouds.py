@@ -1,4 +1,4 @@
-"""Points from point cloud files: PLY and PCD."""
+"""Reads points from point cloud files, PLY and PCD, and writes PLY."""
 
 import os
 from collections.abc import Callable
@@ -20,18 +20,18 @@ AXES = ("x", "y", "z")
 def read_points(path: str | os.PathLike[str]) -> NDArray[np.float64]:
     """Read the points of a cloud, in the file's own frame and unit.
 
-    Points with a coordinate that is not finite are left out: scanners write them where nothing came back.
+    Points with a non-finite coordinate are left out: scanners write them where no signal came back.
 
     Args:
-        path: a .ply file whose vertices have x, y and z (a mesh's, or a splat's centres), or a .pcd file, ASCII or
-            binary.
+        path: a .ply file whose vertices have x, y and z (those of a mesh, or the centres of a splat), or a .pcd file,
+            ASCII or binary.
 
     Returns:
         [N, 3], N ≥ 1.
 
     Raises:
-        FileNotFoundError: where there is no such file.
-        ValueError: for a file that is not what its ending says, is damaged, or holds no point.
+        FileNotFoundError: if there is no such file.
+        ValueError: for a file that does not match its extension, is damaged, or holds no point.
     """
     path = _checked_path(path)
     with refusing(path, "a whole point cloud"):
@@ -43,10 +43,10 @@ def read_points(path: str | os.PathLike[str]) -> NDArray[np.float64]:
 
 
 def file_digest(path: str | os.PathLike[str]) -> str:
-    """Fingerprint of a point cloud file's content, to tell whether what was made from it is still valid.
+    """Return a fingerprint of a point cloud file's content, to tell whether data made from it is still valid.
 
     Raises:
-        FileNotFoundError: where there is no such file.
+        FileNotFoundError: if there is no such file.
         ValueError: for a path without the extension of a point cloud.
     """
     digest = blake2b(digest_size=16)
@@ -92,4 +92,4 @@ def _read_ply(path: Path) -> NDArray[np.float64]:
 
 
 READERS: dict[str, Callable[[Path], NDArray[np.float64]]] = {".ply": _read_ply, ".pcd": read_pcd}
-"""File ending → reader. A reader takes the path of an existing file."""
+"""Maps a file extension to its reader, which takes the path of an existing file."""

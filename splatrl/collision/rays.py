@@ -1,4 +1,4 @@
-"""Rays against voxels: how far each beam of a lidar reaches."""
+"""Casts rays against voxels: the ranges of a lidar's beams."""
 
 import math
 
@@ -13,13 +13,13 @@ from splatrl.collision.voxels import Voxels
 
 MOST_ROOM = 255
 _PAIRS = 2**20
-"""Pairs of a ray and a voxel that are tested at once by formula."""
+"""Ray–voxel pairs that ``ranges_by_formula`` tests at once; bounds memory."""
 
 
 def room_around(voxels: Voxels) -> NDArray[np.uint8]:
-    """Steps along axes and diagonals to the nearest solid voxel: [Z, X, Y], at most 255, 0 where it is solid.
+    """Return the chessboard (Chebyshev) distance to the nearest solid voxel, in voxels: [Z, X, Y] uint8, at most 255.
 
-    Around a voxel with room r, a cube with r - 1 voxels to each side is empty.
+    It is 0 in solid voxels. Around a voxel with room r, a cube with r - 1 voxels to each side is empty.
     """
     if voxels.count == 0:
         return np.zeros((0, 0, 0), np.uint8)
@@ -37,7 +37,7 @@ def check_beams(beams: Tensor) -> None:
     """Refuse beams that are not unit vectors.
 
     Raises:
-        ValueError: names the argument, what was expected and what came.
+        ValueError: names the argument, what was expected and what was given.
     """
     if beams.ndim != 2 or beams.shape[1] != 3:
         raise ValueError(f"beams: expected shape [R, 3], got {list(beams.shape)}")
@@ -49,16 +49,16 @@ def check_beams(beams: Tensor) -> None:
 
 
 def ranges_by_formula(voxels: Voxels, body_to_world: Tensor, beams: Tensor, reach: float) -> Tensor:
-    """``Checker.ranges`` as the least distance at which a ray enters any solid voxel's box, all of them tried.
+    """Compute ``Checker.ranges`` by brute force: the least distance at which a ray enters any solid voxel's box.
 
-    The readable twin of the native ray caster. A ray that only grazes a box, at an edge or along a face, is decided by
-    rounding; the native one, for which a point on a face belongs to the voxel above, may decide otherwise.
+    This is the readable reference for the native ray caster. For a ray that only grazes a box, at an edge or along a
+    face, rounding decides; the native caster, for which a point on a face belongs to the voxel above, may differ.
 
     Args:
-        voxels: what is solid.
+        voxels: the solid voxels.
         body_to_world: [B, 4, 4], metres.
         beams: [R, 3] unit vectors, body frame.
-        reach: metres.
+        reach: maximum range, metres.
 
     Returns:
         [B, R] float32, metres.
@@ -80,7 +80,11 @@ def ranges_by_formula(voxels: Voxels, body_to_world: Tensor, beams: Tensor, reac
 
 
 def _box_spans(start: Tensor, way: Tensor, lower: Tensor, edge: float) -> tuple[Tensor, Tensor]:
-    """Where rays [N, 3] enter and leave cubes at [M, 3]: two of [N, M], the first beyond the second where they miss."""
+    """Intersect rays [N, 3] with cubes whose lower corners are [M, 3].
+
+    Returns:
+        Distances at which each ray enters and leaves each cube: [N, M] each, the first beyond the second for a miss.
+    """
     one = (lower - start[:, None]) / way[:, None]
     other = (lower + edge - start[:, None]) / way[:, None]
     along = (way[:, None] == 0.0) & (start[:, None] >= lower) & (start[:, None] < lower + edge)

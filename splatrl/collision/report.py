@@ -5,17 +5,17 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class OccupancyReport:
-    """What is in a grid.
+    """Counts and volumes of the voxels in a grid.
 
     Attributes:
         resolution: edge of a voxel, metres.
-        shape: voxels of the grid along x, y and z.
-        occupied: solid voxels.
-        components: 26-connected pieces that they form.
-        occupied_volume: of the solid voxels, cubic metres.
-        free_volume: of the grid's other voxels, cubic metres.
-        floaters: voxels that were dropped as pieces too small to be real.
-        filled: voxels that are solid because nothing can reach them.
+        shape: number of voxels along x, y and z.
+        occupied: number of solid voxels.
+        components: number of 26-connected components that they form.
+        occupied_volume: volume of the solid voxels, cubic metres.
+        free_volume: volume of the grid's other voxels, cubic metres.
+        floaters: number of voxels dropped because their component was too small to be real.
+        filled: number of voxels made solid because nothing can reach them.
     """
 
     resolution: float

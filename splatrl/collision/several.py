@@ -1,4 +1,4 @@
-"""One body in several scenes: each row of a batch asks the checker of its own."""
+"""One body in several scenes: each row of a batch is answered by the checker of its own scene."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -16,15 +16,15 @@ from splatrl.native import _core
 class SeveralCheckers:
     """The checkers of one body in several scenes.
 
-    Answers are byte for byte those of the row's own checker. Those of ``NativeChecker`` come from one call for a batch
-    of rows in any scenes; of other checkers on a CPU each is asked once for its rows, and on a GPU, where counting rows
-    would synchronise, for all.
+    Answers are byte for byte those of the row's own checker. With ``NativeChecker``, one call answers a batch of rows
+    in any scenes. Other checkers are each called once: on a CPU for the rows of their scene, and on a GPU, where
+    counting rows would synchronise, for all rows.
 
     Args:
-        checkers: one for each scene, of one kind and one body.
+        checkers: one checker for each scene, all of one kind and for one body.
 
     Raises:
-        ValueError: for none, or different bodies.
+        ValueError: for no checkers, or different bodies.
     """
 
     def __init__(self, checkers: Sequence[Checker]):
@@ -35,14 +35,14 @@ class SeveralCheckers:
 
     @property
     def body(self) -> Body:
-        """What is tested."""
+        """The body under test."""
         return self.checkers[0].body
 
     def at(self, scene: Tensor) -> Checker:
-        """The checker of rows in some scenes.
+        """Return a checker for a batch whose rows lie in given scenes.
 
         Args:
-            scene: [B] int64, which of the checkers each row of a batch asks.
+            scene: [B] int64, index of the checker that answers each row.
         """
         if self._native is not None:
             return _NativeRows(self._native, self.checkers, scene, self._threads)
@@ -53,7 +53,7 @@ class SeveralCheckers:
         return max(checker.threads for checker in self.checkers if isinstance(checker, NativeChecker))
 
     def raise_faults(self) -> None:
-        """Raise what any of them refused since the last call; see ``Faulty``."""
+        """Raise the faults that any of the checkers recorded since the last call; see ``Faulty``."""
         for checker in self.checkers:
             if isinstance(checker, Faulty):
                 checker.raise_faults()
@@ -63,25 +63,25 @@ class SeveralCheckers:
 
 
 def _natively(checkers: Sequence[Checker]) -> _core.Colliders | None:
-    """Their grids for one call, if all of them are native; the checkers must outlive it."""
+    """Join the checkers' grids for one call, if all are native, else return None; the checkers must outlive it."""
     native = [checker for checker in checkers if isinstance(checker, NativeChecker)]
     return _core.Colliders([checker.collider for checker in native]) if len(native) == len(checkers) else None
 
 
 class _NativeRows(NativeQueries):
-    """Queries in C++, each row in the grid of its scene; ``NativeQueries`` has them."""
+    """Answers the queries of ``NativeQueries`` in C++, each row in the grid of its scene."""
 
     def __init__(self, colliders: _core.Colliders, checkers: Sequence[Checker], scene: Tensor, threads: int):
         self.body, self.threads = checkers[0].body, threads
         self.core, self._rows = _InScenes(colliders, scene), _Rows(checkers, scene)
 
     def ranges(self, body_to_world: Tensor, beams: Tensor, reach: float) -> Tensor:
-        """How far beams reach, one call for each scene; see ``Checker.ranges``."""
+        """Cast beams, with one call for each scene; see ``Checker.ranges``."""
         return self._rows.ranges(body_to_world, beams, reach)
 
 
 class _InScenes:
-    """The queries of several grids, with the arguments of those of one."""
+    """Queries to several grids, with the same arguments as queries to one."""
 
     def __init__(self, colliders: _core.Colliders, scene: Tensor):
         self._colliders, self._scene = colliders, scene.to("cpu", torch.int64).contiguous()
@@ -99,14 +99,14 @@ class _InScenes:
         return self._colliders.clearance(self._scenes(count), points, out, count, threads)
 
     def _scenes(self, count: int) -> int:
-        """Address of the scene of each row."""
+        """Return the address of the rows' scene indices."""
         if len(self._scene) != count:
             raise ValueError(f"scene: expected one for each of {count} rows, got {len(self._scene)}")
         return self._scene.data_ptr()
 
 
 class _Rows:
-    """Each row answered by the checker of its scene."""
+    """Answers each row with the checker of its scene."""
 
     def __init__(self, checkers: Sequence[Checker], scene: Tensor):
         self._checkers, self._scene = checkers, scene

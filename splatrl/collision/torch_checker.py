@@ -1,4 +1,4 @@
-"""Collision in plain torch: slow, readable, exact, on any device with float64; the twin of ``NativeChecker``."""
+"""Collision checking in plain torch on any device with float64: a slow, readable, exact twin of ``NativeChecker``."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -14,19 +14,19 @@ from splatrl.collision.voxel_grid import checked_points
 from splatrl.geometry import quats_to_rotations, rotations_to_quats
 
 _SLACK = 1e-9
-"""Metres: a gap as small as the rounding of float64 counts as a touch."""
+"""Largest gap that counts as a touch, metres: about the rounding error of float64."""
 _PARALLEL = 1e-7
-"""Sine of the angle below which two edges span no face."""
+"""Sine of the angle below which two edges count as parallel and span no face."""
 _TURN = 0.2
-"""In voxels: the farthest that a point of a turning body travels within a part of a move."""
+"""Maximum distance that a point of a turning body travels within one part of a move, in voxels."""
 _HALVINGS = 20
 """Bisections that locate a first contact within a part of a move."""
 _PAIRS = 2**16
-"""Pairs of a body and a voxel tested at once; each takes less than two kilobytes."""
+"""Body–voxel pairs tested at once; each takes less than two kilobytes."""
 
 
 class Solid(NamedTuple):
-    """Points within ``radius`` of a zonotope, centre + Σ s_i · edges_i with s_i in [-1, 1]."""
+    """All points within ``radius`` of a zonotope, centre + Σ s_i · edges_i with s_i in [-1, 1]."""
 
     center: Tensor  # [N, 3] float64, world, metres
     edges: Tensor  # [N, E, 3] half edges
@@ -36,23 +36,24 @@ class Solid(NamedTuple):
         return Solid(*(values[rows] for values in self))
 
     def swept(self, way: Tensor) -> "Solid":
-        """The solid that it sweeps along ways [N, 3], both ends included."""
+        """Return the solid that this one sweeps along displacements [N, 3], both ends included."""
         return Solid(self.center + 0.5 * way, torch.cat([self.edges, 0.5 * way[:, None]], 1), self.radius)
 
 
 class TorchChecker:
     """Tests a box, a sphere or a capsule against the voxels around it, by formula and in float64.
 
-    A box is tested on all separating axes (Gottschalk et al. 1996): 15, or 21 for what it sweeps at a fixed
-    orientation. For a sphere, a capsule and what they sweep (a point, a segment, a parallelogram, grown by the radius)
-    the distance to the voxel's box is computed. All of this is exact; a touch counts as a hit, and what lies outside
-    the grid is free. A move that turns is cut into parts in which no point travels more than a fifth of a voxel; in
-    each, the body keeps the orientation of the middle and is grown by the most that the turn moves its points off, at
-    most a tenth of a voxel. So it never misses a hit, but may report one where the body passes closer than that.
+    A box is tested on all separating axes (Gottschalk et al. 1996): 15, or 21 for the solid that it sweeps at a fixed
+    orientation. For a sphere, a capsule and the solids that they sweep (a point, a segment or a parallelogram, grown by
+    the radius), the distance to the voxel's box is computed. All of this is exact; a touch counts as a hit, and
+    everything outside the grid is free. A move that turns is cut into parts in which no point travels more than a fifth
+    of a voxel; in each, the body keeps the orientation at the middle of the part and is grown by the largest
+    displacement that this causes, at most a tenth of a voxel. So the test never misses a hit, but may report one where
+    the body passes closer than that.
 
     Attributes:
-        occupancy: what is solid.
-        body: what is tested, in the body frame.
+        occupancy: the solid voxels.
+        body: the body under test, in the body frame.
     """
 
     def __init__(self, occupancy: Occupancy, body: Body) -> None:
@@ -60,20 +61,20 @@ class TorchChecker:
         self.body = body
 
     def collides(self, body_to_world: Tensor) -> Tensor:
-        """Whether the body touches a solid voxel: see ``Checker.collides``."""
+        """Return whether the body touches a solid voxel at each pose; see ``Checker.collides``."""
         poses = checked_poses("body_to_world", body_to_world).to(body_to_world.device)
         return self._touched(_solid(self.body, poses[:, :3, :3], poses[:, :3, 3], torch.zeros_like(poses[:, 0, 0])))
 
     def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
-        """The free share of each move: see ``Checker.free_fraction``.
+        """Return the free fraction of each move; see ``Checker.free_fraction``.
 
         It falls short of the first contact by less than 2⁻²⁰ of a part of the move, and never goes beyond it.
         """
         steps, row, part, solid, way = self._parts(start, end)
         hit = self._touched(solid.swept(way)).nonzero()[:, 0]
         first = torch.full_like(steps, len(row)).scatter_reduce(0, row[hit], hit, "amin")
-        moves = (first < len(row)).nonzero()[:, 0]  # that hit something, each in its first part that does
-        first = first[moves]
+        moves = (first < len(row)).nonzero()[:, 0]  # moves that hit something
+        first = first[moves]  # the first part of each that hits
         solid, way = solid.at(first), way[first]
         free = torch.zeros(len(first), dtype=torch.float64, device=way.device)
         width = (~self._touched(solid)).double()  # 0 for a part that starts with a hit
@@ -87,14 +88,14 @@ class TorchChecker:
         return fraction
 
     def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
-        """Whether anything is hit on the way, ends included: [B] bool."""
+        """Return whether each move hits anything, ends included: [B] bool."""
         steps, row, _, solid, way = self._parts(start, end)
         hits = torch.zeros(len(steps), dtype=torch.bool, device=way.device)
         hits[row[self._touched(solid.swept(way))]] = True
         return hits
 
     def clearance(self, points: Tensor) -> Tensor:
-        """The distance itself, not only a bound on it, from points to the nearest solid voxel: [B] float32 metres."""
+        """Return the exact distance, not only a bound, from points to the nearest solid voxel: [B] float32 metres."""
         places = torch.from_numpy(checked_points("points", points)).to(points.device)
         centers = (torch.from_numpy(self.occupancy.keys()).to(places) + 0.5) * self.occupancy.resolution
         nearest = torch.full((len(places),), torch.inf, dtype=torch.float64, device=places.device)
@@ -107,15 +108,15 @@ class TorchChecker:
         return torch.where(metres > nearest, metres.nextafter(torch.zeros_like(metres)), metres)
 
     def ranges(self, body_to_world: Tensor, beams: Tensor, reach: float) -> Tensor:
-        """How far beams reach, every solid voxel tried: see ``ranges_by_formula``."""
+        """Cast beams by testing every solid voxel; see ``ranges_by_formula``."""
         return ranges_by_formula(self.occupancy, body_to_world, beams, reach)
 
     def _parts(self, start: Tensor, end: Tensor) -> tuple[Tensor, Tensor, Tensor, Solid, Tensor]:
         """Cut moves [B] into P parts.
 
         Returns:
-            How many parts each move has [B]; for each part its move [P], its number in the move [P], the grown body at
-            its start in its middle orientation, and how far it moves [P, 3].
+            The number of parts of each move [B]; and for each part its move [P], its index within the move [P], the
+            grown body at the part's start with its middle orientation, and the part's displacement [P, 3].
         """
         starts, ends = checked_poses("start", start), checked_poses("end", end)
         arm, longest = _arm(self.body), _TURN * self.occupancy.resolution
@@ -130,7 +131,7 @@ class TorchChecker:
         last = torch.where((first * last).sum(1, keepdim=True) < 0, -last, last)
         total = first + last
         middle = torch.where(turns[row, None, None], quats_to_rotations(total), before[:, :3, :3])
-        # with θ the angle between the quaternions, the turn is 2θ, and half of it moves a point by 2 sin(θ/2) arm
+        # with θ the angle between the quaternions, the rotation is 2θ; half of it moves a point by 2 sin(θ/2) · arm
         grown = arm * torch.where(turns[row], (first - last).norm(dim=1), 0.0)
         solid = _solid(self.body, middle, before[:, :3, 3], grown)
         way = (after - before)[:, :3, 3]
@@ -139,7 +140,7 @@ class TorchChecker:
         return steps.to(device), row.to(device), part.to(device), solid, way.to(device)
 
     def _touched(self, solid: Solid) -> Tensor:
-        """Whether each of N solids touches a solid voxel: [N]."""
+        """Return whether each of N solids touches a solid voxel: [N]."""
         half = 0.5 * self.occupancy.resolution
         hits = torch.zeros(len(solid.center), dtype=torch.bool, device=solid.center.device)
         apart = _box_apart if isinstance(self.body, Box) else _round_apart
@@ -148,16 +149,19 @@ class TorchChecker:
         return hits
 
     def _near_voxels(self, solid: Solid) -> Iterator[tuple[Tensor, Tensor]]:
-        """Pairs of a solid and a solid voxel within the box around it: rows [P], and voxel centre less its own [P, 3].
+        """Yield pairs of a solid and a solid voxel within its bounding box.
 
-        The cells of all boxes are numbered in sequence and taken in chunks, so no batch and no move is too large.
+        The cells of all boxes are numbered consecutively and taken in chunks, so no batch and no move is too large.
+
+        Yields:
+            Rows of the solids [P], and voxel centre minus the solid's centre [P, 3].
         """
         device = solid.center.device
         occupied = torch.from_numpy(self.occupancy.occupied).to(device)
         edge = self.occupancy.resolution
         origin = torch.tensor(self.occupancy.origin_key, device=device)
         reach = solid.edges.abs().sum(1) + solid.radius[:, None] + _SLACK
-        low = ((solid.center - reach) / edge).ceil().long() - 1 - origin  # the voxel below a face that is touched too
+        low = ((solid.center - reach) / edge).ceil().long() - 1 - origin  # includes the voxel below a touched face
         high = ((solid.center + reach) / edge).floor().long() - origin
         low, high = low.clamp(min=0), torch.minimum(high, torch.tensor(occupied.shape, device=device) - 1)
         size = (high - low + 1).clamp(min=0)
@@ -174,7 +178,7 @@ class TorchChecker:
 
 
 def _solid(body: Body, rotation: Tensor, center: Tensor, grown: Tensor) -> Solid:
-    """A body at N places, grown by metres [N]; a box by at least that on all sides."""
+    """Place a body at N poses and grow it by metres [N]; a box grows by at least that on all sides."""
     if isinstance(body, Box):
         half = 0.5 * torch.tensor(body.size, dtype=center.dtype, device=center.device)
         return Solid(center, rotation.mT * (half + grown[:, None])[..., None], torch.zeros_like(grown))
@@ -184,27 +188,27 @@ def _solid(body: Body, rotation: Tensor, center: Tensor, grown: Tensor) -> Solid
 
 
 def _arm(body: Body) -> float:
-    """Lever arm: how far from the origin the points are that a turn moves, metres."""
+    """Return the lever arm of a rotation: the farthest distance from the origin of a point that it moves, metres."""
     if isinstance(body, Box):
         return body.radius
     return 0.5 * body.length if isinstance(body, Capsule) else 0.0
 
 
 def _box_apart(solid: Solid, offsets: Tensor, half: float) -> Tensor:
-    """Whether zonotopes without radius are apart from cubes at offsets [P, 3], by separating axes: [P].
+    """Return whether zonotopes without radius are apart from cubes at offsets [P, 3], by separating axes: [P].
 
     Two zonotopes are apart only if they are apart along the common normal of some pair of their edges.
     """
     cube = half * torch.eye(3, dtype=offsets.dtype, device=offsets.device).expand(len(offsets), 3, 3)
     edges = torch.cat([cube, solid.edges], 1)
     one, other = torch.triu_indices(edges.shape[1], edges.shape[1], 1, device=offsets.device)
-    normals = torch.cross(edges[:, one], edges[:, other], dim=2)  # of parallel edges 0, which separates nothing
+    normals = torch.cross(edges[:, one], edges[:, other], dim=2)  # 0 for parallel edges, which never separates
     reach = (normals @ edges.mT).abs().sum(2) + _SLACK * normals.norm(dim=2)
     return ((normals @ offsets[..., None])[..., 0].abs() > reach).any(1)
 
 
 def _round_apart(solid: Solid, offsets: Tensor, half: float) -> Tensor:
-    """Whether points, segments or parallelograms are farther than ``radius`` from cubes at offsets [P, 3]: [P]."""
+    """Return whether points, segments or parallelograms are beyond ``radius`` of cubes at offsets [P, 3]: [P]."""
     match solid.edges.shape[1]:
         case 0:
             distance = _point_distances(offsets, half)
@@ -216,15 +220,15 @@ def _round_apart(solid: Solid, offsets: Tensor, half: float) -> Tensor:
 
 
 def _point_distances(offsets: Tensor, half: float) -> Tensor:
-    """From the origin to cubes at offsets [P, 3]: [P]."""
+    """Return the distance from the origin to cubes at offsets [P, 3]: [P]."""
     return (offsets.abs() - half).clamp(min=0.0).norm(dim=1)
 
 
 def _segment_distances(offsets: Tensor, tip: Tensor, half: float) -> Tensor:
-    """From the segments between -tip and tip [P, 3] to cubes at offsets: [P].
+    """Return the distance from segments between -tip and tip [P, 3] to cubes at offsets: [P].
 
-    The squared distance at s · tip is convex and piecewise quadratic, with breaks where an axis enters or leaves the
-    cube's extent; its derivative is linear between them, and is solved for 0.
+    The squared distance at s · tip is convex and piecewise quadratic in s, with breaks where a coordinate enters or
+    leaves the cube's extent; between breaks its derivative is linear, and is solved for 0.
     """
     faces = torch.stack([offsets - half, offsets + half], 2) / tip[..., None]
     breaks = faces.flatten(1).nan_to_num(1.0, 1.0, -1.0).clamp(-1.0, 1.0)
@@ -240,9 +244,10 @@ def _segment_distances(offsets: Tensor, tip: Tensor, half: float) -> Tensor:
 
 
 def _parallelogram_distances(solid: Solid, offsets: Tensor, half: float) -> Tensor:
-    """From parallelograms of two edges to cubes at offsets [P, 3]: [P].
+    """Return the distance from parallelograms of two edges to cubes at offsets [P, 3]: [P].
 
-    Where they are apart, the nearest points lie on an edge of the parallelogram, or on its face and a cube's corner.
+    If they are apart, the nearest points are either on an edge of the parallelogram, or on its face and at a corner of
+    the cube.
     """
     u, v = solid.edges.unbind(1)
     sides = ((offsets - v, u), (offsets + v, u), (offsets - u, v), (offsets + u, v))

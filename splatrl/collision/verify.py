@@ -1,4 +1,4 @@
-"""Where two collision checkers disagree, and by how little."""
+"""Compares two collision checkers: where they disagree, and by what margin."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ from splatrl.bodies import Body, Box, Capsule
 from splatrl.collision.base import Checker
 
 MARGINS = tuple(1e-7 * 2.0**k for k in range(21))
-"""Metres by which a body is grown or shrunk, up to a decimetre."""
+"""Metres by which a body is grown or shrunk to find the margin of a disagreement, up to a decimetre."""
 _SHOWN = 20
 
 
@@ -20,12 +20,11 @@ class Disagreement:
     """One query that two checkers answer differently.
 
     Attributes:
-        row: of the batch.
-        answer: of the checker.
-        expected: answer of the oracle.
-        margin: metres by which the body must be grown, or shrunk where the oracle says hit, for the oracle to change
-            its mind: the first of ``MARGINS`` at which it does, so less than twice what is needed; infinite if none
-            does.
+        row: row of the batch.
+        answer: the checker's answer, True for a hit.
+        expected: the oracle's answer.
+        margin: metres by which the body must be grown, or shrunk if the oracle says hit, for the oracle's answer to
+            flip: the first of ``MARGINS`` that flips it, so less than twice what is needed; infinite if none does.
     """
 
     row: int
@@ -43,9 +42,9 @@ class Verification:
     """The result of comparing a checker with an oracle.
 
     Attributes:
-        poses: how many poses, or moves, were compared.
-        hits: how many of them the oracle calls hits.
-        disagreements: in the order of the rows.
+        poses: number of poses, or moves, that were compared.
+        hits: number of them that the oracle calls hits.
+        disagreements: the disagreements, in row order.
     """
 
     poses: int
@@ -54,16 +53,16 @@ class Verification:
 
     @property
     def agreed(self) -> int:
-        """How many got the same answer twice."""
+        """Number of queries that both checkers answer the same."""
         return self.poses - len(self.disagreements)
 
     @property
     def missed(self) -> tuple[Disagreement, ...]:
-        """Hits of the oracle that the checker calls free."""
+        """The oracle's hits that the checker calls free."""
         return tuple(one for one in self.disagreements if one.expected)
 
     def beyond(self, margin: float) -> tuple[Disagreement, ...]:
-        """Disagreements with a margin of more than ``margin`` metres."""
+        """Return the disagreements with a margin of more than ``margin`` metres."""
         return tuple(one for one in self.disagreements if one.margin > margin)
 
     def __str__(self) -> str:
@@ -79,22 +78,22 @@ class Verification:
 
 
 def verify(checker: Checker, oracle: Checker, poses: Tensor) -> Verification:
-    """Compare what two checkers say about poses.
+    """Compare two checkers' answers for poses.
 
     Args:
-        checker: the one under test.
-        oracle: the one that is trusted; made anew for other bodies by ``type(oracle)(oracle.occupancy, body)``.
+        checker: the checker under test.
+        oracle: the trusted checker; rebuilt for grown and shrunk bodies by ``type(oracle)(oracle.occupancy, body)``.
         poses: [B, 4, 4] float32 body_to_world, metres.
     """
     return _compared(checker, oracle, poses, lambda one, rows: one.collides(poses[rows]))
 
 
 def verify_sweeps(checker: Checker, oracle: Checker, start: Tensor, end: Tensor) -> Verification:
-    """Compare what two checkers say about moves; see ``verify``.
+    """Compare two checkers' answers for moves; see ``verify``.
 
     Args:
-        checker: the one under test.
-        oracle: the one that is trusted.
+        checker: the checker under test.
+        oracle: the trusted checker.
         start: [B, 4, 4] float32 body_to_world, metres.
         end: [B, 4, 4] float32 body_to_world, metres.
     """
@@ -102,7 +101,7 @@ def verify_sweeps(checker: Checker, oracle: Checker, start: Tensor, end: Tensor)
 
 
 def grown(body: Body, metres: float) -> Body | None:
-    """A body whose surface lies ``metres`` further out, or further in below 0; None where nothing is left of it."""
+    """Return a body whose surface lies ``metres`` further out, or in if negative; None if nothing is left of it."""
     if isinstance(body, Box):
         x, y, z = (extent + 2.0 * metres for extent in body.size)
         return Box((x, y, z)) if min(x, y, z) > 0 else None
@@ -125,7 +124,7 @@ def _compared(
 
 
 def _margins(oracle: Any, rows: Tensor, hits: Tensor, ask: Callable[[Checker, Tensor], Tensor]) -> list[float]:
-    """Metres at which the oracle changes its mind about each row."""
+    """Return the margin at which the oracle's answer for each row flips, metres."""
     found = torch.full((len(rows),), torch.inf, dtype=torch.float64)
     for margin in MARGINS:
         for hit, sign in ((True, -1.0), (False, 1.0)):

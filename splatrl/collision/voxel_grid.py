@@ -1,4 +1,4 @@
-"""Rules that every voxel grid follows: the coordinates that it takes and how large it may become."""
+"""Limits and checks shared by all voxel grids: resolution, coordinates and size."""
 
 from collections.abc import Sequence
 
@@ -7,20 +7,20 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 MAX_VOXELS = 2**26
-"""Voxels of the largest grid that is made by default: 64 MiB of occupancy, 256 MiB of densities."""
+"""Default maximum number of voxels in a grid: 64 MiB of occupancy, 256 MiB of densities."""
 
 Bounds = tuple[Sequence[float], Sequence[float]]
 """Lower and upper corner of an axis-aligned box, metres."""
 
 
 FINEST, COARSEST = 1e-4, 1e3
-"""Edges of voxels, metres."""
+"""Smallest and largest edge of a voxel, metres."""
 FARTHEST_KEY = 2**40
-"""Largest key of a voxel along an axis: with it, double precision still tells places in a voxel apart."""
+"""Largest key of a voxel along an axis, at which double precision still tells positions within a voxel apart."""
 
 
 def check_resolution(resolution: float) -> None:
-    """Refuse a voxel edge with which places could not be computed.
+    """Refuse a voxel edge for which positions could not be computed.
 
     Raises:
         ValueError: for anything but a number from ``FINEST`` to ``COARSEST`` metres.
@@ -30,10 +30,10 @@ def check_resolution(resolution: float) -> None:
 
 
 def checked_points(name: str, values: Tensor | ArrayLike) -> NDArray[np.float64]:
-    """Points as [N, 3] float64, metres.
+    """Return points as [N, 3] float64, metres.
 
     Raises:
-        ValueError: for another shape, or for a row that is not finite; names the first one.
+        ValueError: for another shape, or for rows that are not finite; names the first of these.
     """
     array = np.asarray(values.detach().cpu() if isinstance(values, Tensor) else values, np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
@@ -46,8 +46,10 @@ def checked_points(name: str, values: Tensor | ArrayLike) -> NDArray[np.float64]
 
 
 def within(index: NDArray[np.int64], shape: Sequence[int]) -> NDArray[np.bool_]:
-    """Which indices [N, 3] are of a voxel in a grid of a shape: [N]. Columns are compared, several times as fast as
-    reducing many rows of three."""
+    """Return whether each index [N, 3] lies within a grid of a given shape: [N].
+
+    Comparing column by column is several times as fast as reducing many rows of three.
+    """
     inside = np.ones(len(index), bool)
     for column, size in zip(index.T, shape, strict=True):
         inside &= (column >= 0) & (column < size)
@@ -55,10 +57,10 @@ def within(index: NDArray[np.int64], shape: Sequence[int]) -> NDArray[np.bool_]:
 
 
 def checked_box(name: str, box: Bounds) -> NDArray[np.float64]:
-    """The corners of a box as [2, 3] float64, metres.
+    """Return the corners of a box as [2, 3] float64, metres.
 
     Raises:
-        ValueError: where they are not two finite corners with the lower one below.
+        ValueError: if they are not two finite corners, the lower one first.
     """
     corners = checked_points(name, [tuple(corner) for corner in box])
     if len(corners) != 2 or not (corners[0] < corners[1]).all():
@@ -69,10 +71,10 @@ def checked_box(name: str, box: Bounds) -> NDArray[np.float64]:
 def grid_shape(
     first_key: NDArray[np.int64], end_key: NDArray[np.int64], resolution: float, max_voxels: int
 ) -> tuple[int, int, int]:
-    """Voxels along each axis of the grid from ``first_key`` up to, but not including, ``end_key``.
+    """Return the number of voxels along each axis from ``first_key`` up to, but not including, ``end_key``.
 
     Raises:
-        ValueError: names bounds and resolution where the grid has more than ``max_voxels``.
+        ValueError: if the grid has more than ``max_voxels``; names its bounds and resolution.
     """
     x, y, z = (max(int(end) - int(first), 0) for first, end in zip(first_key, end_key, strict=True))
     if x * y * z > max_voxels:

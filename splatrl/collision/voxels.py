@@ -1,4 +1,4 @@
-"""A grid of voxels: where they are, which are solid, and how many."""
+"""A grid of voxels: their positions, which of them are solid, and statistics."""
 
 import math
 from collections.abc import Mapping
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Voxels:
-    """An axis-aligned grid of solid voxels in the world frame; whatever lies outside the grid is free.
+    """An axis-aligned grid of solid and free voxels in the world frame; everything outside the grid is free.
 
     The voxel with the integer key k covers [k · resolution, (k + 1) · resolution) along each axis.
 
     Attributes:
-        occupied: [X, Y, Z] bool; X, Y, Z may be 0.
+        occupied: [X, Y, Z] bool, True for solid voxels; X, Y and Z may be 0.
         origin_key: key of the voxel ``occupied[0, 0, 0]``.
         resolution: edge of a voxel, metres.
-        floaters: how many voxels were dropped as pieces too small to be real.
-        filled: how many voxels were made solid because nothing can reach them.
+        floaters: number of voxels dropped because their component was too small to be real.
+        filled: number of voxels made solid because nothing can reach them.
 
     Raises:
         ValueError: for another shape or dtype, or a resolution or an origin that ``voxel_grid`` does not allow.
@@ -55,12 +55,12 @@ class Voxels:
 
     @cached_property
     def count(self) -> int:
-        """How many voxels are solid."""
+        """Number of solid voxels."""
         return int(self.occupied.sum())
 
     @property
     def volume(self) -> float:
-        """Volume of what is solid, cubic metres."""
+        """Volume of the solid voxels, cubic metres."""
         return self.count * self.resolution**3
 
     @property
@@ -70,15 +70,15 @@ class Voxels:
         return lower * self.resolution, (lower + self.occupied.shape) * self.resolution
 
     def keys(self) -> NDArray[np.int64]:
-        """Keys of the solid voxels: [M, 3]."""
+        """Return the keys of the solid voxels: [M, 3]."""
         return np.argwhere(self.occupied) + np.array(self.origin_key, np.int64)
 
     def centers(self) -> NDArray[np.float32]:
-        """Centres of the solid voxels: [M, 3] float32, world, metres."""
+        """Return the centres of the solid voxels: [M, 3] float32, world, metres."""
         return ((self.keys() + 0.5) * self.resolution).astype(np.float32)
 
     def contains(self, points: Tensor | ArrayLike) -> NDArray[np.bool_]:
-        """Whether each point [N, 3] (world, metres) lies in a solid voxel: [N]."""
+        """Return whether each point [N, 3] (world, metres) lies in a solid voxel: [N]."""
         index = np.floor(checked_points("points", points) / self.resolution).astype(np.int64) - self.origin_key
         inside = within(index, self.occupied.shape)
         result = np.zeros(len(index), bool)
@@ -86,7 +86,7 @@ class Voxels:
         return result
 
     def report(self) -> OccupancyReport:
-        """Statistics of the occupancy; printing it gives a small table."""
+        """Return statistics of the occupancy, which print as a small table."""
         x, y, z = self.occupied.shape
         free = (self.occupied.size - self.count) * self.resolution**3
         pieces = int(ndimage.label(self.occupied, np.ones((3, 3, 3)))[1])
@@ -95,7 +95,7 @@ class Voxels:
         )
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays to keep in an npz file, one bit per voxel."""
+        """Return plain arrays for storage in an npz file, one bit per voxel."""
         return {
             "occupied_bits": np.packbits(self.occupied),
             "shape": np.array(self.occupied.shape, np.int64),
@@ -107,11 +107,11 @@ class Voxels:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], max_voxels: int = MAX_VOXELS) -> "Self":
-        """Undo ``to_arrays``.
+        """Rebuild a grid from the arrays of ``to_arrays``.
 
         Raises:
-            ValueError: where an array is missing or of another kind, the bits do not fill the shape, or the grid has
-                more than ``max_voxels``.
+            ValueError: if an array is missing or of another kind, the bits do not fill the shape, or the grid has more
+                than ``max_voxels``.
         """
         try:
             return cls._unpacked(arrays, max_voxels)

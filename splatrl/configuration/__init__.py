@@ -1,4 +1,4 @@
-"""Hydra configs: composed from what is typed, checked, and kept in run folders."""
+"""Hydra configs: composing them from the command line, checking them, and storing them in run folders."""
 
 from splatrl.configuration.checking import check_config, check_constructors
 from splatrl.configuration.command_line import UserError, command_line

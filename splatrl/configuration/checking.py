@@ -1,4 +1,4 @@
-"""What a whole config has to hold before anything is built of it."""
+"""Checks that a complete config must pass before anything is built from it."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -29,12 +29,12 @@ WHOLE_NUMBERS = {
     "starts.farthest": (0, MOST),
     "renderer.threads": (1, 1024),
 }
-"""Keys whose values are read here and there rather than by one constructor, and their ranges."""
+"""Integer keys that are read in several places, and so not checked by a constructor, with their inclusive ranges."""
 WORDS = {"evaluation.checkpoint": ("last", "best"), "logger.backend": ("csv", "tensorboard", "wandb")}
-"""Keys that take one of a few words, which would otherwise be refused only after a training."""
+"""Keys that take one of a few words, checked here because a typo would otherwise only surface after the training."""
 NULLABLE = ("starts.farthest", "renderer.threads")
 COMMON = ("renderer", "drawing", "around_drawing")
-"""Nodes of which an env has one, whatever scene its rows are in."""
+"""Nodes that an env builds only once, so that they must be the same in all of its scenes."""
 BY_SCENE = "or let splatrl-scene <the splat> --out <a folder> find one, and type scene=<the folder>"
 EXAMPLES = {
     "run": "run=<the folder of a training>",
@@ -43,23 +43,23 @@ EXAMPLES = {
     "landmarks.object": f"landmarks.object=[x,y,z], in metres, of a free place for a thing, {BY_SCENE}",
     "scene.path": "scene.path=<a splat file or a folder>",
 }
-"""What to type for values that people forget."""
+"""Examples, shown in error messages, of what to type for required values that are often forgotten."""
 
 
 def check_constructors(cfg: DictConfig) -> None:
-    """Check targets against the configs on our search path, and on that of a Hydra that runs: ``--config-dir``."""
+    """Check every ``_target_`` against our search path and that of a running Hydra, which adds ``--config-dir``."""
     outer = GlobalHydra.instance().hydra
     with config_loader() as loader:
         check_targets(cfg, loader.get_sources() + ([] if outer is None else outer.config_loader.get_sources()))
 
 
 def check_config(cfg: DictConfig) -> None:
-    """Refuse a config with missing values, or one that would build what is neither known nor allowed.
+    """Refuse a config with missing values, or with targets that are neither known nor allowed.
 
-    Everything that is built passes here first; see ``check_targets``.
+    Every config is checked here before anything is built from it; see ``check_targets``.
 
     Raises:
-        ValueError: names the keys, what was expected and what came.
+        ValueError: names the key, what was expected and what was given.
     """
     if isinstance(OmegaConf.select(cfg, "scene.places"), ListConfig) and not cfg.scene.places:
         raise ValueError("scene.paths: expected some scenes, got none; type scene.paths=[garden/,yard:3]")
@@ -72,7 +72,7 @@ def check_config(cfg: DictConfig) -> None:
             example, there = EXAMPLES.get(needed[0], needed[0] + "=..."), f" in {name}" if name else ""
             raise ValueError(f"{needed[0]}: expected a value{there}, got none; type {example}")
     _check_common(places)
-    for key, (low, high) in WHOLE_NUMBERS.items() if "collector" in cfg else ():  # of a training
+    for key, (low, high) in WHOLE_NUMBERS.items() if "collector" in cfg else ():  # only training configs
         value = OmegaConf.select(cfg, key)
         if value is not None or key not in NULLABLE:
             require_number(key, value, low, high, whole=True)
@@ -82,7 +82,7 @@ def check_config(cfg: DictConfig) -> None:
 
 
 def _check_common(places: Sequence[DictConfig]) -> None:
-    """Refuse scenes that are to be drawn in different ways: a batch is drawn in one call.
+    """Refuse scenes whose rendering settings differ, because a batch is rendered in one call.
 
     Raises:
         ValueError: names the key that differs.
@@ -96,7 +96,7 @@ def _check_common(places: Sequence[DictConfig]) -> None:
 
 
 def _resolved(cfg: DictConfig, key: str) -> Iterator[tuple[str, Any]]:
-    """Dotted keys and values of a node, with references followed."""
+    """Yield the dotted keys and values of a node, with interpolations resolved."""
     node = OmegaConf.select(cfg, key)
     plain = OmegaConf.to_container(node, resolve=True) if isinstance(node, DictConfig) else {}
     assert isinstance(plain, dict), type(plain)
@@ -104,7 +104,7 @@ def _resolved(cfg: DictConfig, key: str) -> Iterator[tuple[str, Any]]:
 
 
 def _missing(node: Any, place: str = "") -> Iterator[str]:
-    """Keys of plain values that have to be given."""
+    """Yield the dotted keys whose value is still ``???`` and therefore has to be given."""
     items = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
     for key, value in items:
         where = f"{place}.{key}" if place else str(key)
@@ -114,7 +114,7 @@ def _missing(node: Any, place: str = "") -> Iterator[str]:
 
 
 def _unset_landmarks(plain: Any) -> list[str]:
-    """Landmarks that the task refers to and that are null."""
+    """Return the keys of landmarks that are null although the task refers to them."""
     said = str(plain.get("task"))
     names = [f"landmarks.{key}" for key, value in (plain.get("landmarks") or {}).items() if value is None]
     return [name for name in names if f"${{{name}}}" in said]

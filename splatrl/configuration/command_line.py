@@ -1,4 +1,4 @@
-"""What people type, checked before Hydra reads it: every fault is one line that says what to type instead."""
+"""Command-line checks that run before Hydra: every mistake gives one line that says what to type instead."""
 
 import difflib
 import os
@@ -20,9 +20,9 @@ from splatrl.configuration.scene_choice import SEEDED, SWEEP, load_config, with_
 from splatrl.configuration.search_path import composed, is_group, options
 
 OWN_CONFIG = ("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp")
-"""Options of Hydra that choose a config other than ours."""
+"""Hydra options that select a config other than ours."""
 WITH_VALUE = (*OWN_CONFIG, "--cfg", "-c", "--package", "-p", "--info", "-i", "--experimental-rerun")
-"""Options of Hydra after which a word of another kind may come."""
+"""Hydra options that take the next word as their value."""
 HELP = ("-h", "--help")
 MAIN_KEYS = {
     "train": "scene",
@@ -34,31 +34,31 @@ MAIN_KEYS = {
     "replay": "demos",
     "view": "scene",
 }
-"""What a word alone probably is the value of."""
-MOST_NEAR = 3
+"""The key, per command, that a bare word without ``=`` was probably meant for."""
+MOST_NEAR = 3  # similar keys to suggest, at most
 
 
 class UserError(ValueError):
-    """Something typed that cannot be meant."""
+    """A mistake on the command line."""
 
 
 def command_line(name: str, arguments: Sequence[str]) -> list[str]:
-    """A command's arguments for Hydra, with paths after ``scene=`` rewritten, and keys and values checked.
+    """Check a command's arguments and return them for Hydra, with a path after ``scene=`` rewritten.
 
     Args:
         name: name of the root config.
-        arguments: arguments of the command line.
+        arguments: the command-line arguments.
 
     Raises:
-        SystemExit: with one line that names the argument, what was expected and what came; or once the page that
-            ``--help`` asks for is printed.
+        SystemExit: with one line that names the argument, what was expected and what was given; or after printing the
+            page for ``--help``.
     """
     arguments = SPELLED.get(name, list)(arguments)
     try:
         _check_words(name, arguments)
         result = _options_first(with_scene_paths(arguments, name))
         if any(argument.partition("=")[0] in OWN_CONFIG for argument in arguments):
-            return result  # Hydra itself reports a key that a config of one's own does not have
+            return result  # the user's own config: Hydra reports unknown keys
         sweeps = any(argument in SWEEP for argument in arguments)
         overrides = [_parsed(word, sweeps) for word in result if _is_plain(word)]
         for word in result:
@@ -75,16 +75,16 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
 
 
 def _options_first(words: Sequence[str]) -> list[str]:
-    """Words with Hydra's options before the overrides: its parser takes no override behind an option among them."""
+    """Move Hydra's options in front of the overrides: its parser rejects overrides on both sides of an option."""
     pairs = list(zip(["", *words], words, strict=False))
     options = [word for before, word in pairs if word.startswith("-") or before in WITH_VALUE]
     return [*options, *(word for before, word in pairs if not (word.startswith("-") or before in WITH_VALUE))]
 
 
 def _of_evaluation(arguments: Sequence[str]) -> list[str]:
-    """Arguments with a training's keys, ``evaluation.starts=64``, by the names that they have here, ``starts=64``.
+    """Translate the keys of a training into those of ``splatrl-evaluate``: ``evaluation.starts=64`` to ``starts=64``.
 
-    Those that say where, ``scene=kitchen``, become one list, ``place``.
+    Overrides that describe the place, such as ``scene=kitchen``, are collected in one list, ``place``.
     """
     place, words = words_of_place(arguments)
     words = [word.removeprefix("evaluation.") for word in words]
@@ -92,7 +92,7 @@ def _of_evaluation(arguments: Sequence[str]) -> list[str]:
 
 
 def with_key(arguments: Sequence[str]) -> list[str]:
-    """Arguments whose first plain word is named: ``run=`` where it is a run's folder, and ``scene=`` otherwise."""
+    """Prefix the first bare word with a key: ``run=`` if it is a run folder, and ``scene=`` otherwise."""
     result = list(arguments)
     for place, word in enumerate(result):
         if "=" not in word and not word.startswith(("-", "+", "~")):
@@ -104,24 +104,24 @@ def with_key(arguments: Sequence[str]) -> list[str]:
 
 
 SPELLED: dict[str, Callable[[Sequence[str]], list[str]]] = {"evaluate": _of_evaluation, "view": with_key}
-"""Commands that let some words be spelled in another way."""
+"""Commands that accept other spellings of some arguments, with the function that translates them."""
 
 
 def _print_page(page: str) -> None:
-    """Print a page of which only the first lines may be wanted."""
+    """Print a page, tolerating a reader such as ``head`` that closes the pipe early."""
     try:
         print(page, flush=True)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains when it ends
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains at exit
 
 
 def _is_plain(word: str) -> bool:
-    """Whether a word is an override of a key or a group of ours."""
+    """Whether a word overrides one of our keys or groups."""
     return "=" in word and not word.startswith(("-", "+", "~", "hydra"))
 
 
 def _check_words(name: str, arguments: Sequence[str]) -> None:
-    """Refuse words that are neither overrides nor options of Hydra."""
+    """Refuse words that are neither overrides nor Hydra options."""
     for before, word in zip(["", *arguments], arguments, strict=False):
         key, _, value = word.lstrip("-").partition("=")
         if word.startswith("--") and _is_ours(key, name):
@@ -149,17 +149,17 @@ def _parsed(word: str, sweeps: bool) -> Override:
 
 
 def _check_overrides(name: str, overrides: Sequence[Override], sweeps: bool) -> None:
-    """Refuse options that a group does not have, keys that are not there, and values of another kind than the usual."""
+    """Refuse options that a group lacks, unknown keys, and values of a different kind from the default."""
     groups = [override for override in overrides if is_group(override.key_or_group)]
     for override in groups:
         for choice in _choices(override):
-            for one in choice.strip("[]").split(","):  # sensors are a list
+            for one in choice.strip("[]").split(","):  # sensors takes a list
                 _check_choice(override.key_or_group, one.strip())
     chosen = [f"{str(override.input_line).partition('=')[0]}={_choices(override)[0]}" for override in groups]
     try:
         known = composed(chosen, name)
     except HydraException:
-        return  # Hydra itself says what is wrong with a config
+        return  # Hydra will report what is wrong
     for override in overrides:
         if override not in groups:
             _check_key(override.key_or_group, known)
@@ -171,7 +171,7 @@ def _check_overrides(name: str, overrides: Sequence[Override], sweeps: bool) -> 
 
 
 def _check_run(override: Override) -> None:
-    """Refuse what is no run folder; Hydra would make a folder of that name."""
+    """Refuse a path that is not a run folder, because Hydra would create a folder of that name."""
     folder = override.value()
     if isinstance(folder, str) and not (Path(folder).expanduser() / RUN_CONFIG).is_file():
         raise UserError(f"{override.key_or_group}: expected a run folder with {RUN_CONFIG}, got {folder}")
@@ -189,7 +189,7 @@ def _choices(override: Override) -> list[str]:
 
 
 def _check_choice(key: str, choice: str) -> None:
-    group, choice = key.partition("@")[0], choice.replace("\\:", ":")  # as it was typed
+    group, choice = key.partition("@")[0], choice.replace("\\:", ":")  # undo the escaping
     valid = options(group)
     if choice in valid or choice in ("null", ""):
         return
@@ -224,7 +224,7 @@ def _check_key(key: str, known: DictConfig) -> None:
 
 
 def _near_keys(word: str, known: DictConfig) -> list[str]:
-    """Whole keys whose last part resembles a word or holds it."""
+    """Return full keys whose last part resembles a word or contains it between underscores."""
     leaves = list(_leaves(OmegaConf.to_container(known, resolve=False), ""))
     names = {key.rpartition(".")[2] for key in leaves}
     near = {*difflib.get_close_matches(word, names), *(name for name in names if word in name.split("_"))}
@@ -232,7 +232,7 @@ def _near_keys(word: str, known: DictConfig) -> list[str]:
 
 
 def _leaves(node: object, place: str) -> Iterator[str]:
-    """Keys of plain values, other than those that say what to build."""
+    """Yield the dotted keys of all leaf values, except those such as ``_target_`` that say what to build."""
     if not isinstance(node, dict):
         yield place
         return
@@ -242,7 +242,7 @@ def _leaves(node: object, place: str) -> Iterator[str]:
 
 
 def _select(cfg: DictConfig, key: str) -> object:
-    """The value of a key; None where it has none, or refers to one that has none."""
+    """Return the value of a key; None if it has no value, or refers to a key without one."""
     try:
         return OmegaConf.select(cfg, key, throw_on_missing=False)
     except OmegaConfBaseException:
@@ -250,15 +250,15 @@ def _select(cfg: DictConfig, key: str) -> object:
 
 
 def check_kind(key: str, usual: object, given: object) -> None:
-    """Refuse a value of another kind than a key usually has; null and references always pass.
+    """Refuse a value whose kind differs from that of the key's default; null and interpolations always pass.
 
     Args:
-        key: for the message.
-        usual: its value in the configs; None tells nothing, and a text may be replaced by any word or number.
-        given: what was typed, as plain values.
+        key: the key, for the message.
+        usual: the default in the configs; None accepts any value, and a string any word or number.
+        given: the value that was typed, as plain Python values.
 
     Raises:
-        UserError: names the key, what was expected and what came.
+        UserError: names the key, what was expected and what was given.
     """
     if usual is None or given is None or (isinstance(given, str) and "${" in given):
         return

@@ -1,4 +1,4 @@
-"""The config of a run, moved to a place other than the one where its policy learned."""
+"""Moves the config of a run to a place other than the one in which its policy was trained."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,17 +11,17 @@ from splatrl.configuration.scene_choice import load_config
 from splatrl.documents import read_yaml
 
 PLACE = ("scene", "robot", "landmarks", "task", "collision", "renderer")
-"""What of a run's config belongs to the place in which it was trained."""
+"""Nodes of a run's config that describe the place in which it was trained."""
 OF_A_SCENE = ("scene", "landmarks", "task.motion.lower", "task.motion.upper")
-"""What was typed about one scene and says nothing about another."""
+"""Overrides that belong to one scene and do not carry over to another."""
 OF_A_RUN = ("hydra", "resume", "resume_changed", "allow_targets", "view")
-"""What was typed about one run."""
+"""Overrides that belong to one run only."""
 TYPED = Path(".hydra", "overrides.yaml")
-"""What was typed for a run, as Hydra keeps it in the run folder."""
+"""The file in a run folder in which Hydra records the overrides that were typed."""
 
 
 def placed(cfg: DictConfig, place: DictConfig) -> DictConfig:
-    """The config of a run, moved to another's place, with a steady camera."""
+    """Return the config of a run, moved to the place of another config, and without pose noise."""
     cfg = cfg.copy()
     for key in PLACE:
         cfg[key] = place[key]
@@ -30,17 +30,17 @@ def placed(cfg: DictConfig, place: DictConfig) -> DictConfig:
 
 
 def config_elsewhere(folder: Path, words: Sequence[str], allow_targets: Sequence[str] = ()) -> DictConfig:
-    """The config of a run folder as it would be if something else had been typed for its place.
+    """Return the config that a run would have if other overrides had been typed for its place.
 
     Args:
-        folder: the run folder, which may come from a stranger.
-        words: overrides of the place, such as ``scene=kitchen``; another scene also replaces what was
-            typed of the first one's goals and bounds.
+        folder: the run folder, which need not be trusted.
+        words: overrides of the place, such as ``scene=kitchen``; choosing a scene also drops the overrides of the
+            original scene's goals and bounds.
         allow_targets: see ``run_config``.
 
     Raises:
-        FileNotFoundError: where it is not known what was typed.
-        ValueError: for words that no command line takes, or that would build what is not allowed.
+        FileNotFoundError: if the run folder has no record of the overrides.
+        ValueError: for overrides that the command line would refuse, or that would build what is not allowed.
     """
     own, path = run_config(folder, allow_targets), folder / TYPED
     if not path.is_file():
@@ -57,12 +57,12 @@ def config_elsewhere(folder: Path, words: Sequence[str], allow_targets: Sequence
 
 
 def words_of_place(words: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Overrides of a command line that belong to the place of a run, and all others."""
+    """Split command-line overrides into those of a run's place and all others."""
     mine = [word for word in words if "=" in word and _key(word).partition(".")[0] in PLACE]
     return mine, [word for word in words if word not in mine]
 
 
 def _key(word: str) -> str:
-    """The key of an override, for a group that says where it goes that place: task.motion of motion@task.motion."""
+    """Return the key of an override; for a group with a package, the package: task.motion for motion@task.motion."""
     group, _, place = word.lstrip("+~").partition("=")[0].partition("@")
     return (place or group).replace("/", ".")

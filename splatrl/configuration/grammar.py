@@ -1,4 +1,4 @@
-"""Values and overrides in Hydra's grammar: written, read, nested."""
+"""Writing, reading and nesting values and overrides in Hydra's override grammar."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -15,7 +15,7 @@ def quoted(value: object) -> str:
 
 
 def written(value: object) -> str:
-    """A plain value in Hydra's grammar: a number, a text, true, false, null, or a list or dictionary of them."""
+    """Write a plain value in Hydra's grammar: a number, string, boolean, None, or a list or dictionary of these."""
     if isinstance(value, dict):
         return "{" + ",".join(f"{key}:{written(own)}" for key, own in value.items()) + "}"
     if isinstance(value, list):
@@ -26,11 +26,16 @@ def written(value: object) -> str:
 
 
 def last_typed(overrides: Sequence[str], key: str, usual: object) -> Any:
-    """The last value that was typed for a key, or the usual one.
+    """Return the last value that was typed for a key, or the default.
+
+    Args:
+        overrides: overrides in Hydra's grammar.
+        key: the key.
+        usual: the default.
 
     Raises:
-        HydraException: for what is not in Hydra's grammar.
-        ValueError: for a sweep, since what follows from the value stands before all jobs of one.
+        HydraException: for an override that is not in Hydra's grammar.
+        ValueError: for a sweep, because what is derived from the value would apply to all jobs of the sweep.
     """
     given = [override for override in overrides if override.startswith(f"{key}=")]
     if not given:
@@ -43,7 +48,7 @@ def last_typed(overrides: Sequence[str], key: str, usual: object) -> Any:
 
 
 def is_swept(overrides: Sequence[str], key: str) -> bool:
-    """Whether the last value that was typed for a key is a sweep; what is not in Hydra's grammar is none."""
+    """Whether the last value that was typed for a key is a sweep; False if it is not in Hydra's grammar."""
     given = [override for override in overrides if override.startswith(f"{key}=")]
     try:
         return bool(given) and OverridesParser.create().parse_override(given[-1]).is_sweep_override()
@@ -52,12 +57,12 @@ def is_swept(overrides: Sequence[str], key: str) -> bool:
 
 
 def unquoted(value: object) -> object:
-    """A value that Hydra's grammar made: a quoted text as a plain one, all else as it is."""
+    """Turn a quoted string from Hydra's parser into a plain one; return any other value unchanged."""
     return value.text if isinstance(value, QuotedString) else value
 
 
 def nested(flat: Mapping[str, Any]) -> str:
-    """Dotted keys and their values as a dictionary in Hydra's grammar."""
+    """Write dotted keys and their values as a nested dictionary in Hydra's grammar."""
     tree: dict[str, Any] = {}
     for key, value in flat.items():
         *parents, leaf = key.split(".")

@@ -1,4 +1,4 @@
-"""What ``--help`` says of a command's keys: the comments beside them in the YAML files of the configs."""
+"""The ``--help`` page of a command, taken from the comments beside the keys in the YAML config files."""
 
 import shutil
 import textwrap
@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 from splatrl.configuration.search_path import composed, config_loader
 
 WIDEST, NARROWEST, COLUMN = 100, 60, 36
-"""Characters of a line, which follows the terminal, and before an explanation."""
+"""Widest and narrowest line (the terminal decides between them), and the column where explanations begin."""
 MOST_USED = {
     "train": (
         "scene",
@@ -36,7 +36,7 @@ MOST_USED = {
     ),
     "record": ("by", "episodes", "out", "lerobot", "scene", "task", "scene.path", "robot.height", "landmarks.goal"),
 }
-"""Choices and keys that stand before the others; other commands have few keys, the most used first in their YAML."""
+"""Choices and keys to list first, per command; the other commands have few keys, already ordered in their YAML."""
 HYDRAS = {
     "-m, --multirun": "every combination of values with commas between, as in seed=0,1,2",
     "--cfg job": "print the config and stop",
@@ -46,13 +46,13 @@ HYDRAS = {
 
 @dataclass
 class ConfigFile:
-    """What the comments of one YAML file say.
+    """The comments of one YAML file.
 
     Attributes:
-        header: its first comment.
-        package: where its keys belong by its first line; None where that is left to its group.
+        header: the first comment.
+        package: the package of its keys, from its ``# @package`` line; None if it has none and the group decides.
         groups: comments beside the entries of its defaults list, by group.
-        keys: comments beside its keys, by the whole key within the file.
+        keys: comments beside its keys, by the full dotted key within the file.
     """
 
     header: str = ""
@@ -63,13 +63,13 @@ class ConfigFile:
 
 @dataclass(frozen=True)
 class Choice:
-    """A config group of which an option is taken.
+    """A config group and the option chosen from it.
 
     Attributes:
-        key: what is typed, such as ``task`` or ``motion@task.motion``.
-        taken: the option.
-        options: what each option is, by name.
-        comment: what is chosen.
+        key: the name typed on the command line, such as ``task`` or ``motion@task.motion``.
+        taken: the chosen option.
+        options: one line about each option, by name.
+        comment: what the group decides.
     """
 
     key: str
@@ -80,14 +80,14 @@ class Choice:
 
 @dataclass(frozen=True)
 class KeyHelp:
-    """What there is to say of a composed config.
+    """The explanations for a composed config.
 
     Attributes:
-        header: what the command is for, and how it is typed.
-        choices: the most used first.
-        values: the value of each key as it is written; keys below an explained one that have no explanation are left
-            to that.
-        comments: explanations, also of keys that hold others.
+        header: how the command is typed, and what it is for.
+        choices: config groups, the most used first.
+        values: the value of each key, formatted as in YAML; a subtree without explanations of its own is folded into
+            its explained parent.
+        comments: explanation of each key, including keys that contain others.
     """
 
     header: str
@@ -97,16 +97,16 @@ class KeyHelp:
 
     @property
     def chosen(self) -> dict[str, Choice]:
-        """The choices by what is typed."""
+        """Choices by the name typed on the command line."""
         return {choice.key: choice for choice in self.choices}
 
 
 def help_page(name: str, overrides: Sequence[str] = ()) -> str:
-    """The page that a command prints on ``--help``.
+    """Return the page that a command prints for ``--help``.
 
     Args:
         name: name of the root config.
-        overrides: overrides in Hydra's grammar; the page describes the config that they make.
+        overrides: overrides in Hydra's grammar; the page describes the config with these applied.
     """
     found = key_help(name, overrides)
     usage, _, purpose = found.header.partition(": ")
@@ -136,13 +136,13 @@ def help_page(name: str, overrides: Sequence[str] = ()) -> str:
 
 
 def _parts(key: str) -> Iterator[str]:
-    """A key, after those that hold it: a, a.b, a.b.c."""
+    """Yield the parents of a key and then the key itself: a, a.b, a.b.c."""
     words = key.split(".")
     return (".".join(words[: count + 1]) for count in range(len(words)))
 
 
 def _of_key(key: str, found: KeyHelp) -> list[str]:
-    """The lines about a key, or about a choice."""
+    """Return the lines of the page about a key or a choice."""
     if key in found.chosen and key not in found.values:
         return _entry(f"{key}={found.chosen[key].taken}", found.chosen[key].comment)
     shown = f"{key}={found.values[key]}" if key in found.values else key
@@ -154,7 +154,7 @@ def _width() -> int:
 
 
 def _entry(left: str, right: str) -> list[str]:
-    """A word and its explanation beside it, or below where the word is long."""
+    """Return a term with its explanation beside it, or below it if the term is too long."""
     indent = " " * COLUMN
     lines = textwrap.wrap(right, _width(), initial_indent=indent, subsequent_indent=indent)
     if lines and len(left) < COLUMN - 1:
@@ -163,10 +163,10 @@ def _entry(left: str, right: str) -> list[str]:
 
 
 def key_help(name: str, overrides: Sequence[str] = ()) -> KeyHelp:
-    """Explain a composed config by the comments of the YAML files that it is made of.
+    """Explain a composed config by the comments of the YAML files that it is composed of.
 
-    A key that the files themselves leave without a comment has that of another option of the same group, so that what
-    options have in common is explained once.
+    A key without a comment in these files takes the comment from another option of the same group, so that keys that
+    the options share need to be explained only once.
 
     Args:
         name: name of the root config.
@@ -196,13 +196,13 @@ def key_help(name: str, overrides: Sequence[str] = ()) -> KeyHelp:
                     known.setdefault(f"{start}.{key}".strip("."), text)
     comments = of_others | comments
     choices = []
-    for key, taken in taking.overrides.known_choices.items():  # the last first
+    for key, taken in taking.overrides.known_choices.items():  # from last to first
         group, _, place = str(key).partition("@")
         if group not in headers:
             continue
         if group in groups:
             choices.append(Choice(str(key), str(taken), headers[group], groups[group]))
-        else:  # nothing to choose: data that a file's first line explains as a whole
+        else:  # not a choice: a node that the header of its file explains as a whole
             comments = {own: text for own, text in comments.items() if not own.startswith(f"{place}.")}
             comments[place] = headers[group][str(taken)]
     told = {part for key in comments for part in _parts(key)}
@@ -211,7 +211,7 @@ def key_help(name: str, overrides: Sequence[str] = ()) -> KeyHelp:
 
 
 def _values(node: Any, place: str, comments: dict[str, str], told: set[str]) -> Iterator[tuple[str, str]]:
-    """Keys and values of plain values, other than those that say what to build."""
+    """Yield the keys to list and their values as text, leaving out ``_target_`` and ``_partial_``."""
     for key, value in node.items():
         where = f"{place}.{key}".lstrip(".")
         within = isinstance(value, dict) and any(f"{where}.{name}" in told for name in value)
@@ -224,7 +224,7 @@ def _values(node: Any, place: str, comments: dict[str, str], told: set[str]) -> 
 
 
 def _written(value: object) -> str:
-    """A value as it is typed."""
+    """Write a value as it would be typed on the command line."""
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, dict):
@@ -233,7 +233,7 @@ def _written(value: object) -> str:
 
 
 def _read(loader: ConfigLoader, path: str) -> ConfigFile:
-    """The comments of a config on the search path; empty for one that is not a file."""
+    """Read the comments of a config on the search path; empty if the config is not a file."""
     for source in loader.get_sources():
         if source.available() and source.is_config(path):
             if source.scheme() not in ("file", "pkg"):
@@ -244,10 +244,10 @@ def _read(loader: ConfigLoader, path: str) -> ConfigFile:
 
 
 def comments_of(text: str) -> ConfigFile:
-    """The comments of a YAML file.
+    """Extract the comments of a YAML file.
 
     Args:
-        text: the whole file, a mapping.
+        text: content of the file, whose root is a mapping.
     """
     result, lines = ConfigFile(), text.splitlines()
     for said in [line.partition("#")[2].strip() for line in lines]:
@@ -264,13 +264,13 @@ def comments_of(text: str) -> ConfigFile:
         entries = [entry for item in value.value if isinstance(item, yaml.MappingNode) for entry in item.value]
         for group, option in entries:
             said = _comment(option, lines)
-            if said and not group.value.startswith("override "):  # which says why this config takes another option
+            if said and not group.value.startswith("override "):  # beside an override it says why, not what
                 result.groups[group.value.lstrip("/").partition("@")[0]] = said
     return result
 
 
 def _beside(key: yaml.Node, value: yaml.Node, place: str, lines: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Comments beside a key and the keys that it holds."""
+    """Yield the comments beside a key and beside the keys that it contains."""
     where = f"{place}.{key.value}".lstrip(".")
     block = isinstance(value, yaml.CollectionNode) and not value.flow_style and len(value.value) > 0
     if said := _comment(key if block else value, lines):
@@ -280,6 +280,6 @@ def _beside(key: yaml.Node, value: yaml.Node, place: str, lines: Sequence[str]) 
 
 
 def _comment(node: yaml.Node, lines: Sequence[str]) -> str:
-    """The comment behind a node, in its last line."""
+    """Return the comment that follows a node on its last line."""
     line = lines[node.end_mark.line] if node.end_mark.line < len(lines) else ""
     return line[node.end_mark.column :].partition("#")[2].strip()

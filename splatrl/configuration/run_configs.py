@@ -1,4 +1,4 @@
-"""The config of a run: kept in its folder, read as data, changed where the run goes on."""
+"""The config of a run: stored in its folder, read back as untrusted data, and changed when the run is resumed."""
 
 import functools
 import itertools
@@ -23,7 +23,7 @@ from splatrl.files import replacing, require_room
 
 @functools.cache
 def _new_folder(path: str) -> str:
-    """A new folder of this name, or with a number behind it: two runs may begin in the same second."""
+    """Make a new folder, with a number appended if it exists already: two runs may begin in the same second."""
     for number in itertools.count(1):
         folder = Path(path if number == 1 else f"{path}-{number}")
         try:
@@ -37,13 +37,13 @@ def _new_folder(path: str) -> str:
 
 
 def _refuse(folder: Path, error: OSError, key: str) -> NoReturn:
-    """End with a line; Hydra asks for folders before a command begins, and would print where in itself."""
+    """Exit with one line: Hydra makes folders before the command itself runs, and would print a traceback."""
     told = f"{folder}: cannot write: {os.strerror(error.errno or 0)}; say where to write by {key}="
     sys.exit(f"splatrl-{HydraConfig.get().job.name}: {told}")
 
 
 class WritableFolder(Callback):
-    """What Hydra calls before a run or a sweep: ends it with a line where its folder cannot be written to."""
+    """Hydra callback that ends a run or sweep with one line if its folder cannot be written to."""
 
     def on_run_start(self, config: DictConfig, **kwargs: object) -> None:
         """Make the folder of a run."""
@@ -54,11 +54,11 @@ class WritableFolder(Callback):
         self._make(config, "sweep")
 
     def _make(self, config: DictConfig, kind: str) -> None:
-        if config.hydra.output_subdir is None:  # a command without a folder of runs
+        if config.hydra.output_subdir is None:  # a command without run folders
             return
         hydra = HydraConfig.instance()
         before = hydra.cfg
-        hydra.set_config(config)  # as Hydra does a moment later
+        hydra.set_config(config)  # needed to resolve the folder; Hydra sets it later
         try:
             folder = Path(config.hydra[kind].dir)
             folder.mkdir(parents=True, exist_ok=True)
@@ -70,45 +70,45 @@ class WritableFolder(Callback):
 
 
 def _run_dir(resume: str | None, fresh: str) -> str:
-    """The folder of a run, which is made when a run asks for it, and not while its config is composed."""
+    """Resolve the folder of a run; it is created only when a job runs, not while a config is merely composed."""
     return resume or (_new_folder(fresh) if HydraConfig.initialized() else fresh)
 
 
 def _typed_dir(resume: str | None) -> str:
-    """Where Hydra keeps what was typed, in the folder of a run: what it began with stays when it is resumed."""
+    """Resolve the sub-folder for Hydra's records; a resumed run has its own, so the original records stay."""
     return ".hydra/resumed" if resume else ".hydra"
 
 
 OmegaConf.register_new_resolver("splatrl.run_dir", _run_dir, replace=True)
 OmegaConf.register_new_resolver("splatrl.typed_dir", _typed_dir, replace=True)
 RUN_CONFIG = "config.yaml"
-"""The config of a run, in its folder."""
+"""File name of the config in a run folder."""
 FIRST_BYTES = 2**16
-"""What a run needs at least: its configs, which Hydra writes before a command begins."""
+"""Least free space for a run, in bytes: its configs, which Hydra writes before the command begins."""
 PATHS = ("scene.path", "collision.occupancy.cloud", "demos", "evaluation.episodes")
-"""Keys that hold a path, which is made absolute in a run folder; numbers are none."""
+"""Keys whose strings are paths, made absolute in a run folder; ``demos`` may also be a number, which is left alone."""
 
 
 def save_config(cfg: DictConfig, folder: Path) -> None:
-    """Write ``config.yaml`` into a run folder: everything needed to resume and evaluate, from any working folder."""
+    """Write ``config.yaml`` into a run folder: all that is needed to resume and evaluate from any working directory."""
     with replacing(folder / RUN_CONFIG) as stream:
         stream.write(OmegaConf.to_yaml(with_absolute_paths(cfg)).encode())
 
 
 def forget_run(folder: Path) -> None:
-    """Remove a run that was refused before it began from its folder, and the folder where nothing else is in it."""
+    """Remove the files of a run that was refused before it began, and the folders that are then empty."""
     typed = [folder / ".hydra" / f"{name}.yaml" for name in ("config", "hydra", "overrides")]
     empty = [path for path in folder.glob("*.log") if path.stat().st_size == 0]
     for path in (*typed, *empty, folder / RUN_CONFIG):
         path.unlink(missing_ok=True)
-    with suppress(OSError):  # what is not empty stays
+    with suppress(OSError):  # a folder that is not empty stays
         for path in (folder / ".hydra", folder / "checkpoints", folder):
             if path.exists():
                 path.rmdir()
 
 
 def with_absolute_paths(cfg: DictConfig) -> DictConfig:
-    """A config that means the same files from any working folder; itself where it does so already."""
+    """Return a config with absolute paths, valid from any working directory; the same object if nothing changes."""
     given = {key: OmegaConf.select(cfg, key) for key in PATHS}
     absolute = {key: str(Path(path).expanduser().absolute()) for key, path in given.items() if isinstance(path, str)}
     changed = {key: path for key, path in absolute.items() if path != given[key]}
@@ -120,15 +120,15 @@ def with_absolute_paths(cfg: DictConfig) -> DictConfig:
 
 
 def run_config(folder: Path, allow_targets: Sequence[str] = ()) -> DictConfig:
-    """The config with which a run folder was made, read as data.
+    """Read the config of a run folder as data, without trusting it.
 
     Args:
-        folder: the run folder, which may come from a stranger.
-        allow_targets: packages that may define what the config builds; what the folder itself says of them is nothing.
+        folder: the run folder, which may come from an untrusted source.
+        allow_targets: packages that may define what the config builds; the folder's own ``allow_targets`` is ignored.
 
     Raises:
         FileNotFoundError: if the folder is not a run folder.
-        ValueError: for a config that is damaged, or names something else to build than what stands in conf/.
+        ValueError: for a config that is damaged, or that would build something not in conf/ nor allowed.
     """
     path = folder / RUN_CONFIG
     if not path.is_file():
@@ -144,11 +144,11 @@ def run_config(folder: Path, allow_targets: Sequence[str] = ()) -> DictConfig:
 
 
 def _check_sections(cfg: DictConfig, usual: DictConfig, place: str = "") -> None:
-    """Refuse a config without the sections and settings that are read from it; nodes with a target check their own."""
+    """Refuse a config that lacks sections or settings; nodes with a ``_target_`` are checked by their constructor."""
     for key in usual:
         where = f"{place}.{key!s}".lstrip(".")
         if isinstance(usual[key], DictConfig) and not usual[key]:
-            continue  # such as sensors or transforms.latency, of which there may be any or none
+            continue  # such as sensors or transforms.latency, which may hold anything or nothing
         if not place and isinstance(usual[key], DictConfig):
             if not isinstance(cfg.get(key), DictConfig):
                 raise ValueError(f"{where}: expected keys and values, got {cfg.get(key)!r}")
@@ -159,7 +159,7 @@ def _check_sections(cfg: DictConfig, usual: DictConfig, place: str = "") -> None
 
 
 def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
-    """The config of a run folder, with the changes from the command line.
+    """Return the config of a run folder with the changes from the command line applied.
 
     Args:
         folder: the run folder.

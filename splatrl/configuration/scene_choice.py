@@ -1,7 +1,7 @@
-"""Which scenes a command line chooses, by name, path or seed, and what they propose for training in them.
+"""Scenes chosen on the command line by name, path or seed, and the settings they propose for training.
 
-What reads scenes (``scene_files``) is imported where one is read: with it comes PyTorch, which takes a second, and a
-command that says what was mistyped, or what there is to type, needs neither.
+``scene_files``, which reads scenes, is imported only where it is needed, since it imports PyTorch, which takes a
+second. Reporting a typing mistake or printing ``--help`` needs neither.
 """
 
 import itertools
@@ -20,15 +20,15 @@ from splatrl.configuration.search_path import composed, group_choices, group_nod
 from splatrl.values import flat, require_number
 
 SWEEP = {"-m", "--multirun"}
-"""Words that ask Hydra for a sweep."""
+"""Options that ask Hydra for a sweep."""
 SEEDED = re.compile(r"(\w+):(\d+)")
-"""A scene's config with a seed: yard:3."""
+"""A scene's name with a seed, such as yard:3."""
 CHOOSING = ("scene.path", "scene.seed", "scene.paths", "scene.count", "scene.first")
-"""Keys that say which scenes are meant."""
+"""Keys that select scenes."""
 
 
 def load_config(overrides: Sequence[str] = (), name: str = "train") -> DictConfig:
-    """Compose a config as the command line does.
+    """Compose a config as the command line would.
 
     Args:
         overrides: overrides in Hydra's grammar, such as ``task=fps`` or ``task.max_steps=100``; ``scene=`` also takes a
@@ -39,11 +39,11 @@ def load_config(overrides: Sequence[str] = (), name: str = "train") -> DictConfi
 
 
 def job_config(cfg: DictConfig, overrides: Sequence[str]) -> DictConfig:
-    """The config of one job of a sweep: with what its own scene proposes, where the sweep is one over scenes.
+    """Return the config of one job of a sweep, which in a sweep over scenes includes its own scene's proposals.
 
     Args:
-        cfg: as Hydra composed it.
-        overrides: of the job.
+        cfg: the job's config as Hydra composed it.
+        overrides: the job's overrides.
     """
     if {"scene=yard", "scene=yards", "scene=many"}.intersection(overrides):
         return load_config(overrides)
@@ -55,21 +55,20 @@ def job_config(cfg: DictConfig, overrides: Sequence[str]) -> DictConfig:
 
 
 def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]:
-    """Overrides in which a path after ``scene=`` is rewritten as ``scene=file scene.path=...``.
+    """Rewrite a path after ``scene=`` as ``scene=file scene.path=...``, and add what the scene proposes.
 
-    In a sweep of trainings over scenes each job takes one of them, or one list, and what that proposes
+    In a sweep of trainings over scenes, each job takes one scene, or one list of scenes, with its proposals
     (``job_config``).
 
-    The name of a scene's config takes precedence over a file of the same name in the working folder. What the
-    ``scene.yaml`` of a folder proposes for training in it stands before all other overrides, so that each of them has
-    the last word.
+    The name of a scene's config takes precedence over a file of the same name in the working directory. The proposals
+    of a folder's ``scene.yaml`` come before all other overrides, so that anything typed takes precedence over them.
 
     Args:
         overrides: overrides in Hydra's grammar.
         name: name of the root config.
 
     Raises:
-        ValueError: for what looks like a path but does not exist, or for a wrong ``scene.yaml``.
+        ValueError: for a value that looks like a path but does not exist, or for an invalid ``scene.yaml``.
     """
     result, in_blocks = list[str](), False
     sweeps = name == "train" and bool(SWEEP.intersection(overrides))
@@ -93,11 +92,11 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
         elif key == "scene" and Path(path).suffix and "," not in path and path not in options("scene"):
             raise ValueError(f"scene: expected {', '.join(options('scene'))} or a path that exists, got {path}")
         elif key == "scene" and path in options("scene"):
-            result.append(f"scene={path}")  # quoted or not
+            result.append(f"scene={path}")  # without any quotes
         else:
             result.append(override)
     if sweeps and any(is_swept(result, key) for key in CHOOSING):
-        return result  # each job has what its own scenes propose
+        return result  # each job adds the proposals of its own scenes
     if "scene=many" in result:
         in_blocks = any(_in_blocks(str(unquoted(one))) for one in _paths(result))
     if in_blocks and not any(override.startswith("renderer=") for override in overrides):
@@ -106,13 +105,13 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
 
 
 def _seeds(value: str) -> list[str]:
-    """The seeds in a list of yards, yard:1,yard:2, if it is one."""
+    """Return the seeds in a list of yards such as yard:1,yard:2; empty if it is not one."""
     yards = [SEEDED.fullmatch(one.strip("'\"")) for one in value.split(",")]
     return [yard[2] for yard in yards if yard] if all(yard and yard[1] == "yard" for yard in yards) else []
 
 
 def _several(value: str) -> list[str]:
-    """The paths in a list of them, if it is one."""
+    """Return the paths in a comma-separated list of existing paths; empty if it is not one."""
     paths = [path.strip("'\"") for path in value.split(",")]
     if not all(paths) or any(path in options("scene") or not Path(path).expanduser().exists() for path in paths):
         return []
@@ -124,9 +123,9 @@ def _several(value: str) -> list[str]:
 
 
 def place_configs(cfg: DictConfig) -> list[DictConfig]:
-    """A config with one scene for each of the scenes of a config; itself where it has only one.
+    """Split a config into one config per scene; a config with a single scene is returned as it is.
 
-    ``scene.places`` lists what belongs to each: ``scene``, what to build, and values of other keys.
+    Each entry of ``scene.places`` holds what belongs to one scene: ``scene``, which is built, and values of other keys.
     """
     places = _listed(cfg)
     if not places:
@@ -136,13 +135,13 @@ def place_configs(cfg: DictConfig) -> list[DictConfig]:
     for place in places:
         merged = OmegaConf.merge(plain, place)
         assert isinstance(merged, DictConfig), type(merged)
-        merged.allow_targets = cfg.allow_targets  # a place does not say whom to trust
+        merged.allow_targets = cfg.allow_targets  # a place cannot change which packages are trusted
         result.append(merged)
     return result
 
 
 def place_names(cfg: DictConfig) -> list[str]:
-    """What was typed for each of the ``place_configs`` of a config; empty where it has only one."""
+    """Return the name that was typed for each of a config's ``place_configs``; one empty name if there is only one."""
     places = _listed(cfg)
     if len(places) < 2:
         return [""]
@@ -153,15 +152,15 @@ def place_names(cfg: DictConfig) -> list[str]:
 
 
 def _listed(cfg: DictConfig) -> Sequence[DictConfig]:
-    """``scene.places``; empty where there are none."""
+    """Return ``scene.places``; empty if there are none."""
     return (cfg.scene.get("places") if "scene" in cfg and isinstance(cfg.scene, DictConfig) else None) or ()
 
 
 def _places(overrides: Sequence[str], name: str) -> list[str]:
-    """``scene.places`` for ``scene=yards``, or for what ``scene=many`` lists, as an override; else nothing.
+    """Return the override of ``scene.places`` for ``scene=yards``, or for the list of ``scene=many``; else nothing.
 
-    Each is a folder, a splat file, the name of a scene's config, or that name with a seed: ``yard:3``. What it says
-    stands behind what was typed, which holds in all scenes.
+    Each scene is a folder, a splat file, the name of a scene's config, or that name with a seed: ``yard:3``. Values
+    typed on the command line hold in all scenes and take precedence over a scene's own.
 
     Raises:
         ValueError: for a name that is neither a config nor a path.
@@ -187,7 +186,7 @@ def _places(overrides: Sequence[str], name: str) -> list[str]:
 
 
 def _paths(overrides: Sequence[str]) -> list[Any]:
-    """What was typed for ``scene.paths``."""
+    """Return the list that was typed for ``scene.paths``."""
     paths = last_typed(overrides, "scene.paths", [])
     if not isinstance(paths, list):
         raise ValueError(f"scene.paths: expected a list such as [garden/,yard:3], got {paths}")
@@ -195,7 +194,7 @@ def _paths(overrides: Sequence[str]) -> list[Any]:
 
 
 def _in_blocks(text: str) -> bool:
-    """Whether one of ``scene.paths`` is drawn in blocks: a folder of them, or a config that says so."""
+    """Whether an entry of ``scene.paths`` is rendered in blocks: a folder of blocks, or a config that chooses them."""
     config = text.partition(":")[0]
     if config in options("scene"):
         return group_choices("scene", config).get("renderer") == "blocks"
@@ -205,7 +204,7 @@ def _in_blocks(text: str) -> bool:
 
 
 def _yard_paths(overrides: Sequence[str]) -> list[str]:
-    """What ``scene=yards`` stands for in ``scene.paths``; the yards are made, side by side, if they are new."""
+    """Expand ``scene=yards`` into entries of ``scene.paths``; yards not in the cache are generated in parallel."""
     usual = group_node("scene", "yards")["scene"]
     count, first = (last_typed(overrides, f"scene.{key}", usual[key]) for key in ("count", "first"))
     require_number("scene.count", count, 1, 2**20, whole=True)
@@ -217,7 +216,12 @@ def _yard_paths(overrides: Sequence[str]) -> list[str]:
 
 
 def _chosen(text: str, key: str = "scene.paths") -> list[str]:
-    """Overrides that choose one scene, which was typed for a key: the group first."""
+    """Return the overrides that choose one scene, the group first.
+
+    Args:
+        text: the scene as it was typed: a config's name, with or without a seed, or a path.
+        key: the key for which it was typed, for the message.
+    """
     known, (config, _, seed) = _whole_configs(), text.partition(":")
     if config in known and seed.isdigit():
         return [f"scene={config}", f"scene.seed={seed}"]
@@ -232,13 +236,13 @@ def _chosen(text: str, key: str = "scene.paths") -> list[str]:
 
 
 def _whole_configs() -> list[str]:
-    """The scenes' configs that say all about one scene: those of several say nothing, and others lack a path."""
+    """Return the scene configs that fully describe one scene, without those of several scenes or without a path."""
     nodes = {name: dict(flat(group_node("scene", name))) for name in options("scene")}
     return [name for name, node in nodes.items() if "scene._target_" in node and "???" not in node.values()]
 
 
 def _proposals(overrides: Sequence[str], name: str) -> list[str]:
-    """What the chosen scene's folder, or what lies beside its file, proposes for the chosen task, as overrides."""
+    """Return, as overrides, what the scene's folder, or metadata beside its file, proposes for the chosen task."""
     try:
         if "scene=yard" in overrides:
             from splatrl.configuration.scene_files import yard_proposals
@@ -251,12 +255,12 @@ def _proposals(overrides: Sequence[str], name: str) -> list[str]:
         stated = described(Path(str(last_typed(overrides, "scene.path", ""))).expanduser())
         configs = _choices(overrides, name) if stated else []
     except HydraException:
-        return []  # Hydra itself tells what is wrong with the overrides
+        return []  # Hydra will report what is wrong
     return scene_overrides(stated, lambda key: all(_has(cfg, key) for cfg in configs))
 
 
 def _yard_seed(overrides: Sequence[str]) -> int:
-    """The seed of ``scene=yard``, to which its goal belongs."""
+    """Return the seed of ``scene=yard``, which also determines its goal."""
     seeds = [override.partition("=")[2] for override in overrides if override.startswith("scene.seed=")]
     if seeds and not re.fullmatch("[0-9]{1,18}", seeds[-1]):
         raise ValueError(
@@ -266,14 +270,14 @@ def _yard_seed(overrides: Sequence[str]) -> int:
 
 
 def _has(cfg: DictConfig, key: str) -> bool:
-    """Whether a config has a key, with or without a value."""
+    """Whether a config has a key, even one without a value."""
     parent, _, leaf = key.rpartition(".")
     node = OmegaConf.select(cfg, parent)
-    return isinstance(node, DictConfig) and leaf in list(node)  # "in node" leaves out what still has no value
+    return isinstance(node, DictConfig) and leaf in list(node)  # "in node" is false for keys without a value
 
 
 def _choices(overrides: Sequence[str], name: str) -> list[DictConfig]:
-    """The configs that the groups of some overrides make, one for each combination of a sweep."""
+    """Compose the configs that the overrides of groups select, one per combination of a sweep."""
     plain = [one for one in overrides if "=" in one and not one.startswith(("-", "+", "~", "hydra"))]
     groups = []
     for text, parsed in zip(plain, OverridesParser.create().parse_overrides(plain), strict=True):

@@ -1,4 +1,4 @@
-"""What files and folders of scenes say about themselves, for the command lines that choose them."""
+"""Metadata of scene files and folders, read when a command line chooses them."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,7 +22,7 @@ def check_scene(path: Path) -> None:
     """Refuse a folder without a scene.
 
     Raises:
-        ValueError: that says how to make one.
+        ValueError: for a folder without a scene; the message says how to make one.
     """
     if path.is_dir() and not any((path / name).is_file() for name in (SCENE_FILE, BLOCKS_FILE, META)):
         raise ValueError(
@@ -32,10 +32,10 @@ def check_scene(path: Path) -> None:
 
 
 def described(place: Path) -> dict[str, Any]:
-    """What a scene's folder, or what lies beside its file, says of it; empty where nothing does.
+    """Read the description in a scene's folder, or in metadata beside its file; empty if there is none.
 
     Raises:
-        ValueError: for a wrong ``scene.yaml`` or ``blocks.yaml``.
+        ValueError: for an invalid ``scene.yaml`` or ``blocks.yaml``.
     """
     if is_in_blocks(place):
         return read_blocks_description(place)
@@ -47,7 +47,7 @@ def described(place: Path) -> dict[str, Any]:
 
 
 def make_yards(seeds: Sequence[int]) -> None:
-    """Make those yards that are new, side by side."""
+    """Generate, in parallel, the yards that are not cached yet."""
     made = yards.made_yards(seeds, usable_cores())
     for _ in tqdm(made, "yards", len(seeds), unit="yard", dynamic_ncols=True):
         pass

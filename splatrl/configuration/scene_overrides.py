@@ -1,4 +1,4 @@
-"""What a scene's folder proposes for training in it, as overrides that stand before those of the command line."""
+"""Settings that a scene's folder proposes for training, as overrides that come before those of the command line."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -13,20 +13,20 @@ TARGETS = {
     "antialiased": ("renderer.antialiased",),
     "step": ("task.motion.step", "task.motion.spacing"),
 }
-"""Keys of a ``scene.yaml``, and the keys of a config that take their values."""
+"""Keys of a ``scene.yaml``, with the config keys that take their values."""
 CORNERS = ("task.motion.lower", "task.motion.upper")
-"""Keys that take the corners of ``walk``."""
+"""Config keys that take the two corners of ``walk``."""
 
 
 def scene_overrides(stated: Mapping[str, Any], has: Callable[[str], bool]) -> list[str]:
-    """Overrides in Hydra's grammar that say what a ``scene.yaml`` proposes.
+    """Return the proposals of a ``scene.yaml`` as overrides in Hydra's grammar.
 
-    They hold numbers, lists of numbers, true and false, and nothing else, so that a file from elsewhere can neither
-    name a class to build nor refer to other values.
+    They contain only numbers, lists of numbers, true and false, so that an untrusted file can neither name a class to
+    build nor refer to other values.
 
     Args:
-        stated: keys and values that ``read_description`` read and checked.
-        has: whether the config has a key: a robot that circles a thing has no bounds.
+        stated: keys and values, as read and checked by ``read_description``.
+        has: returns whether the config has a key; a robot that circles an object, for example, has no bounds.
     """
     values = {target: stated[key] for key, targets in TARGETS.items() if key in stated for target in targets}
     values.update(zip(CORNERS, stated.get("walk", ()), strict=False))

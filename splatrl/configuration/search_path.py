@@ -1,4 +1,4 @@
-"""The configs on Hydra's search path: ours, and those of plugins."""
+"""Configs on Hydra's search path: splatrl's own and those of plugins."""
 
 import functools
 import pickle
@@ -17,14 +17,14 @@ from omegaconf.errors import OmegaConfBaseException
 
 
 def conf_dir() -> Path:
-    """The folder of the configs: inside the package if it is installed, or beside it in a checkout."""
+    """Return the folder of the configs: inside the package if it is installed, beside it in a checkout."""
     package = Path(__file__).parents[1]
     return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
 
 
 @contextmanager
 def config_loader() -> Iterator[ConfigLoader]:
-    """Hydra with our configs and those of the search path's plugins; an already running Hydra is left untouched."""
+    """Provide Hydra's loader for our configs and those of plugins; a Hydra that already runs is left untouched."""
     instance = GlobalHydra.instance()
     outer = instance.hydra
     instance.clear()
@@ -36,10 +36,10 @@ def config_loader() -> Iterator[ConfigLoader]:
 
 
 def composed(overrides: Sequence[str], name: str) -> DictConfig:
-    """Compose a config of what Hydra itself understands.
+    """Compose a config from overrides in Hydra's own grammar.
 
-    Hydra composes what is chosen from groups, once in a process, which takes a tenth of a second. Values are set in a
-    copy of it, as Hydra would set them.
+    Composing takes Hydra a tenth of a second, so each combination of group choices is composed once per process, and
+    single values are set in a copy of the result, just as Hydra would set them.
 
     Raises:
         HydraException: for overrides that do not fit the configs.
@@ -53,7 +53,7 @@ def composed(overrides: Sequence[str], name: str) -> DictConfig:
                     OmegaConf.update(cfg, value.key_or_group, value.value())
             return cfg
         except OmegaConfBaseException:
-            pass  # Hydra says what is wrong
+            pass  # Hydra reports what is wrong
     with config_loader():
         return compose(name, list(overrides))
 
@@ -63,7 +63,7 @@ def _is_choice(override: Override) -> bool:
 
 
 def _is_change(override: Override) -> bool:
-    """Whether an override chooses from a group, or gives a value other than a dictionary to a key that is there."""
+    """Whether an override chooses from a group, or sets an existing key to a value that is not a dictionary."""
     if override.type != OverrideType.CHANGE or override.is_sweep_override() or isinstance(override.value(), dict):
         return False
     return override.package is None or _is_choice(override)
@@ -71,30 +71,30 @@ def _is_change(override: Override) -> bool:
 
 @functools.cache
 def _chosen(name: str, *choices: str) -> bytes:
-    """A config with choices from groups alone, pickled, which is the quickest way to copy it."""
+    """Compose a config from group choices alone, and pickle it, since unpickling is the fastest way to copy it."""
     with config_loader():
         return pickle.dumps(compose(name, list(choices)))
 
 
 @functools.cache
 def options(group: str) -> tuple[str, ...]:
-    """The options of a config group, including those of plugins; empty if there is no such group."""
+    """Return the options of a config group, including those of plugins; empty if there is no such group."""
     with config_loader() as loader:
         return tuple(loader.get_group_options(group))
 
 
 def is_group(key: str) -> bool:
-    """Whether an override's key names a config group, either ours or a plugin's."""
+    """Whether an override's key names a config group, ours or a plugin's."""
     return bool(options(key.split("@")[0]))
 
 
 def group_node(group: str, option: str) -> dict[str, Any]:
-    """What an option of a config group says, with references as they are written."""
-    return {key: value for key, value in _group_config(group, option).items() if key != "defaults"}  # of the whole
+    """Return the content of a group's option without its defaults list, with interpolations unresolved."""
+    return {key: value for key, value in _group_config(group, option).items() if key != "defaults"}
 
 
 def group_choices(group: str, option: str) -> dict[str, str]:
-    """What an option of a config group chooses in other groups, such as a renderer."""
+    """Return what an option of a config group chooses in other groups, such as a renderer."""
     defaults = _group_config(group, option).get("defaults", [])
     chosen = (next(iter(one.items())) for one in defaults if isinstance(one, dict))
     return {key.removeprefix("override").strip(" /"): value for key, value in chosen}

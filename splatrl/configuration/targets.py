@@ -1,4 +1,4 @@
-"""Which constructors a config may name: a folder from a stranger holds a config, and must not run code."""
+"""Checks which constructors a config may name, so that a run folder from an untrusted source cannot run code."""
 
 from collections.abc import Iterator, Sequence
 from importlib.resources import files
@@ -14,23 +14,23 @@ from omegaconf.errors import InterpolationKeyError, InterpolationToMissingValueE
 from splatrl.configuration.search_path import is_group
 
 MAX_VALUES = 10_000
-"""Of a config whose references are followed; ours have 200."""
+"""Maximum number of values in a config once its interpolations are followed; our configs have 200."""
 HYDRAS_OWN = ("hydra", "schema")
-"""Providers of Hydra's own configs, whose constructors launch jobs."""
+"""Providers of Hydra's own configs, which are not trusted because their constructors launch jobs."""
 
 
 def check_targets(cfg: DictConfig, sources: Sequence[ConfigSource]) -> None:
-    """Refuse a config that names anything to build but what is known or trusted.
+    """Refuse a config with a ``_target_`` that is neither known nor trusted.
 
-    Known is every ``_target_`` in the configs on Hydra's search path: splatrl's, and those of installed plugins.
-    Trusted is what the packages of ``cfg.allow_targets`` define themselves, but not what they import from elsewhere.
+    A target is known if it appears in a config on Hydra's search path: splatrl's, and those of installed plugins. It is
+    trusted if a package in ``cfg.allow_targets`` defines it itself, rather than importing it from elsewhere.
 
     Args:
-        cfg: a whole config.
-        sources: the search path.
+        cfg: a complete config.
+        sources: the config sources on the search path.
 
     Raises:
-        ValueError: names the key and the target; or says that references in the config cannot be followed.
+        ValueError: names the key and the target; or says that interpolations in the config cannot be followed.
     """
     known = set[object]().union(*map(_standing, sources))
     trusted = [str(package) for package in cfg.get("allow_targets") or []]
@@ -43,10 +43,10 @@ def check_targets(cfg: DictConfig, sources: Sequence[ConfigSource]) -> None:
 
 
 def targets(cfg: DictConfig) -> list[tuple[str, object]]:
-    """Key and value of every ``_target_`` in a config, with references followed as building follows them.
+    """Return the key and value of every ``_target_`` in a config, following interpolations as building does.
 
     Raises:
-        ValueError: for references that go nowhere or in circles, or that unfold to more than ``MAX_VALUES``.
+        ValueError: for interpolations that are broken or circular, or that expand to more than ``MAX_VALUES`` values.
     """
     found = []
     try:
@@ -68,7 +68,7 @@ def _followed(node: DictConfig | ListConfig, place: str) -> Iterator[tuple[str, 
         try:
             value = node[key]
         except InterpolationToMissingValueError:
-            continue  # nothing is built of it, either
+            continue  # nothing can be built from it either
         except InterpolationKeyError as error:
             name = str(error).partition("'")[2].partition("'")[0]
             group = name.partition(".")[0]
@@ -95,7 +95,7 @@ _known: dict[tuple[str, str], set[object]] = {}
 
 
 def _standing(source: ConfigSource) -> set[object]:
-    """Every ``_target_`` in a folder of configs, which is read once."""
+    """Return every ``_target_`` in a folder of configs; each folder is read only once."""
     place = source.provider, source.full_path()
     if source.provider in HYDRAS_OWN or not source.available():
         return set()
@@ -106,7 +106,7 @@ def _standing(source: ConfigSource) -> set[object]:
 
 
 def _texts(folder: Any) -> Iterator[str]:
-    """All configs of a folder, of a disk or of a package, that name something to build."""
+    """Yield the text of every config with a ``_target_`` in a folder on disk or in a package."""
     for entry in folder.iterdir():
         if entry.is_dir():
             yield from _texts(entry)
@@ -115,7 +115,7 @@ def _texts(folder: Any) -> Iterator[str]:
 
 
 def _parsed(text: str) -> Any:
-    """What a YAML holds, by the C library where there is one: Hydra reads in Python, which takes many times as long."""
+    """Parse YAML, with the C library if available, which is many times faster than Hydra's pure-Python loader."""
     return yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
 
 

@@ -1,4 +1,4 @@
-"""How far the goal is from every state: value iteration over the nodes of a motion."""
+"""Cost-to-go of every state: the number of steps to the goal, by value iteration over the nodes of a motion."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,17 +10,17 @@ from splatrl.collision.base import Checker
 from splatrl.motions.base import PlannedMotion, Taps
 
 FAR = 1e6
-"""Stands for the steps to the goal where there is no path to it."""
+"""Cost-to-go of states without a path to the goal."""
 Reached = Callable[[Tensor], Tensor | None]
-"""Whether states [N, ...] are at a goal, [N] bool; None where there are no goal states."""
+"""Function that returns whether states [N, ...] are at a goal, [N] bool, or None if there are no goal states."""
 WAYS_OUT = "try another landmarks.goal or robot.height, or a smaller robot.body.size"
 SETTLED = 1e-3
-"""Value iteration stops when no node changes by more than this, steps."""
+"""Value iteration stops when no node's cost changes by more than this many steps."""
 
 
 @dataclass(frozen=True)
 class Field:
-    """Steps to the goal, at the nodes of a motion and between them.
+    """Steps to the goal at the nodes of a motion, interpolated between them.
 
     Attributes:
         motion: the motion that defines the nodes.
@@ -31,12 +31,12 @@ class Field:
     cost_to_go: Tensor
 
     def __call__(self, state: Tensor) -> Tensor:
-        """Steps to the goal from states, interpolated among the nodes that have a path: [N, ...] -> [N]."""
+        """Return the steps to the goal from states, interpolated among nodes that have a path: [N, ...] -> [N]."""
         return _mean(self.cost_to_go, _among(self.motion.taps(state), self.cost_to_go < FAR))
 
 
 def _among(taps: Taps, allowed: Tensor) -> Taps:
-    """Taps with all their weight on allowed nodes; taps without an allowed node are unchanged."""
+    """Move all weight of taps onto allowed nodes; taps without an allowed node are unchanged."""
     weight = taps.weight * allowed[taps.node]
     total = weight.sum(1, keepdim=True)
     return Taps(taps.node, torch.where(total > 1e-3, weight / total, taps.weight))
@@ -47,25 +47,26 @@ def _mean(values: Tensor, taps: Taps) -> Tensor:
 
 
 def _slim(taps: Taps) -> Taps:
-    """Taps without the columns in which no state has weight: a turn on the spot needs one column, a step four."""
+    """Drop the columns of taps in which no state has weight: a turn on the spot needs one column, a step four."""
     used = (taps.weight > 0).any(0)
     return Taps(taps.node[:, used], taps.weight[:, used])
 
 
 def cost_field(motion: PlannedMotion, checker: Checker, reached: Reached) -> Field:
-    """Steps to the goal from every state, by value iteration: a state is one step farther than the best it leads to.
+    """Compute the steps to the goal from every state by value iteration.
 
-    Where every action leads from node to node, as with finitely many states, the field is exact and equals a
-    breadth-first search. Otherwise costs are interpolated among the free nodes (semi-Lagrangian), so the field is
-    smooth, paths that descend it do not circle, and it resolves differences between actions of less than a step.
+    The cost of a state is one step more than that of its best successor. Where every action leads from node to node, as
+    with finitely many states, the field is exact and equals a breadth-first search. Otherwise costs are interpolated
+    among the free nodes (a semi-Lagrangian scheme), so the field is smooth, paths that descend it do not circle, and it
+    resolves differences between actions of less than a step.
 
     Args:
-        motion: the actions, and where they lead.
+        motion: defines the actions and where they lead.
         checker: tells which poses and moves are free.
         reached: tells which states are at the goal.
 
     Raises:
-        ValueError: if no pose is free, or no pose at the goal.
+        ValueError: if no pose is free, or none at the goal.
     """
     nodes = motion.nodes()
     free = motion.inside(nodes) & ~checker.collides(motion.body_to_world(nodes))
@@ -80,7 +81,7 @@ def cost_field(motion: PlannedMotion, checker: Checker, reached: Reached) -> Fie
     rows = (free & ~goals).nonzero().squeeze(1)
     taps = [_open(motion, checker, nodes[rows], action) for action in motion.actions()]
     costs = _settle(torch.where(goals, 0.0, FAR), rows, [_slim(_among(tap, free)) for tap in taps])
-    joined = costs < 0.5 * FAR  # free nodes without a path must not be interpolated either
+    joined = costs < 0.5 * FAR  # nor may free nodes without a path contribute to interpolation
     if not torch.equal(joined, free):
         taps = [Taps(tap.node[joined[rows]], tap.weight[joined[rows]]) for tap in taps]
         rows = rows[joined[rows]]
@@ -89,7 +90,7 @@ def cost_field(motion: PlannedMotion, checker: Checker, reached: Reached) -> Fie
 
 
 def _settle(costs: Tensor, rows: Tensor, taps: list[Taps]) -> Tensor:
-    """Set each row to one more than the best of its taps, until nothing changes."""
+    """Set the cost of each row to one more than that of its best successor, until nothing changes."""
     while True:
         best = torch.stack([_mean(costs, tap) for tap in taps]).amin(0).add(1).clamp_max(FAR)
         settled = bool(((costs[rows] - best).abs() <= SETTLED).all())
@@ -99,7 +100,7 @@ def _settle(costs: Tensor, rows: Tensor, taps: list[Taps]) -> Tensor:
 
 
 def _open(motion: PlannedMotion, checker: Checker, state: Tensor, action: Tensor) -> Taps:
-    """Where an action leads from states; a blocked move leads back to its own state, which never shortens a path."""
+    """Return where an action leads from states; a blocked move leads back to its own state, so it shortens no path."""
     ahead = motion.advance(state, action.expand(len(state), *action.shape))
     blocked = ~motion.inside(ahead) | checker.sweeps(motion.body_to_world(state), motion.body_to_world(ahead))
     return motion.taps(torch.where(blocked.view(-1, *[1] * (state.ndim - 1)), state, ahead))

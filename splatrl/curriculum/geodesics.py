@@ -1,4 +1,4 @@
-"""How far goals are from any place on the ground, by the shortest way that a body fits through."""
+"""Geodesic distances from any place on the ground to goals, along the shortest way that a body fits through."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,22 +16,22 @@ from splatrl.motions.planar import PlanarMotion
 
 WAYS: tuple[tuple[int, int], ...] = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2))
 WAYS += ((3, 1), (1, 3), (3, -1), (1, -3), (3, 2), (2, 3), (3, -2), (2, -3))
-"""Half of the 32 directions in which nodes are joined: a way across open ground is at most 1.3 % too long."""
+"""Half of the 32 directions in which nodes are connected: a path across open ground is at most 1.3 % too long."""
 MOST_NODES = 4_000_000
 NEAR = 2.0
-"""Cells: nearer than this to a goal, the straight distance holds."""
+"""Distance from a goal within which the straight-line distance is used, cells."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The places where a body fits, on a grid, joined where it fits all the way.
+    """Grid nodes where a body fits, connected where it fits all the way from one to the other.
 
     Attributes:
         corner: [2] float64, x and y of the first node, metres.
-        shape: nodes along x and y.
+        shape: number of nodes along x and y.
         cell: distance between neighbouring nodes, metres.
-        open: [X · Y] bool, the nodes of the largest connected part.
-        graph: [X · Y, X · Y], metres between joined nodes, each pair once.
+        open: [X · Y] bool, True for nodes of the largest connected component.
+        graph: [X · Y, X · Y] sparse, metres between connected nodes, each pair once.
     """
 
     corner: NDArray[np.float64]
@@ -41,23 +41,26 @@ class Ground:
     graph: Any
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "Ground":
-        return self  # it never changes
+        return self  # immutable
 
     def node(self, places: NDArray[np.float64]) -> NDArray[np.int64]:
-        """The nodes nearest to places: [N, 2] metres -> [N]."""
+        """Return the nodes nearest to places: [N, 2] metres -> [N]."""
         index = np.rint((places - self.corner) / self.cell).astype(np.int64).clip(0, np.array(self.shape) - 1)
         return index[:, 0] * self.shape[1] + index[:, 1]
 
     def place(self, nodes: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Where nodes are: [N] -> [N, 2] metres."""
+        """Return the positions of nodes: [N] -> [N, 2] metres."""
         return self.corner + self.cell * np.stack(np.divmod(nodes, self.shape[1]), 1)
 
     def connected(self, places: Tensor) -> Tensor:
-        """Whether places [N, 2] are on the largest connected part, to the nearest node: [N] bool."""
+        """Return whether the nodes nearest to places [N, 2] are in the largest connected component: [N] bool."""
         return torch.from_numpy(self.open[self.node(places.double().cpu().numpy())]).to(places.device)
 
     def distances(self, nodes: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Metres from every node to each of some: [N] -> [N, X · Y]. Nodes that are not open take the nearest one's."""
+        """Return the distances from every node to some nodes, metres: [N] -> [N, X · Y].
+
+        A node that is not open takes the distance of the nearest open one, plus the straight distance to that.
+        """
         found = csgraph.dijkstra(self.graph, directed=False, indices=nodes)
         away, nearest = ndimage.distance_transform_edt(~self.open.reshape(self.shape), return_indices=True)
         rows = (nearest[0] * self.shape[1] + nearest[1]).reshape(-1)
@@ -67,16 +70,16 @@ class Ground:
 def ground(
     motion: PlanarMotion, checker: Checker, cell: float, fits: Callable[[Tensor], Tensor] | None = None
 ) -> Ground:
-    """Find where a body fits, and which neighbouring places it fits between, facing the way it goes.
+    """Find where a body fits, and between which neighbouring places it fits when it faces the way it goes.
 
     Args:
-        motion: says where robots may be, and how a state is a pose.
+        motion: defines where robots may be, and converts states to poses.
         checker: tells which poses and moves are free.
         cell: distance between neighbouring nodes, metres.
-        fits: body_to_world [N, 4, 4] -> [N] bool, where robots may be besides; None is everywhere.
+        fits: body_to_world [N, 4, 4] -> [N] bool, a further condition on where robots may be; None sets no condition.
 
     Raises:
-        ValueError: for no free place, or a grid of more than ``MOST_NODES``.
+        ValueError: if no place is free, or for a grid below 2 × 2 or above ``MOST_NODES`` nodes.
     """
     lower, upper = (bound.double().cpu().numpy() for bound in (motion.lower, motion.upper))
     x, y = (int(np.floor((high - low) / cell + 1e-6)) + 1 for low, high in zip(lower, upper, strict=True))
@@ -118,25 +121,25 @@ def ground(
 
 
 class Geodesics(nn.Module):
-    """Distances to some goals of one scene, or of several, by look-up: goals are rows that know their scene.
+    """Look-up of geodesic distances to goals in one scene or several; a goal is a row that belongs to one scene.
 
     Attributes:
-        grounds: of each scene.
-        for_training: how many of the goals of each scene come first and are drawn in training.
-        for_tests: how many come next and are drawn in tests.
+        grounds: the ground of each scene.
+        for_training: number of goals per scene that are drawn in training; they come first.
+        for_tests: number of goals per scene that are drawn in tests; they come next.
     """
 
-    metres: Tensor  # [sum of X · Y] float32, the fields of all goals one after the other
-    first: Tensor  # [G] int64, where a goal's field begins
+    metres: Tensor  # [sum of X · Y] float32, the distance fields of all goals, one after the other
+    first: Tensor  # [G] int64, where each goal's field begins in ``metres``
     shape: Tensor  # [G, 2] int64
     corner: Tensor  # [G, 2] float32
     goals: Tensor  # [G, 2] float32, x and y
     begins: Tensor  # [S] int64, the first goal of each scene
-    open: Tensor  # [sum of X · Y] bool, the nodes of each scene where a body fits, one scene after the other
-    first_open: Tensor  # [G] int64, where those of a goal's scene begin
+    open: Tensor  # [sum of X · Y] bool, whether a node is open, one scene after the other
+    first_open: Tensor  # [G] int64, where the nodes of each goal's scene begin in ``open``
 
     def __init__(self, grounds: Sequence[Ground], goals: Sequence[NDArray[np.int64]], for_training: int):
-        """Find the distances to nodes of each ground."""
+        """Compute the distances to the goal nodes of each ground."""
         super().__init__()
         self.grounds, self.for_training, self.cell = tuple(grounds), for_training, grounds[0].cell
         self._scene: Tensor | None = None
@@ -158,7 +161,7 @@ class Geodesics(nn.Module):
 
     @property
     def longest(self) -> float:
-        """Metres of the longest of all shortest ways to a goal."""
+        """Length of the longest of all shortest paths to a goal, metres."""
         return float(self.metres[self.metres.isfinite()].max())
 
     def _keep(self, name: str, values: NDArray[Any]) -> None:
@@ -166,10 +169,10 @@ class Geodesics(nn.Module):
 
     @classmethod
     def drawn(cls, place: Ground, for_training: int, for_tests: int, seed: int) -> "Geodesics":
-        """With goals anywhere in the largest connected part of a ground, drawn by a seed.
+        """Draw goals anywhere in the largest connected component of a ground, from a seed.
 
         Raises:
-            ValueError: for fewer places than goals.
+            ValueError: if there are fewer free places than goals.
         """
         nodes, wanted = np.flatnonzero(place.open), for_training + for_tests
         if len(nodes) < wanted:
@@ -178,7 +181,7 @@ class Geodesics(nn.Module):
 
     @classmethod
     def joined(cls, scenes: "Sequence[Geodesics]") -> "Geodesics":
-        """Of several scenes, from one of each."""
+        """Join the geodesics of several scenes, each given by its own."""
         result = cls.__new__(cls)
         nn.Module.__init__(result)
         first = scenes[0]
@@ -202,16 +205,16 @@ class Geodesics(nn.Module):
         return result
 
     def at(self, scene: Tensor) -> "Geodesics":
-        """The same for rows in some scenes, [B] int64, whose goals are drawn there."""
+        """Return a view for rows in given scenes, [B] int64: ``draw`` then takes each row's goal from its scene."""
         result = nn.Module.__new__(type(self))
         result.__dict__ = {**self.__dict__, "_scene": scene}
         return result
 
     def with_goals(self, places: NDArray[np.float64], scene: NDArray[np.int64]) -> "tuple[Geodesics, Tensor]":
-        """The same with more goals, at places [N, 2] of scenes [N]; also their rows, [N] int64.
+        """Return a copy with further goals at places [N, 2] of scenes [N], and the rows of these goals, [N] int64.
 
         Raises:
-            ValueError: for a place where the robot does not fit, or that is not connected to most others.
+            ValueError: for a place where the robot does not fit, or outside the largest connected component.
         """
         nodes, rows = [list(each) for each in self._nodes], np.zeros(len(places), np.int64)
         for number, (place, own) in enumerate(zip(places, scene, strict=True)):
@@ -226,35 +229,35 @@ class Geodesics(nn.Module):
         return result.to(self.metres.device), torch.from_numpy(rows) + result.begins.cpu()[torch.from_numpy(scene)]
 
     def distance(self, place: Tensor, goal: Tensor) -> Tensor:
-        """Metres of the shortest way from places to goals, interpolated between nodes.
+        """Return the length of the shortest path from places to goals, interpolated between nodes.
 
         Args:
             place: [B, 2] float32, metres.
             goal: [B] int64, rows of goals.
 
         Returns:
-            [B] float32.
+            [B] float32, metres.
         """
         straight = (place - self.goals[goal]).norm(dim=1)
         found = self._between_nodes(self.metres, self.first, place, goal)
         return torch.where(straight < NEAR * self.cell, straight, torch.maximum(found, straight))
 
     def room(self, place: Tensor, goal: Tensor) -> Tensor:
-        """Whether bodies fit in places of goals' scenes, interpolated between nodes.
+        """Return whether the body fits at places in the goals' scenes, interpolated between nodes.
 
         Args:
             place: [B, 2] float32, metres.
             goal: [B] int64, rows of goals.
 
         Returns:
-            [B] float32, 1 where they fit at all nodes around, 0 where at none of them and outside the bounds.
+            [B] float32, 1 where all surrounding nodes are open, 0 where none of them is and outside the bounds.
         """
         at = (place - self.corner[goal]) / self.cell
         inside = ((at >= 0) & (at <= self.shape[goal] - 1)).all(1)
         return torch.where(inside, self._between_nodes(self.open, self.first_open, place, goal), 0.0)
 
     def _between_nodes(self, values: Tensor, first: Tensor, place: Tensor, goal: Tensor) -> Tensor:
-        """Values of nodes, which begin at ``first`` [G] for each goal, at places [B, 2]: [B] float32."""
+        """Interpolate node values, which begin at ``first`` [G] for each goal, at places [B, 2]: [B] float32."""
         shape = self.shape[goal]
         at = (place - self.corner[goal]) / self.cell
         low = torch.minimum(at.floor().long().clamp_min(0), shape - 2)
@@ -267,14 +270,17 @@ class Geodesics(nn.Module):
         return found
 
     def draw(self, place: Tensor, least: float, most: float, generator: torch.Generator, tests: bool = False) -> Tensor:
-        """Draw a goal for each place, at a distance in a range where there is one: [B, 2] -> [B] int64 rows.
+        """Draw a goal for each place, within a range of distances if there is one there, else any.
 
         Args:
             place: [B, 2] float32, metres.
             least: shortest distance, metres.
             most: longest distance, metres.
-            generator: draws them; it gives as many numbers in every case.
+            generator: source of randomness; always consumes equally many numbers.
             tests: whether to draw from the goals for tests.
+
+        Returns:
+            [B] int64, rows of goals.
         """
         count, skipped = (self.for_tests, self.for_training) if tests else (self.for_training, 0)
         own = torch.arange(skipped, skipped + count, device=place.device)

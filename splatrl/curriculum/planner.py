@@ -1,4 +1,4 @@
-"""Shortest paths over the free poses of a motion, and where episodes may begin."""
+"""Plans shortest paths over the free poses of a motion, and determines where episodes may begin."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,24 +12,24 @@ from splatrl.motions.base import PlannedMotion
 
 UNREACHABLE = -1
 ALIKE = 0.1
-"""Two actions count as equally good where the steps left after them differ by no more than this."""
+"""Two actions count as equally good if the steps left after them differ by no more than this."""
 NO_GOAL = "task: expected one with goal states, to which shortest paths can be planned"
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The states in which episodes may begin, and how far the goal is from any state.
+    """The states in which episodes may begin, and the distance of any state from the goal.
 
     Attributes:
         states: [S, D], all candidate start states.
-        free: [S] bool, where an episode could begin: the body touches nothing.
-        distance: [S] int64, fewest steps to the goal; 0 at it, UNREACHABLE where there is no path. Without a goal it is
-            0 where the body fits.
+        free: [S] bool, whether an episode could begin in a state: the body touches nothing, and ``fits`` allows it.
+        distance: [S] int64, fewest steps to the goal; 0 at the goal, UNREACHABLE where there is no path. Without a
+            goal, 0 where the body fits.
         actions: [A, ...], the actions from which paths are made.
-        motion: moves between the states.
+        motion: the motion that leads from state to state.
         checker: tells which moves are free.
         start_rows: [N] int64, rows of the start set: the free states, other than goal states, from which a goal state
-            can be reached; without a goal all free states.
+            can be reached within the longest path allowed; without a goal, all free states.
         reached: tells which states are at the goal.
         field: steps to the goal from any state inside the bounds; None without a goal.
     """
@@ -50,7 +50,7 @@ class Plan:
         return self.states[self.start_rows]
 
     def cost_to_go(self, state: Tensor) -> Tensor:
-        """Fewest steps to the goal; whole numbers if the motion has finitely many states.
+        """Return the fewest steps to the goal; whole numbers if the motion has finitely many states.
 
         Args:
             state: [N, D], anywhere inside the bounds.
@@ -66,18 +66,18 @@ class Plan:
         return self.field(state)
 
     def at_goal(self, state: Tensor) -> Tensor:
-        """Whether states are at the goal; all false without one: [N, D] -> [N] bool."""
+        """Return whether states are at the goal, all False without one: [N, D] -> [N] bool."""
         reached = self.reached(state)
         return torch.zeros(len(state), dtype=torch.bool, device=state.device) if reached is None else reached
 
     def optimal(self, state: Tensor) -> Tensor:
-        """Which actions begin a shortest path.
+        """Return which actions begin a shortest path.
 
         Args:
             state: [N, D], anywhere inside the bounds.
 
         Returns:
-            [N, A] bool; no action at the goal, or where no path leads to it.
+            [N, A] bool; all False at the goal, and where no path leads to it.
 
         Raises:
             ValueError: for a plan without a goal.
@@ -87,7 +87,7 @@ class Plan:
         return (after <= best + ALIKE) & (best < FAR) & ~self.at_goal(state).unsqueeze(1)
 
     def _after(self, state: Tensor, action: Tensor) -> Tensor:
-        """Steps left after an action: 0 where it reaches the goal, FAR where it is blocked; [N] float32."""
+        """Return the steps left after an action, [N] float32: 0 where it reaches the goal, FAR where it is blocked."""
         ahead = self.motion.advance(state, action.expand(len(state), *action.shape))
         start, end = self.motion.body_to_world(state), self.motion.body_to_world(ahead)
         left = torch.full((len(state),), FAR, device=state.device)
@@ -106,18 +106,18 @@ def plan(
 ) -> Plan:
     """Find the shortest path from every state to the goal.
 
-    A move counts as open if the swept body touches nothing, according to the checker. With finitely many states the
-    paths are exact; for poses anywhere on a plane (``cost_field``) distances are rounded.
+    A move is open if, according to the checker, the swept body touches nothing. With finitely many states paths are
+    exact; for poses anywhere on a plane (see ``cost_field``) distances are rounded to whole steps.
 
     Args:
         motion: lists the states and moves between them.
         checker: tells which poses and moves are free.
-        reached: tells which states are at the goal. Where there are no goal states, there are no paths, and every free
+        reached: tells which states are at the goal. If there are no goal states there are no paths, and every free
             state is a start.
-        farthest: longest path of a start, steps; None for any length.
-        fits: body_to_world [S, 4, 4] -> [S] bool, where an episode may begin; None takes what the checker finds free.
-            It keeps a robot that can pass through things from beginning inside one.
-        find_field: finds the costs, or remembers them.
+        farthest: longest path from a start, steps; None for any length.
+        fits: body_to_world [S, 4, 4] -> [S] bool, a further condition on where an episode may begin; None sets none
+            beyond the checker's. It keeps a robot that can pass through things from starting inside one.
+        find_field: computes the cost field, or retrieves it from a cache.
 
     Raises:
         ValueError: if no pose is free, the goal is not free, or no start reaches it.

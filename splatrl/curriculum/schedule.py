@@ -14,12 +14,12 @@ class Schedule:
 
     Progress is a [3] int64 tensor: the level, and the episodes and successes counted at that level. Episodes are
     counted in blocks: when ``window`` of them have ended, a success rate of at least ``threshold`` promotes, and either
-    way the count starts over. Nothing here reads a tensor's value on the host.
+    way the count starts over. No tensor's value is read on the host.
 
     Attributes:
         levels: number of levels.
-        threshold: success rate that promotes, in (0, 1].
-        window: episodes in a block.
+        threshold: success rate required for promotion, in (0, 1].
+        window: number of episodes in a block.
     """
 
     levels: int
@@ -33,17 +33,17 @@ class Schedule:
         require_number("curriculum.window", self.window, 1, whole=True)
 
     def start(self) -> Tensor:
-        """Progress before the first episode: [3] int64."""
+        """Return the progress before the first episode: [3] int64."""
         return torch.zeros(3, dtype=torch.int64)
 
     def advance(self, progress: Tensor, level: Tensor, finished: Tensor, success: Tensor) -> Tensor:
-        """Progress after some episodes ended.
+        """Return the progress after some episodes have ended.
 
         Args:
-            progress: [3] int64.
+            progress: [3] int64, the progress before.
             level: [B] int64, the level at which each episode began; only episodes of the current level count.
-            finished: [B] bool, which episodes ended.
-            success: [B] bool.
+            finished: [B] bool, which episodes have ended.
+            success: [B] bool, which episodes succeeded.
 
         Returns:
             [3] int64.
@@ -53,6 +53,6 @@ class Schedule:
         episodes = episodes + counted.sum()
         successes = successes + (counted & success).sum()
         full = episodes >= self.window
-        promoted = full & (successes >= self.threshold * episodes.double() - 1e-9)  # reaching the rate is enough
+        promoted = full & (successes >= self.threshold * episodes.double() - 1e-9)  # equality is enough
         now = (now + promoted).clamp_max(self.levels - 1)
         return torch.stack([now, episodes * ~full, successes * ~full])

@@ -15,17 +15,17 @@ class Starts(nn.Module):
     """The start sets of one or several scenes, ordered by distance to the goal.
 
     Level l draws uniformly among the starts whose shortest path has at most ``first + l · stride`` steps; the highest
-    level is the whole set. In a scene without so short a path, a level draws among its shortest.
+    level is the whole set. In a scene that has no path this short, a level draws among the scene's shortest.
 
     Args:
-        plan: states and distances, of one scene or of several.
+        plan: states and distances of one scene or of several.
         first: longest path at level 0, steps; None makes the whole set the only level.
         stride: steps that each level adds.
     """
 
-    ordered: Tensor  # [N, D] states by scene, then by distance
-    begins: Tensor  # [S] int64, the first of each scene
-    counts: Tensor  # [S, levels] int64, how many of a scene's states a level uses
+    ordered: Tensor  # [N, D] states, ordered by scene, then by distance
+    begins: Tensor  # [S] int64, the first state of each scene
+    counts: Tensor  # [S, levels] int64, number of a scene's states that a level uses
 
     def __init__(self, plan: Plan | Sequence[Plan], first: int | None = 2, stride: int = 1):
         super().__init__()
@@ -61,13 +61,13 @@ class Starts(nn.Module):
         return len(self.counts)
 
     def sample(self, level: Tensor, count: int, generator: torch.Generator, scene: Tensor | None = None) -> Tensor:
-        """Draw start states; consumes ``count`` numbers of the generator.
+        """Draw start states, which consumes ``count`` numbers of the generator.
 
         Args:
-            level: [] int64.
-            count: how many to draw.
-            generator: draws them.
-            scene: [count] int64, the scene of each; None takes the first.
+            level: [] int64, the level from which to draw.
+            count: number of states to draw.
+            generator: source of randomness.
+            scene: [count] int64, the scene of each state; None takes the first scene.
 
         Returns:
             [count, D].
@@ -82,13 +82,13 @@ class Starts(nn.Module):
 class Curriculum(nn.Module):
     """Starts that move away from the goal as long as the success rate holds.
 
-    Its progress is a buffer that is changed in place, so a resumed run continues at its level, and a captured step
-    continues the count of the one before.
+    Progress is a buffer that is updated in place, so a resumed run continues at its level, and a step captured in a
+    CUDA graph continues the count of the step before.
 
-    Several scenes share a level, and robots are spread over them evenly by chance.
+    All scenes share one level, and each robot's scene is drawn uniformly at random.
 
     Args:
-        plan: states and distances, of one scene or of several.
+        plan: states and distances of one scene or of several.
         first: see ``Starts``.
         stride: see ``Starts``.
         threshold: see ``Schedule``.
@@ -116,13 +116,13 @@ class Curriculum(nn.Module):
         return self.progress[0]
 
     def scenes(self, count: int, generator: torch.Generator) -> Tensor | None:
-        """Draw the scene of each robot, [count] int64; None, and nothing drawn, where there is only one."""
+        """Draw the scene of each robot, [count] int64; with only one scene, draw nothing and return None."""
         if self.starts.scenes == 1:
             return None
         return torch.randint(self.starts.scenes, (count,), generator=generator, device=self.starts.counts.device)
 
     def sample(self, count: int, generator: torch.Generator, scene: Tensor | None = None) -> Tensor:
-        """Draw start states of the current level, in some scenes [count] int64: [count, D]."""
+        """Draw start states of the current level, in given scenes [count] int64: [count, D]."""
         return self.starts.sample(self.level, count, generator, scene)
 
     def anywhere(self, count: int, generator: torch.Generator, scene: Tensor | None = None) -> Tensor:

@@ -1,4 +1,4 @@
-"""Demonstrations: episodes to learn from, recorded, kept in a folder, and replayed."""
+"""Demonstrations: recording episodes to learn from, storing them in a folder, and replaying them."""
 
 from splatrl.datasets.demonstrations import Demonstrations
 from splatrl.datasets.folder import read_demonstrations, write_demonstrations

@@ -1,7 +1,7 @@
-"""The folder of demonstrations: tensordict's memory-mapped files, and what they are.
+"""Reading and writing a folder of demonstrations: tensordict's memory-mapped files and a JSON file that describes them.
 
-``memmap/`` is what ``TensorDict.load_memmap`` reads, so TorchRL's replay buffers take it as it is. Here it is read
-without tensordict, whose reader would unpickle what a stranger put there.
+``memmap/`` has the format that ``TensorDict.load_memmap`` reads, so TorchRL's replay buffers can use it directly. This
+module reads it without tensordict, whose loader would unpickle files from an untrusted source.
 """
 
 import math
@@ -21,10 +21,10 @@ from splatrl.files import checked_name, require_room
 FACTS, MEMMAP = "demonstrations.json", "memmap"
 VERSION = 1
 MAX_HEADER = 2**20
-"""Bytes of a JSON file of the folder."""
+"""Maximum size of a JSON file in the folder, bytes."""
 DTYPES = {str(kind): kind for kind in (torch.uint8, torch.int64, torch.float32, torch.float64, torch.bool)}
 ROUNDED = 8192
-"""Bytes that a disk may need for a file besides its own: the rest of its last block, and its share of the headers."""
+"""Disk space to allow per file besides its contents, bytes: the rest of its last block, and its part of the headers."""
 NEEDED = {"episode", "frame", "pixels", "action", "state", "next"}
 
 
@@ -32,12 +32,12 @@ def write_demonstrations(folder: Path, demonstrations: Demonstrations, facts: Ma
     """Write demonstrations into an existing folder.
 
     Args:
-        folder: to write to; make it with ``new_folder``, so that it appears whole or not at all.
-        demonstrations: what to write.
-        facts: what else to say about them: plain values.
+        folder: the folder to write to; create it with ``new_folder``, so that it appears complete or not at all.
+        demonstrations: the demonstrations to write.
+        facts: further entries for the JSON file that describes them; plain values.
 
     Raises:
-        OSError: that names the folder, where the disk has no room for them.
+        OSError: if the disk does not have enough space; names the folder.
     """
     frames = TensorDict(demonstrations.frames.to_dict(), [len(demonstrations)])
     require_room(folder, sum(values.nbytes + ROUNDED for values in frames.values(True, True)))
@@ -53,11 +53,11 @@ def write_demonstrations(folder: Path, demonstrations: Demonstrations, facts: Ma
 
 
 def read_demonstrations(folder: Path) -> Demonstrations:
-    """Read a folder of demonstrations, which may come from a stranger: as data, mapped into memory.
+    """Memory-map a folder of demonstrations, which may be untrusted: its files are read purely as data.
 
     Raises:
-        FileNotFoundError: for a folder that holds none.
-        ValueError: for files that are damaged, or not whole episodes in order; names the file.
+        FileNotFoundError: for a folder without demonstrations.
+        ValueError: for files that are damaged or are not complete episodes in order; names the file.
     """
     path = folder / FACTS
     if not path.is_file():
@@ -89,10 +89,10 @@ def read_demonstrations(folder: Path) -> Demonstrations:
 
 
 def _tensors(folder: Path, needed: set[str]) -> dict[str, Any]:
-    """The tensors of one level of a memory-mapped TensorDict, by name.
+    """Map the tensors of one level of a memory-mapped TensorDict, by name.
 
     Raises:
-        ValueError: for a header that says anything but plain tensors of the sizes of their files.
+        ValueError: for a header that describes anything but plain tensors whose sizes match their files.
     """
     path = folder / "meta.json"
     header = read_json(path, MAX_HEADER)
@@ -123,7 +123,7 @@ def _tensor(folder: Path, key: str, entry: Mapping[str, Any], header: Path) -> T
 
 
 def _check_kinds(folder: Path, values: Mapping[str, Any]) -> None:
-    """Refuse tensors of other shapes and dtypes than frames have."""
+    """Refuse tensors whose shapes or dtypes are not those of frames."""
     after = values["next"]
     flags = (after[name] for name in ("done", "terminated", "truncated"))
     right = (

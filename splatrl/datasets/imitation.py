@@ -1,4 +1,4 @@
-"""Imitation before reward: a policy learns from demonstrations, then from the planner where it goes itself (DAgger)."""
+"""Imitation learning: clone demonstrations, then learn from the planner in states that the policy visits (DAgger)."""
 
 from collections.abc import Iterator, Sequence
 
@@ -14,22 +14,22 @@ from splatrl.training import PPO, Cloner, DaggerSettings, targets, visited
 def imitate(
     ppo: PPO, cloner: Cloner, world: World | Worlds, shown: Sequence[Demonstrations], dagger: DaggerSettings, seed: int
 ) -> Iterator[dict[str, float]]:
-    """Teach a policy; frames that were shown and frames in which it acted count as used.
+    """Train a policy by imitation; demonstrated frames and frames in which it acts both count towards the frame budget.
 
     Args:
-        ppo: holds policy, critic and the count of frames.
-        cloner: learns from frames, all those so far each time.
-        world: where the policy acts and the planner plans.
-        shown: demonstrations, from all of which it learns first; with none it begins with what it does untaught.
-        dagger: rounds in which the policy acts, from anywhere in the start set.
-        seed: of these episodes' starts.
+        ppo: holds the policy, the critic and the frame count.
+        cloner: fits the policy, each time to all frames gathered so far.
+        world: the world in which the policy acts and the planner plans.
+        shown: demonstration sets to clone first; if empty, the first DAgger round starts from the untrained policy.
+        dagger: settings of the DAgger rounds, whose episodes begin anywhere in the start set.
+        seed: seed of the starts of these episodes.
 
     Yields:
-        The loss after the demonstrations, and after each round.
+        The loss after cloning the demonstrations, after each DAgger round, and after any final epochs.
 
     Raises:
-        ValueError: for demonstrations that do not fit the policy, a task that nobody can teach, or more frames than
-            there are.
+        ValueError: for demonstrations that do not fit the policy, a task without a teacher, or a need for more frames
+            than ``collector.total_frames``.
     """
     known = _together([_frames(each, ppo, cloner.reads) for each in shown])
     _check(ppo, world, frames := len(known.get("frame", ())), dagger)
@@ -48,7 +48,7 @@ def imitate(
 
 
 def _together(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
-    """All frames in one; the parts may be let go, since images of many frames fill the memory."""
+    """Concatenate frames on the CPU, so that the caller can free the parts: images of many frames fill the memory."""
     return {key: torch.cat([part[key].cpu() for part in parts]) for key in (parts[0] if parts else ())}
 
 
@@ -70,17 +70,17 @@ def _check(ppo: PPO, world: World | Worlds, shown: int, dagger: DaggerSettings) 
 
 
 def _has_teacher(world: World | Worlds) -> bool:
-    """Whether the task says itself what would have been right."""
+    """Return whether the task has a teacher of its own."""
     one = world.worlds[0]
     memory = {key: spec.zero((1,)) for key, spec in one.task.memory_spec.items()}
     return one.task.teach(one.plan.starts[:1], memory) is not None
 
 
 def _frames(shown: Demonstrations, ppo: PPO, reads: Sequence[str]) -> dict[str, Tensor]:
-    """Demonstrations as ``Cloner.fit`` takes them.
+    """Convert demonstrations to what ``Cloner.fit`` expects.
 
     Raises:
-        ValueError: for demonstrations with other actions or images than the policy's, or without what it reads.
+        ValueError: for demonstrations whose actions or images differ from the policy's, or that lack a key it reads.
     """
     frames, env = shown.frames, ppo.env
     (height, width, channels), spec = env.observation_spec["pixels"].shape[1:], env.action_spec

@@ -1,7 +1,7 @@
-"""Demonstrations in the layout of LeRobotDataset v3.0: parquet, videos, and JSON about them.
+"""Writing demonstrations in the LeRobotDataset v3.0 layout: Parquet tables, videos, and JSON metadata.
 
-The layout is documented at https://huggingface.co/docs/lerobot/lerobot-dataset-v3. States, actions and what sensors
-sense keep their bytes, and views are compressed as H.264. Tables and each video have one file, whatever their size.
+The layout is documented at https://huggingface.co/docs/lerobot/lerobot-dataset-v3. States, actions and sensor readings
+are stored losslessly, and views are compressed as H.264. Each table and each video is a single file, whatever its size.
 """
 
 import json
@@ -21,25 +21,25 @@ from splatrl.evaluation.video import encode
 
 VIEW = "observation.images.front"
 KNOWN = {"episode", "frame", "pixels", "state", "action", "optimal", "next"}
-"""Keys of frames that are written under names of their own, and ``optimal``, which LeRobot has no word for."""
+"""Frame keys that are written under LeRobot's own names, and ``optimal``, which has no counterpart there."""
 DATA, EPISODES = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
 VIDEO = "videos/{key}/chunk-000/file-000.mp4"
 CHUNKS = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 KEYFRAMES = 2
-"""Frames from one that stands alone to the next, so that readers find any frame quickly."""
+"""Keyframe interval of the videos, frames; short, so that readers can seek to any frame quickly."""
 
 
 def write_lerobot(folder: Path, demonstrations: Demonstrations, task: str, robot: str = "splatrl") -> None:
-    """Write demonstrations into an existing folder, which ``LeRobotDataset(..., root=folder)`` reads.
+    """Write demonstrations into an existing folder that ``LeRobotDataset(..., root=folder)`` can read.
 
     Features: ``observation.images.front``, ``observation.state``, ``action``, ``next.reward``, ``next.done`` and
-    ``next.success``; and ``observation.<key>`` for what else is sensed or remembered, which is a video
-    ``observation.images.<key>`` where it is an image of three channels.
+    ``next.success``; and ``observation.<key>`` for everything else that is sensed or remembered. Three-channel images
+    become videos, ``observation.images.<key>``.
 
     Args:
-        folder: to write to; make it with ``new_folder``, so that it appears whole or not at all.
-        demonstrations: what to write.
-        task: what is done, in words.
+        folder: the folder to write to; create it with ``new_folder``, so that it appears complete or not at all.
+        demonstrations: the demonstrations to write.
+        task: description of the task, in words.
         robot: kind of robot.
 
     Raises:
@@ -72,12 +72,12 @@ def check_lerobot(width: int, height: int) -> None:
     """Refuse what cannot be written, before anything is recorded.
 
     Args:
-        width: of the views, pixels.
-        height: of the views, pixels.
+        width: width of the views, pixels.
+        height: height of the views, pixels.
 
     Raises:
-        ImportError: without the extra ``lerobot``.
-        ValueError: for odd sides, which the video's format does not have.
+        ImportError: if the extra ``lerobot`` is not installed.
+        ValueError: for an odd width or height, which the video format does not support.
     """
     if find_spec("pyarrow") is None:
         raise ImportError("LeRobot's layout needs pyarrow: pip install 'splatrl[lerobot]'")
@@ -90,14 +90,14 @@ def _is_image(values: Tensor) -> bool:
 
 
 def _videos(demonstrations: Demonstrations) -> dict[str, Tensor]:
-    """What the robot sees, and other images that it is given: [N, H, W, 3] uint8 by feature."""
+    """Return the robot's views and other images that it observes: [N, H, W, 3] uint8 by feature."""
     frames = demonstrations.frames
     others = [key for key in sorted(frames.keys() - KNOWN) if _is_image(frames[key])]
     return {VIEW: frames["pixels"]} | {f"observation.images.{key}": frames[key] for key in others}
 
 
 def _columns(demonstrations: Demonstrations) -> dict[str, Tensor]:
-    """The columns of the table of frames: [N], or [N, ...] of more than one number."""
+    """Return the columns of the frame table: [N] for single numbers, otherwise [N, ...]."""
     frames, count = demonstrations.frames, len(demonstrations)
     after = frames["next"]
     others = {key: frames[key] for key in sorted(frames.keys() - KNOWN) if not _is_image(frames[key])}
@@ -117,7 +117,7 @@ def _columns(demonstrations: Demonstrations) -> dict[str, Tensor]:
 
 
 def _array(pyarrow: Any, values: Tensor) -> Any:
-    """A column; rows of several numbers are lists of that length, and of lists where they have several axes."""
+    """Convert values to a column; rows of several numbers become fixed-size lists, nested for several axes."""
     result = pyarrow.array(values.reshape(-1).numpy())
     for side in reversed(values.shape[1:]):
         result = pyarrow.FixedSizeListArray.from_arrays(result, side)
@@ -127,7 +127,7 @@ def _array(pyarrow: Any, values: Tensor) -> Any:
 def _episodes(
     demonstrations: Demonstrations, task: str, columns: Mapping[str, Tensor], videos: Mapping[str, Tensor]
 ) -> dict[str, Any]:
-    """Columns of the table of episodes: where each is in tables and videos, and the statistics of its frames."""
+    """Return the columns of the episode table: each episode's place in tables and videos, and its statistics."""
     starts, lengths = demonstrations.starts, demonstrations.lengths
     ends, zeros = starts + lengths, [0] * len(starts)
     begin, end = ((at.double() / demonstrations.fps).tolist() for at in (starts, ends))
@@ -161,7 +161,7 @@ def _episodes(
 
 
 def _tasks(pyarrow: Any, task: str) -> Any:
-    """The table of tasks, whose words are the index of a pandas data frame."""
+    """Return the task table, whose task descriptions are the index of a pandas data frame."""
     index = "__index_level_0__"
     columns: list[dict[str, Any]] = [
         {"name": "task_index", "field_name": "task_index", "pandas_type": "int64", "numpy_type": "int64"},
@@ -219,7 +219,7 @@ def _info(
 
 
 def _statistics(columns: Mapping[str, Tensor], videos: Mapping[str, Tensor]) -> dict[str, Any]:
-    """Least, largest, mean, standard deviation and number of each feature; views in [0, 1], by channel: [3, 1, 1]."""
+    """Return min, max, mean, standard deviation and count of each feature; views in [0, 1], per channel: [3, 1, 1]."""
     result: dict[str, Any] = {}
     for key, value in columns.items():
         rows = value.double().reshape(len(value), *(value.shape[1:] or [1]))
@@ -229,8 +229,8 @@ def _statistics(columns: Mapping[str, Tensor], videos: Mapping[str, Tensor]) -> 
 
 
 def _colors(pixels: Tensor) -> dict[str, Any]:
-    """The statistics of a video [N, H, W, 3]."""
-    colors = torch.zeros(4, 3, dtype=torch.float64)  # sums of values and squares, one image at a time
+    """Return the statistics of a video [N, H, W, 3], per channel."""
+    colors = torch.zeros(4, 3, dtype=torch.float64)  # sum, sum of squares, min and max, updated per image
     colors[2] = 255.0
     for image in pixels:
         points = image.reshape(-1, 3).double()

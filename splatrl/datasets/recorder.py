@@ -1,4 +1,4 @@
-"""Records demonstrations: the planner walks shortest paths to the goal."""
+"""Recording demonstrations: the planner drives robots along shortest paths to the goal."""
 
 from collections.abc import Callable, Sequence
 
@@ -15,7 +15,7 @@ from splatrl.values import require_number
 
 ROBOTS = 32
 TRIES = 4
-"""Starts that are tried for each episode wanted: off a lattice, a path along an obstacle may end at it."""
+"""Starts tried per requested episode: off a lattice, a path along an obstacle may run into it."""
 
 
 def planner_episodes(
@@ -23,17 +23,18 @@ def planner_episodes(
 ) -> Demonstrations:
     """Record episodes in which the robot follows a shortest path to the goal.
 
-    Starts are drawn from the whole start set, without repetition as long as there are others. Where several actions
-    begin a shortest path, one of them is drawn. Only episodes that reach the goal are kept.
+    Starts are drawn from the whole start set, without repetition until all have been used. Where several actions begin
+    a shortest path, one of them is chosen at random. Only episodes that reach the goal are kept.
 
     Args:
-        world: scene and task; its camera noise and appearance apply, and what it stacks is kept as single views.
+        world: scene and task; its camera noise and appearance apply, but stacked views are stored as single ones.
         episodes: number of episodes.
-        seed: of starts and choices.
-        progress: called with the number of frames of each episode that was kept.
+        seed: seed of starts and random choices.
+        progress: called for each episode that is kept, with its number of frames.
 
     Raises:
-        ValueError: for a task whose episodes do not end at goal states, or whose goal the planner does not reach.
+        ValueError: for a task whose episodes do not end at goal states, or whose goal the planner does not reach often
+            enough.
     """
     require_number("episodes", episodes, 1, 10**6, whole=True)
     plan = world.plan
@@ -58,11 +59,11 @@ def planner_episodes(
 
 @torch.no_grad()
 def _walked(world: World, plan: Plan, starts: Tensor, seed: int, generator: torch.Generator) -> list[TensorDictBase]:
-    """One episode from each start along shortest paths, or to where no path goes on: frames [T] each, on the CPU."""
+    """Run one episode from each start along shortest paths, or at random where none exists: frames [T], on the CPU."""
     env, names = world.env(len(starts), seed=seed), world.task.motion.action_names
     now = env.reset(TensorDict({"state": starts}, [len(starts)], device=env.device), set_state=True)
     steps: list[TensorDictBase] = []
-    length = torch.zeros(len(starts), dtype=torch.int64)  # of the episodes that have ended
+    length = torch.zeros(len(starts), dtype=torch.int64)  # frames of each ended episode
     running = torch.ones(len(starts), dtype=torch.bool)
     while running.any() and len(steps) < world.task.max_steps:
         best = plan.optimal(now["state"].to(plan.states.device)).cpu()
@@ -82,11 +83,11 @@ def _walked(world: World, plan: Plan, starts: Tensor, seed: int, generator: torc
 
 
 def recorded(step: TensorDictBase, told: Sequence[str]) -> TensorDictBase:
-    """What demonstrations keep of a step of robots, on the CPU; of stacked views the last.
+    """Select what demonstrations store of a step, on the CPU; of stacked views, only the last.
 
     Args:
-        step: [B], as ``env.step`` gives it.
-        told: keys of what is sensed and remembered; see ``World.told``.
+        step: [B], as returned by ``env.step``.
+        told: keys of sensor readings and memory; see ``World.told``.
     """
     seen = step.select("pixels", "action", "state", *told).cpu()
     seen["pixels"] = seen["pixels"][..., -3:].clone()

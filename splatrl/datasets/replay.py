@@ -1,4 +1,4 @@
-"""Replays demonstrations: the same states and actions must come out, byte for byte."""
+"""Replaying demonstrations: states and actions must be reproduced byte for byte."""
 
 from collections.abc import Callable
 
@@ -15,19 +15,19 @@ ROBOTS = 32
 def replay(
     world: World, demonstrations: Demonstrations, progress: Callable[[int], object] = lambda frames: None
 ) -> tuple[list[str], int]:
-    """Begin each episode where it began, take its actions, and compare what happens with what is written.
+    """Start each episode from its recorded state, repeat its actions, and compare the results with the recording.
 
     Args:
-        world: the world in which they were recorded.
-        demonstrations: what to replay.
+        world: the world in which the demonstrations were recorded.
+        demonstrations: the demonstrations to replay.
         progress: called with the number of frames just replayed.
 
     Returns:
-        What differs, as a line for each key that does (all but ``pixels``), and the number of views whose bytes are
-        equal: camera noise and varied appearance are drawn anew.
+        The differences, one line for each key that differs (``pixels`` excluded), and the number of views that are
+        identical byte for byte; views may differ, because camera noise and appearance are drawn anew.
 
     Raises:
-        ValueError: for states or actions that the world does not have.
+        ValueError: for states or actions that do not exist in the world.
     """
     frames, starts, lengths = demonstrations.frames, demonstrations.starts, demonstrations.lengths
     env = world.env(min(ROBOTS, len(starts)))
@@ -36,7 +36,7 @@ def replay(
     different: dict[str, int] = {}
     equal = 0
     for rows in torch.arange(len(starts)).split(env.numel()):
-        begin = starts[rows].repeat(env.numel())[: env.numel()]  # robots without an episode of their own repeat one
+        begin = starts[rows].repeat(env.numel())[: env.numel()]  # spare robots rerun one, unchecked
         length = torch.cat([lengths[rows], torch.zeros(env.numel() - len(rows), dtype=torch.int64)])
         given = frames[begin].select(*told_keys)
         now = env.reset(TensorDict(given.to_dict(), [env.numel()], device=env.device), set_state=True)
@@ -57,7 +57,7 @@ def replay(
 
 
 def _check(world: World, demonstrations: Demonstrations) -> None:
-    """Refuse actions that the world does not have; states are checked as an env is reset to them."""
+    """Refuse actions that do not exist in the world; states are checked when an env is reset to them."""
     spec, action = world.task.motion.action_spec, demonstrations.frames["action"]
     many = spec.expand(len(action), *spec.shape)
     if action.dtype != spec.dtype or action.shape != many.shape or not many.to(action.device).is_in(action):

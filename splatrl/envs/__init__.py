@@ -1,4 +1,4 @@
-"""Environments: the robot, what it sees, what it is rewarded for."""
+"""Environments: the robot, its observations, and its tasks."""
 
 from splatrl.envs.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
 from splatrl.envs.mjcf_robot import mjcf_robot

@@ -1,4 +1,4 @@
-"""Scenes and states that are given to a reset, refused where an episode could not begin there."""
+"""Validation of the scenes and states given to a reset."""
 
 import torch
 from tensordict import TensorDictBase
@@ -7,18 +7,18 @@ from torchrl.data import Bounded, TensorSpec
 
 
 def given_scene(given: TensorDictBase, scenes: int, only: Tensor | None) -> Tensor:
-    """The given scene of each row: a wrong one would ask for what is not there.
+    """Return the given scene of each row after checking that it exists.
 
     Args:
         given: [B], with ``scene`` [B, 1] int64.
-        scenes: how many there are.
-        only: [B] bool, the rows that are asked for, since others may hold anything; None asks for all.
+        scenes: number of scenes.
+        only: [B] bool, the rows to check, since others may hold anything; None checks all.
 
     Returns:
-        [B] int64.
+        [B] int64, clamped to valid scenes in rows that are not checked.
 
     Raises:
-        ValueError: for a scene that does not exist, or none.
+        ValueError: for a scene that does not exist, or if no scene is given.
     """
     scene = given.get("scene", None)
     if scene is None or scene.dtype != torch.int64:
@@ -32,12 +32,12 @@ def given_scene(given: TensorDictBase, scenes: int, only: Tensor | None) -> Tens
 
 
 def given_state(given: TensorDictBase, spec: TensorSpec, only: Tensor | None) -> Tensor:
-    """The given states: a wrong one would wrap around or end up far away.
+    """Return a copy of the given states after checking them: an invalid one would wrap around or end up far away.
 
     Args:
         given: [B], with ``state`` [B, ...].
-        spec: of one robot's state.
-        only: as for ``given_scene``.
+        spec: spec of one robot's state.
+        only: see ``given_scene``.
 
     Raises:
         ValueError: for a state outside the spec.

@@ -1,4 +1,4 @@
-"""Gymnasium's view of an env: one robot as ``gymnasium.Env``, a batch as ``gymnasium.vector.VectorEnv``."""
+"""Gymnasium wrappers: one robot as a ``gymnasium.Env``, a batch as a ``gymnasium.vector.VectorEnv``."""
 
 from collections.abc import Sequence
 from typing import Any, Literal
@@ -27,15 +27,15 @@ _METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
 
 
 class GymnasiumEnv(gymnasium.Env[Observation, Action]):
-    """One robot.
+    """A single robot as a Gymnasium env.
 
-    Observation: [H, W, 3] uint8, the ego view; with ``sensors`` a dictionary of it, under ``pixels``, and of what each
-        senses, by its key.
-    Action: the task's, ``Discrete``; with continuous control a ``Box`` of float32 in [-1, 1], as Gymnasium's clients
+    Observation: [H, W, 3] uint8, the ego view; with ``sensors`` a dictionary that holds it under ``pixels``, and each
+        sensor's reading under the sensor's key.
+    Action: the task's, ``Discrete``; for continuous control a ``Box`` of float32 in [-1, 1], as Gymnasium's clients
         expect, mapped linearly onto the task's limits: ``drive`` stands still at (-1/3, 0), not at 0.
-    Info: ``outcome`` (int, an ``Outcome``), ``goals`` (int, reached so far), ``success`` (bool) and ``state`` (the
-        task's state, an array).
-    Reset: ``reset(seed=...)`` seeds the starts, ``reset(options={"state": ...})`` begins at that state of the task.
+    Info: ``outcome`` (int, an ``Outcome``), ``goals`` (int, number reached so far), ``success`` (bool) and ``state``
+        (the task's state, an array).
+    Reset: ``reset(seed=...)`` seeds the starts, ``reset(options={"state": ...})`` begins at the given task state.
 
     Example:
         >>> import splatrl
@@ -44,10 +44,10 @@ class GymnasiumEnv(gymnasium.Env[Observation, Action]):
 
     Args:
         env: a ``SplatEnv``, bare or under transforms, of batch size [1].
-        render_mode: what ``render`` returns: the current view, or nothing.
+        render_mode: ``"rgb_array"`` makes ``render`` return the current view; None disables it.
 
     Raises:
-        ValueError: for another batch size, an action that is neither discrete nor bounded, or another render mode.
+        ValueError: for any other batch size or render mode, or an action that is neither discrete nor bounded.
     """
 
     metadata = _METADATA
@@ -60,7 +60,7 @@ class GymnasiumEnv(gymnasium.Env[Observation, Action]):
         self._present: TensorDictBase | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Infos]:
-        """Begin an episode."""
+        """Begin an episode and return its first observation and info."""
         super().reset(seed=seed)
         self._present = _begin(self.env, seed, options)
         return _seen_by(_observed(self.env, self._present), 0), _one(_infos(self._present))
@@ -78,7 +78,7 @@ class GymnasiumEnv(gymnasium.Env[Observation, Action]):
         return seen, after["reward"].item(), terminated, truncated, _one(_infos(after))
 
     def render(self) -> Pixels | None:
-        """The current view, [H, W, 3] uint8; None without a render mode."""
+        """Return the current view, [H, W, 3] uint8; None without a render mode."""
         if self.render_mode is None:
             return None
         if self._present is None:
@@ -87,27 +87,28 @@ class GymnasiumEnv(gymnasium.Env[Observation, Action]):
 
 
 class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
-    """A batch of robots.
+    """A batch of robots as a Gymnasium vector env.
 
-    A robot whose episode ends begins the next in the same step, or in the next one, in which its action is ignored and
-    its reward is 0, as ``autoreset_mode`` says.
+    Depending on ``autoreset_mode``, a robot whose episode ends begins the next one either in the same step, or in the
+    following step, in which its action is ignored and its reward is 0.
 
     Observation: [B, H, W, 3] uint8; with ``sensors`` a dictionary, see ``GymnasiumEnv``.
-    Action: [B] int64, or [B, n] float32 in [-1, 1] with continuous control; see ``GymnasiumEnv``.
-    Info: ``outcome``, ``goals``, ``success`` and ``state`` that belong to the observation, [B, ...] each. With a reset
-        in the same step, ``final_obs`` and ``final_info`` hold the last observation and info of robots whose episode
-        ended. Each has a mask, [B] bool, under ``_<name>``.
-    Reset: one seed serves the whole batch. With a list, each robot's start depends on its own seed alone, and all that
-        is drawn later on all of them; robots with None go on with the generator.
+    Action: [B] int64, or [B, n] float32 in [-1, 1] for continuous control; see ``GymnasiumEnv``.
+    Info: ``outcome``, ``goals``, ``success`` and ``state`` that belong to the observation, [B, ...] each. With
+        same-step resets, ``final_obs`` and ``final_info`` hold the last observation and info of robots whose episode
+        ended. Each entry has a mask, [B] bool, under ``_<name>``.
+    Reset: a single seed is used for the whole batch. With a list of seeds, each robot's start depends only on its own
+        seed, and everything drawn later depends on all of them; robots with None draw from the env's generator as
+        before.
 
     Args:
         env: a ``SplatEnv``, bare or under transforms.
-        autoreset_mode: same or next step; some wrappers of Gymnasium's ask for the next.
-        render_mode: what ``render`` returns: the current views, or nothing.
+        autoreset_mode: ``SAME_STEP`` or ``NEXT_STEP``; some of Gymnasium's wrappers require the latter.
+        render_mode: ``"rgb_array"`` makes ``render`` return the current views; None disables it.
 
     Raises:
-        ValueError: for an env that is not of batch size [B], an action that is neither discrete nor bounded, another
-            mode, or another number of seeds.
+        ValueError: for an env whose batch size is not [B], an action that is neither discrete nor bounded, any other
+            mode, or a list of seeds of another length.
     """
 
     def __init__(
@@ -129,7 +130,7 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._present: TensorDictBase | None = None
-        self._over = np.zeros(self.num_envs, dtype=bool)  # whose episode ended, and who begin in the next step
+        self._over = np.zeros(self.num_envs, dtype=bool)  # robots whose episode ended, to be reset in the next step
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
@@ -148,14 +149,14 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
     def step(
         self, actions: Actions
     ) -> tuple[Observation, npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_], Infos]:
-        """Take one action with each robot."""
+        """Take one action per robot."""
         if self._present is None:
             raise gymnasium.error.ResetNeeded("step: expected reset first")
         acted = _act(self.env, self._present, self.action_space, actions)
         return (self._step_over if self._over.any() else self._step)(acted)
 
     def _step(self, acted: TensorDictBase) -> tuple[Any, ...]:
-        """A step in which all robots act."""
+        """Take a step in which all robots act."""
         same = self.autoreset_mode == AutoresetMode.SAME_STEP
         step, self._present = self.env.step_and_maybe_reset(acted) if same else self._stepped(acted)
         _raise_faults(self.env)
@@ -173,9 +174,9 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
         return seen, reward, _column(after, "terminated"), _column(after, "truncated"), infos
 
     def _step_over(self, acted: TensorDictBase) -> tuple[Any, ...]:
-        """A step in which some robots begin an episode, and the others act."""
+        """Take a step in which some robots begin an episode and the others act."""
         over, mask = self._over, torch.as_tensor(self._over, device=self.env.device).unsqueeze(1)
-        acted["level"] = torch.where(mask, -1, acted["level"])  # an episode that has ended counts once
+        acted["level"] = torch.where(mask, -1, acted["level"])  # the curriculum counts an ended episode only once
         step, present = self._stepped(acted)
         _raise_faults(self.env)
         self._present = self.env.reset(present.set("_reset", mask), set_state=False)
@@ -190,12 +191,12 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
         return step, self.env.step_mdp(step)
 
     def _told(self) -> Infos:
-        """The infos of what is shown now."""
+        """Return the infos that belong to the current observation."""
         assert self._present is not None
         return _masked(_infos(self._present), np.ones(self.num_envs, dtype=bool))
 
     def render(self) -> tuple[Pixels, ...] | None:
-        """The current views, [H, W, 3] uint8 each; None without a render mode."""
+        """Return the current views, [H, W, 3] uint8 each; None without a render mode."""
         if self.render_mode is None:
             return None
         if self._present is None:
@@ -210,14 +211,14 @@ def _checked_mode(render_mode: str | None) -> str | None:
 
 
 def _spaces(env: EnvBase) -> tuple[gymnasium.Space[Any], gymnasium.Space[Any]]:
-    """Observation and action space of one robot."""
+    """Return the observation space and the action space of one robot."""
     check_layers(env)
     observed = {key: _observation_space(env.observation_spec[key]) for key in _observed_keys(env)}
     return Dict(observed) if len(observed) > 1 else observed["pixels"], _action_space(env.action_spec)
 
 
 def _observation_space(spec: TensorSpec) -> gymnasium.Space[Any]:
-    """Space of what one robot observes under a key, from the spec of the batch."""
+    """Return one robot's observation space for a key, from the spec of the batch."""
     shape = tuple(spec.shape[1:])
     if spec.dtype == torch.bool:
         return MultiBinary(shape)
@@ -228,7 +229,7 @@ def _observation_space(spec: TensorSpec) -> gymnasium.Space[Any]:
 
 
 def _action_space(spec: TensorSpec) -> gymnasium.Space[Any]:
-    """Action space of one robot, from the spec of the batch."""
+    """Return one robot's action space, from the spec of the batch."""
     if isinstance(spec, Categorical):
         return Discrete(int(spec.n))
     if isinstance(spec, Bounded) and spec.dtype == torch.float32:
@@ -237,7 +238,7 @@ def _action_space(spec: TensorSpec) -> gymnasium.Space[Any]:
 
 
 def _together(seeds: list[int | None]) -> int | None:
-    """A seed of the batch that depends on those of all robots; None if one has none."""
+    """Derive a seed for the batch from the seeds of all robots; None if any robot has none."""
     known = [seed for seed in seeds if seed is not None]
     return int(np.random.SeedSequence(known).generate_state(1)[0]) if len(known) == len(seeds) else None
 
@@ -274,19 +275,19 @@ def _act(env: EnvBase, present: TensorDictBase, space: gymnasium.Space[Any], act
 
 
 def _raise_faults(env: EnvBase) -> None:
-    """Raise what renderer or checker refused on their device: Gymnasium's arrays force a synchronisation anyway."""
+    """Raise errors that renderer or checker recorded on the device: Gymnasium's arrays synchronise with it anyway."""
     base = layers(env)[0]
     if isinstance(base, Faulty):
         base.raise_faults()
 
 
 def _observed_keys(env: EnvBase) -> list[str]:
-    """The pixels, and what sensors observe besides."""
+    """Return the observed keys: the pixels, and those of the other sensors."""
     return ["pixels", *(key for key in layers(env)[0].sensors if key != "pixels")]
 
 
 def _observed(env: EnvBase, td: TensorDictBase) -> Observation:
-    """What the robots of a batch observe."""
+    """Return the observations of a batch of robots."""
     keys = _observed_keys(env)
     if len(keys) == 1:
         return _pixels(td)
@@ -295,7 +296,7 @@ def _observed(env: EnvBase, td: TensorDictBase) -> Observation:
 
 
 def _seen_by(observed: Observation, row: int) -> Observation:
-    """What one robot of a batch observes."""
+    """Return the observation of one robot of a batch."""
     return {key: each[row] for key, each in observed.items()} if isinstance(observed, dict) else observed[row]
 
 
@@ -313,11 +314,11 @@ def _infos(td: TensorDictBase) -> Infos:
 
 
 def _one(infos: Infos) -> Infos:
-    """The infos of the only robot, with scalars as Python numbers."""
+    """Return the infos of the only robot, with scalars as Python numbers."""
     rows = {key: value[0] for key, value in infos.items()}
     return {key: row.item() if row.ndim == 0 else row for key, row in rows.items()}
 
 
 def _masked(infos: Infos, rows: npt.NDArray[np.bool_]) -> Infos:
-    """Infos, each with a mask of the rows for which it holds, as in Gymnasium's vector envs."""
+    """Add to each info a mask of the rows for which it is valid, as Gymnasium's vector envs do."""
     return infos | {f"_{key}": rows for key in infos}

@@ -1,4 +1,4 @@
-"""Steps on a lattice, each carried out and judged once and then looked up; episodes begin in one call, too."""
+"""Precomputed steps on a lattice: each is carried out and judged once, then looked up; so are episode starts."""
 
 import math
 from collections.abc import Mapping
@@ -17,17 +17,17 @@ from splatrl.motions.finite import FiniteMotion
 from splatrl.native import _core
 
 MOST = 2**17
-"""Most steps that are taken beforehand, which lasts about a tenth of a second."""
+"""Maximum number of steps to precompute; this many take about a tenth of a second."""
 COUNTED = ("step_count", "episode_return", "level", "goals")
-"""Keys of what a step counts on; it reads ``state`` and ``action`` besides."""
+"""Keys of the counters that a step reads and updates; besides them it reads ``state`` and ``action``."""
 
 
 class Taken(NamedTuple):
-    """What a step made of B robots.
+    """Result of a step of B robots, without their images.
 
     Attributes:
-        values: all that the env returns except for what is drawn, by key.
-        body_to_world: [B, 4, 4] float32, their poses after it, metres.
+        values: everything that the env returns except what is drawn, by key.
+        body_to_world: [B, 4, 4] float32, poses after the step, metres.
     """
 
     values: dict[str, Tensor]
@@ -35,15 +35,15 @@ class Taken(NamedTuple):
 
 
 class LatticeSteps:
-    """The steps of B robots on a lattice, on the CPU: motion, checker and task take each once, when this is made.
+    """Lookup table for the steps of B robots on a lattice, on the CPU; the constructor computes every step once.
 
-    What is looked up is what ``SplatEnv`` would make of the step, to the last bit, and so are the episodes that begin.
+    Results are bit-identical to those of ``SplatEnv``, both for steps and for episodes that begin.
 
     Args:
-        task: see ``suits``.
-        checker: tells what the body touches.
-        curriculum: is told of episodes that end.
-        count: B.
+        task: a task that ``suits``.
+        checker: finds what the body touches.
+        curriculum: draws starts and records episodes that end.
+        count: number of robots, B.
         anywhere: see ``Task.judge``.
     """
 
@@ -78,10 +78,10 @@ class LatticeSteps:
         """Carry out a step.
 
         Args:
-            given: [N] with N of at most B, what a step of the env is given.
+            given: input of the env's step, [N] with N ≤ B.
 
         Returns:
-            What came of it; None, and nothing has happened, for states and actions that are not those of the lattice.
+            The result; None, with nothing changed, for states or actions that are not on the lattice.
         """
         held = dict(given.items())
         read, count = [held["state"], held["action"], *(held[key] for key in COUNTED)], len(held["state"])
@@ -91,7 +91,7 @@ class LatticeSteps:
             kinds = [(dtype, size // len(self._poses) * count, here) for dtype, size, here in kinds]
         if [_kind(values) for values in read] != kinds:
             return None
-        read = [each.contiguous() for each in read]  # kept, since a copy is gone with its tensor
+        read = [each.contiguous() for each in read]  # keeps copies alive while C++ reads them
         values = {key: torch.empty_like(one) for key, one in like.items()}
         poses, schedule = torch.empty_like(poses_like), self.curriculum.schedule
         known = self._table.step(
@@ -109,13 +109,13 @@ class LatticeSteps:
         """Begin episodes in some rows.
 
         Args:
-            after: [B, ...] by key, what a step returned.
-            rows: [N] int64.
-            generator: draws the starts, for all rows.
+            after: [B, ...] by key, the result of a step.
+            rows: [N] int64, rows in which episodes begin.
+            generator: draws starts for all B rows.
 
         Returns:
-            All but what is drawn, [B, ...], and poses of the new rows, [N, 4, 4]; None, and nothing has happened, for
-            entries of other kinds than those of a step.
+            All entries except what is drawn, [B, ...], and the poses of the new rows, [N, 4, 4]; None, with nothing
+            changed, for entries whose dtype, size or device differs from a step's.
         """
         old = [after[key] for key in self._begun]
         if [_kind(values) for values in old] != [_kind(values) for values in self._begun.values()]:
@@ -143,7 +143,7 @@ def _kind(values: Tensor) -> tuple[torch.dtype, int, bool]:
 
 
 def suits(task: Task, curriculum: Curriculum) -> bool:
-    """Whether a step depends on nothing but state and action, of which there are few, and a start on nothing at all."""
+    """Return whether steps depend only on state and action, with few of both, and the task leaves starts as drawn."""
     motion = task.motion
     if not isinstance(motion, FiniteMotion) or not isinstance(task, OutcomeTask) or task.memory_spec:
         return False
@@ -156,5 +156,5 @@ def suits(task: Task, curriculum: Curriculum) -> bool:
 
 
 def _does_as(one: object, base: type, *methods: str) -> bool:
-    """Whether an object has these methods of a class, and none in their place."""
+    """Return whether an object inherits these methods of a class without overriding them."""
     return all(getattr(type(one), name) is getattr(base, name) for name in methods)

@@ -1,4 +1,4 @@
-"""Robots whose camera is that of their MJCF."""
+"""Robots whose camera is defined in their MJCF."""
 
 import math
 from pathlib import Path
@@ -13,7 +13,7 @@ from splatrl.physics.robots import mjcf_path
 from splatrl.physics.standing import at_home
 
 TO_OPENCV = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
-"""MuJoCo's cameras look along −z, with y up."""
+"""Conversion between MuJoCo's camera axes (looking along −z, y up) and OpenCV's."""
 
 
 def mjcf_robot(
@@ -24,22 +24,23 @@ def mjcf_robot(
     image_height: int = 64,
     height: float | None = None,
 ) -> Robot:
-    """The body and camera of a robot of MJCF.
+    """Build a robot from an MJCF file and one of its cameras.
 
-    Field of view and mount are the camera's, and the height is that of the body that carries it where the robot stands.
+    Field of view and mount are those of the MJCF camera; the height is that of the body that carries it, with the robot
+    in its home pose.
 
     Args:
-        path: of the MJCF, or the name of one of splatrl's own robots.
+        path: path of the MJCF, or the name of one of splatrl's own robots.
         camera: name of the camera.
-        body: what must be free where an episode begins, centred at the origin of the body that carries the camera.
+        body: shape that must be free where an episode begins, centred at the origin of the body carrying the camera.
         image_width: width of the image, pixels.
         image_height: height of the image, pixels.
-        height: that of robots without legs or wheels, which scenes propose; it is not used.
+        height: ignored; scenes propose it for robots without legs or wheels.
 
     Raises:
-        FileNotFoundError: for MJCF that is not there.
-        ImportError: without the extra ``physics``.
-        ValueError: for MJCF that is refused, or has no such camera, or a body that stands in the ground.
+        FileNotFoundError: if the MJCF does not exist.
+        ImportError: if the extra ``physics`` is not installed.
+        ValueError: for MJCF that is refused, a camera that it does not have, or a body that reaches into the ground.
     """
     place = mjcf_path(str(path))
     model = read_mjcf(place).compile()

@@ -1,10 +1,10 @@
-"""Nested envs: the base env and the transformed envs around it."""
+"""Nested envs: a base env and the transformed envs around it."""
 
 from torchrl.envs import EnvBase, FrameSkipTransform, Transform, TransformedEnv
 
 
 def layers(env: EnvBase) -> tuple[EnvBase, list[TransformedEnv]]:
-    """The base env, and the transformed envs around it, the outermost first."""
+    """Return the base env, and the transformed envs around it, outermost first."""
     around = []
     while isinstance(env, TransformedEnv):
         around.append(env)
@@ -13,16 +13,16 @@ def layers(env: EnvBase) -> tuple[EnvBase, list[TransformedEnv]]:
 
 
 def check_layers(env: EnvBase) -> None:
-    """Refuse an env under a transform with which it does not work; see ``refuse_frame_skip``."""
+    """Refuse an env under a transform that does not work with it; see ``refuse_frame_skip``."""
     for around in layers(env)[1]:
         refuse_frame_skip(around.transform)
 
 
 def refuse_frame_skip(transform: Transform) -> None:
-    """Refuse TorchRL's frame skip, which steps again from the state before the step.
+    """Refuse TorchRL's frame skip, which repeats the step from the same state.
 
     Raises:
-        ValueError: names the transform that takes its place.
+        ValueError: for such a transform; names the one to use instead.
     """
     if any(isinstance(part, FrameSkipTransform) for part in transform.modules()):
         raise ValueError(

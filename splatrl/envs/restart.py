@@ -1,4 +1,4 @@
-"""Start new episodes where the last ones ended: by a mask, without synchronising with the host, or by row."""
+"""Starting new episodes for robots whose last one ended: by mask, without synchronising with the host, or by row."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,17 +13,17 @@ from splatrl.native import _core
 
 
 def restart(env: EnvBase, after: TensorDictBase) -> TensorDictBase:
-    """Reset the robots whose episode ended, if any.
+    """Reset the robots whose episode ended, if any, without synchronising with the host.
 
-    The result is that of ``env.maybe_reset``, which synchronises with the host to learn whether any robot, or every
-    robot, is done. Here the env draws start states for all rows, and rows whose episode goes on discard theirs.
+    The result equals that of ``env.maybe_reset``, which synchronises to learn whether any robot, or every robot, is
+    done. Here the env draws start states for all rows, and rows whose episode continues discard theirs.
 
     Args:
         env: a ``SplatEnv``, bare or under transforms.
-        after: [B], what a step returned under ``"next"``; it is not modified.
+        after: [B], the result of a step under ``"next"``; it is not modified.
 
     Returns:
-        [B], what the next step starts from, with the keys of a reset.
+        [B], the input of the next step, with the keys of a reset.
     """
     done = after["done"]
 
@@ -41,16 +41,16 @@ def restart(env: EnvBase, after: TensorDictBase) -> TensorDictBase:
 
 
 def maybe_reset(env: EnvBase, after: TensorDictBase) -> TensorDictBase:
-    """Do what ``EnvBase.maybe_reset`` does, which merges old and new rows by a mask over every entry; here by row.
+    """Do what ``EnvBase.maybe_reset`` does, but by row: TorchRL's merges old and new rows with a mask over every entry.
 
-    Without transforms, what the robots see is drawn for the rows that are reset and goes straight to its place.
+    Without transforms, only the rows that are reset are drawn, and their views are written straight into place.
 
     Args:
         env: a ``SplatEnv``, bare or under transforms.
-        after: [B], from ``step_mdp``; as in TorchRL it is given ``_reset``, and nothing else.
+        after: [B], from ``step_mdp``; as in TorchRL, it gains the key ``_reset`` and is otherwise unchanged.
 
     Returns:
-        [B], what the next step starts from.
+        [B], the input of the next step.
     """
     if not env.any_done(after):
         return after
@@ -67,12 +67,12 @@ def maybe_reset(env: EnvBase, after: TensorDictBase) -> TensorDictBase:
 
 
 def _reset_where(env: EnvBase, mask: Tensor) -> TensorDictBase:
-    """What a reset of some rows of an env returns, [B]; in the others it may hold anything: [B, 1] bool."""
+    """Reset the rows of an env that a mask selects, [B, 1] bool; in other rows the result [B] may hold anything."""
     return env._reset(TensorDict({"_reset": mask}, env.batch_size, device=env.device), set_state=False)
 
 
 def _with_rows_of(old: Tensor | TensorDictBase | None, rows: Tensor, fresh: Tensor | TensorDictBase) -> Any:
-    """An entry of which some rows are those of another one, or that one where there is none: [B, ...] each."""
+    """Return an entry with some rows taken from a fresh one, or the fresh one if there is no old: [B, ...] each."""
     if old is None:
         return fresh
     if isinstance(fresh, TensorDictBase):
@@ -81,7 +81,7 @@ def _with_rows_of(old: Tensor | TensorDictBase | None, rows: Tensor, fresh: Tens
 
 
 def with_rows(old: Sequence[Tensor], rows: Tensor, fresh: Sequence[Tensor]) -> list[Tensor]:
-    """Copies of batches in which some rows are others: [B, ...], [N] int64 and [N, ...] give [B, ...], for each."""
+    """Copy batches with some rows replaced: old [B, ...], rows [N] int64 and fresh [N, ...] give [B, ...], for each."""
     if any(one.requires_grad or not one.is_cpu for one in (*old, *fresh)):
         return [one.index_copy(0, rows, new) for one, new in zip(old, fresh, strict=True)]
     given = [(one.contiguous(), new.contiguous()) for one, new in zip(old, fresh, strict=True)]

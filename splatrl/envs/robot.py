@@ -14,16 +14,17 @@ from splatrl.values import require_number
 
 @dataclass(frozen=True)
 class Robot:
-    """A body with a camera at its centre, looking along the body's +x, or mounted elsewhere on it.
+    """A body with a camera, either at its centre, looking along the body's +x, or mounted elsewhere on it.
 
     Attributes:
         body: collision shape, in the body frame.
-        height: height of the body's centre, and so of the camera, above z = 0, metres.
-        pitch_deg: angle by which the camera looks down, degrees.
+        height: height of the body's centre, and of a camera placed there, above z = 0, metres.
+        pitch_deg: downward pitch of a camera at the centre, degrees.
         fov_deg: horizontal field of view, degrees in (0, 180).
         image_width: width of the image, pixels.
         image_height: height of the image, pixels.
-        mount: rows of ``camera_to_body``, 4 × 4, of a camera that is not at the centre; None puts it there, pitched.
+        mount: rows of ``camera_to_body``, 4 × 4, for a camera that is not at the centre; None places it at the centre,
+            with ``pitch_deg``.
     """
 
     body: Body
@@ -52,11 +53,11 @@ class Robot:
         object.__setattr__(self, "K", K)
 
     def cameras(self, body_to_world: Tensor, camera_offset: Tensor | None = None) -> Cameras:
-        """The ego cameras of robots at some poses.
+        """Return the ego cameras of robots at given poses.
 
         Args:
             body_to_world: [B, 4, 4] float32, metres.
-            camera_offset: [B, 6] float32 that moves the camera and not the robot: metres along world x, y and z, then
+            camera_offset: [B, 6] float32, moves the camera but not the robot: metres along world x, y and z, then
                 radians about the camera's own right, forward and down axes, in the order pitch, roll, yaw.
 
         Returns:
@@ -72,7 +73,7 @@ class Robot:
         return Cameras(camera_to_world, K, self.image_width, self.image_height)
 
     def _camera_on(self, device: torch.device) -> tuple[Tensor, Tensor]:
-        """``camera_to_body`` and ``K`` on a device, copied there only once: each copy would block the host."""
+        """Return ``camera_to_body`` and ``K`` on a device; cached, since each copy would block the host."""
         if device not in self._placed:
             self._placed[device] = self.camera_to_body.to(device), self.K.to(device)
         return self._placed[device]

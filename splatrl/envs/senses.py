@@ -1,4 +1,4 @@
-"""What robots see and sense: pictures of the scene, and what sensors read beside them."""
+"""A robot's senses: rendered views of the scene and additional sensor readings."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -17,15 +17,15 @@ from splatrl.renderers.parts import in_scenes
 
 
 class Standing(NamedTuple):
-    """Robots where they stand.
+    """N robots at their current poses.
 
     Attributes:
-        task: as it is in the scene of each robot.
-        checker: what is solid there.
-        scene: [N] int64, the scene of each; None for the only one.
-        state: [N, ...] of the motion.
+        task: the task, with the values of each robot's scene.
+        checker: the collision checker for those scenes.
+        scene: [N] int64, scene of each robot; None if there is only one.
+        state: [N, ...] states of the motion.
         body_to_world: [N, 4, 4] float32, metres.
-        memory: what the task remembers of each as it is drawn, [N, ...] by key.
+        memory: the task's memory of each robot as it is to be drawn, [N, ...] by key.
     """
 
     task: Task
@@ -37,12 +37,12 @@ class Standing(NamedTuple):
 
 
 class Senses(NamedTuple):
-    """The senses of a robot.
+    """The camera and sensors of a robot.
 
     Attributes:
-        drawing: makes the pixels.
+        drawing: draws the pixels.
         robot: carries the camera.
-        sensors: what is observed besides the pixels, by key.
+        sensors: sensors other than the camera, by key.
     """
 
     drawing: Drawing
@@ -50,17 +50,17 @@ class Senses(NamedTuple):
     sensors: Mapping[str, Sensor]
 
     def memory_spec(self) -> dict[str, TensorSpec]:
-        """Specs of what sensors remember of one robot, by key."""
+        """Return the specs of what sensors remember about one robot, by key."""
         found = [sensor.memory_spec(self.robot) for sensor in self.sensors.values()]
         return {key: spec for specs in found for key, spec in specs.items()}
 
     def view(self, robots: Standing, camera_offset: Tensor | None = None, only: Tensor | None = None) -> View:
-        """What robots see, with the depth where a sensor needs it.
+        """Draw what robots see, with depth if a sensor needs it.
 
         Args:
-            robots: N of them.
+            robots: N robots.
             camera_offset: [N, 6] float32, see ``Robot.cameras``.
-            only: [N] bool, the rows that are to be drawn; None draws all.
+            only: [N] bool, the rows to draw; None draws all.
         """
         cameras = self.robot.cameras(robots.body_to_world, camera_offset)
         parts = robots.task.parts(robots.state, robots.memory)
@@ -78,14 +78,14 @@ class Senses(NamedTuple):
         kept: Mapping[str, Tensor] | TensorDictBase,
         only: Tensor | None,
     ) -> dict[str, Tensor]:
-        """What sensors read, and remember from now on, of robots whose episodes begin: [N, ...] by key.
+        """Return what sensors read and remember about robots whose episodes begin: [N, ...] by key.
 
         Args:
-            robots: N of them.
+            robots: N robots.
             view: what they see.
-            free_fraction: [N] float32, 1.
-            kept: what is remembered in place of what a sensor would, where it is there.
-            only: as for ``view``.
+            free_fraction: [N] float32, all 1.
+            kept: given memory; where a key is present, it replaces what a sensor would remember.
+            only: see ``view``.
         """
         if not self.sensors:
             return {}
@@ -97,14 +97,14 @@ class Senses(NamedTuple):
     def read(
         self, robots: Standing, view: View, free_fraction: Tensor, known: Memory, sensed: Tensor | None
     ) -> dict[str, Tensor]:
-        """What sensors read after a step: [N, ...] by key.
+        """Return what sensors read after a step: [N, ...] by key.
 
         Args:
-            robots: N of them.
+            robots: N robots.
             view: what they see.
-            free_fraction: [N] float32, how much of the move was free.
+            free_fraction: [N] float32, fraction of the move that was free.
             known: what task and sensors remember now.
-            sensed: what the physics said, see ``Moment``.
+            sensed: sensor output of the physics, see ``Moment``.
         """
         if not self.sensors:
             return {}
@@ -131,5 +131,5 @@ class Senses(NamedTuple):
         )
 
     def _look(self, robots: Standing, only: Tensor | None, body_to_world: Tensor) -> Tensor:
-        """What robots would see at other poses."""
+        """Draw what robots would see from other poses."""
         return self.view(robots._replace(body_to_world=body_to_world), None, only).pixels

@@ -1,4 +1,4 @@
-"""Specs of what an env takes and returns."""
+"""Specs of an env's inputs and outputs."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -11,17 +11,17 @@ from splatrl.envs.tasks.base import Outcome, Task
 
 RESERVED = {"pixels", "state", "scene", "step_count", "episode_return", "level", "outcome", "goals", "success"}
 RESERVED |= {"free_fraction", "action", "reward", "done", "terminated", "truncated"}
-RESERVED |= {"camera_offset", "appearance", "weather"}  # of transforms
-"""Keys of the env and its transforms, which neither a task's memory nor a sensor may take."""
+RESERVED |= {"camera_offset", "appearance", "weather"}  # keys of transforms
+"""Keys of the env and its transforms, which neither a task's memory nor a sensor may use."""
 
 
 class Specs(NamedTuple):
     """Specs of a batch of robots.
 
     Attributes:
-        observation: of what is observed, carried on included.
-        state: of what a step reads besides the action.
-        action, reward, done: as TorchRL has them.
+        observation: all outputs other than reward and done flags, including those carried from step to step.
+        state: inputs of a step other than the action.
+        action, reward, done: as in TorchRL.
     """
 
     observation: Composite
@@ -32,17 +32,17 @@ class Specs(NamedTuple):
 
 
 def env_specs(task: Task, senses: Senses, scenes: int, batch_size: torch.Size, device: torch.device | None) -> Specs:
-    """Specs of the env of a task; see ``SplatEnv`` for what the keys mean.
+    """Build the specs of an env for a task; ``SplatEnv`` documents the keys.
 
     Args:
-        task: of the robots.
-        senses: what they see and sense.
-        scenes: how many there are.
+        task: the robots' task.
+        senses: the robots' camera and sensors.
+        scenes: number of scenes.
         batch_size: [B].
-        device: of the env's tensors.
+        device: device of the env's tensors.
 
     Raises:
-        ValueError: for a sensor or a memory of the task that takes one of the env's keys.
+        ValueError: for a sensor or a task memory that uses one of the env's keys.
     """
     remembered, motion, robot = task.memory_spec, task.motion, senses.robot
     if taken := {*senses.sensors} & (RESERVED | {*remembered}):
@@ -78,7 +78,7 @@ def env_specs(task: Task, senses: Senses, scenes: int, batch_size: torch.Size, d
 
     return Specs(
         observation=batched(shown | carried),
-        state=batched(carried),  # read from the input of a step, hence part of fake inputs
+        state=batched(carried),  # read by a step, so fake inputs must contain it
         action=batched({"action": motion.action_spec}),
         reward=batched({"reward": number}),
         done=batched(dict.fromkeys(("done", "terminated", "truncated"), flag)),

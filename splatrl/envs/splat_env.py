@@ -1,6 +1,6 @@
-"""The one environment: a batch of robots in one scene, or each in one of several.
+"""The one environment class: a batch of robots in a single scene, or each in one of several.
 
-Reset, step and state are one contract, which the class spells out and which makes this file long.
+The file is long because reset, step and state form a single contract, which the class documents.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -33,52 +33,53 @@ from splatrl.motions.physics import PhysicsMotion
 class SplatEnv(EnvBase):
     """B robots that see, move and collide in splat scenes: a batch-locked TorchRL env.
 
-    Everything about an episode travels in the TensorDict, so the env itself holds only its random generator and the
-    curriculum, both part of ``state_dict()``.
+    The complete state of an episode travels in the TensorDict, so the env itself holds only its random generator and
+    the curriculum, both part of ``state_dict()``.
 
-    In a step the task's motion carries out the actions, the drawing renders what the robots then see, and the task
-    judges the step once. Neither a step nor a reset synchronises with the host on a GPU. A reset of some rows draws
-    start states for all rows, of which TorchRL keeps the requested ones; only those images are rendered. Under
-    ``torch.compile`` step and reset are run as they are, between the graphs of what is around them.
+    In a step, the task's motion carries out the actions, the drawing renders what the robots then see, and the task
+    judges the result once. On a GPU neither a step nor a reset synchronises with the host. A reset of some rows draws
+    start states for all rows, of which TorchRL keeps the requested ones; only the requested images are rendered. Under
+    ``torch.compile``, step and reset run eagerly, between the graphs of the surrounding code.
 
     With several scenes, each episode takes place in one of them, drawn when it begins: ``scene`` [B, 1] int64, which
-    travels in the TensorDict and is given with a ``state``. Checker and task answer for each row's scene (``at``), and
-    the renderer's models are the scenes, in the same order.
+    travels in the TensorDict and must accompany a given ``state``. Checker and task select the values of each row's
+    scene (``at``), and the renderer's models are the scenes, in the same order.
 
-    Observation: ``pixels`` [B, H, W, 3] uint8, and whatever else drawing and ``sensors`` return. For users, not for the
-        policy: ``state`` (the motion's), ``step_count`` [B, 1] int64, ``episode_return`` [B, 1] float32, ``level``
-        [B, 1] int64 at which the episode began, ``outcome`` [B, 1] int64 (an ``Outcome``), ``goals`` [B, 1] int64
-        reached in the episode so far, ``success`` [B, 1] bool (whether they are enough for the task),
-        ``free_fraction`` [B, 1] float32 (how much of the last move was free; 1 when nothing was touched), and what task
-        and sensors remember, such as ``target`` [B, 3] float32, where the task's object is, world, metres.
+    Observation: ``pixels`` [B, H, W, 3] uint8, and whatever else drawing and ``sensors`` return. For users rather than
+        the policy: ``state`` (the motion's), ``step_count`` [B, 1] int64, ``episode_return`` [B, 1] float32, ``level``
+        [B, 1] int64 (curriculum level at which the episode began), ``outcome`` [B, 1] int64 (an ``Outcome``), ``goals``
+        [B, 1] int64 (number reached in the episode so far), ``success`` [B, 1] bool (whether they are enough for the
+        task), ``free_fraction`` [B, 1] float32 (fraction of the last move that was free; 1 when nothing was touched),
+        and what task and sensors remember, such as ``target`` [B, 3] float32, position of the task's object, world,
+        metres.
     Action: the motion's.
     Reward: [B, 1] float32, the task's.
     Termination: the task's.
     Truncation: after ``task.max_steps`` steps; never together with termination.
-    Reset: start states from the curriculum, or with ``reset(td, set_state=True)`` those in ``td["state"]``, with the
-        memory that ``td`` holds. ``reset(seeds=[...])``, a number or None for each robot, draws the start of a robot
-        with a number from a generator of its own.
-    Steps of some robots: with ``_step`` [B, 1] bool, as TorchRL passes it on, only these robots step and are drawn. Of
-        the others the result holds what they were given, and 0 where that is nothing.
-    Input: ``camera_offset`` [B, 6] float32, if present, moves the camera and not the robot (``Robot.cameras``).
-    Parts: are to be replaced before the first step, if at all, since steps on a lattice may be looked up from then on
+    Reset: start states come from the curriculum, or, with ``reset(td, set_state=True)``, from ``td["state"]``, together
+        with any memory that ``td`` holds. ``reset(seeds=[...])`` takes a number or None for each robot; robots with a
+        number draw their start from a generator of their own.
+    Partial steps: with ``_step`` [B, 1] bool, as TorchRL passes it, only the marked robots step and are drawn. For the
+        others the result repeats their inputs, and is 0 where there is no input.
+    Input: ``camera_offset`` [B, 6] float32, if present, moves the camera but not the robot (``Robot.cameras``).
+    Parts: may be replaced only before the first step, since steps on a lattice may be precomputed at that point
         (``lattice_steps``).
-    Pickles: hold its parts and state, or in place of the parts ``made_by``, which makes the env of a curriculum, a seed
-        and a device (``World``).
+    Pickling: a pickle holds the env's state and its parts, or, instead of the parts, ``made_by`` if it is set: a
+        function that makes the env from a curriculum, a seed and a device (``World``).
 
     Args:
-        drawing: makes the pixels.
-        checker: holds the robot's body and finds what it touches; that of several scenes makes it an env of those.
+        drawing: draws the pixels.
+        checker: holds the robot's body and finds what it touches; a ``SeveralCheckers`` makes an env of several scenes.
         robot: body and camera.
         task: motion, goals and rewards; for several scenes a ``stacked`` one.
         curriculum: decides where episodes begin.
         batch_size: [B], the number of robots.
         seed: seed of the env's generator.
         device: device of every tensor that the env takes and returns.
-        sensors: what is observed besides the pixels, by key.
+        sensors: sensors other than the camera, by key.
 
     Raises:
-        ValueError: for a batch size that is not one positive number, a task whose memory takes the env's keys, or a
+        ValueError: for a batch size that is not one positive number, a task whose memory uses the env's keys, or a
             given state outside the motion's spec.
     """
 
@@ -108,28 +109,28 @@ class SplatEnv(EnvBase):
         self._task_keys, self._sensor_keys = tuple(task.memory_spec), tuple(self.senses.memory_spec())
         specs = env_specs(task, self.senses, self.scenes, self.batch_size, self.device)
         self.observation_spec, self.state_spec, self.action_spec, self.reward_spec, self.done_spec = specs
-        # only then the task moves: specs read its limits, which would synchronise with a GPU
+        # moved only now: the specs read the task's limits, which on a GPU would synchronise
         self.task = task.to(self.device)
-        torch.nn.Module.to(self, self.device)  # EnvBase.to does nothing for the device that it already has
+        torch.nn.Module.to(self, self.device)  # EnvBase.to does nothing if the device is unchanged
         self.set_seed(seed)
 
     @property
     def senses(self) -> Senses:
-        """What the robots see and sense by."""
+        """Camera and sensors of the robots."""
         return Senses(self.drawing, self.robot, self.sensors)
 
     @property
     def capturable(self) -> bool:
-        """Whether a step can be captured in a CUDA graph: parts that note faults on the device never synchronise."""
+        """Whether a step can be captured in a CUDA graph: parts that record errors on the device never synchronise."""
         checkers = self.checker.checkers if isinstance(self.checker, SeveralCheckers) else [self.checker]
         if isinstance(self.task.motion, PhysicsMotion):  # it steps on the host
             return False
         return isinstance(self.drawing.renderer, Faulty) and all(isinstance(c, (Faulty, NoChecker)) for c in checkers)
 
     def to(self, device: torch.device | str) -> "SplatEnv":
-        """Move task and curriculum to a device; renderer and checker stay where they were made.
+        """Move task and curriculum to a device; renderer and checker stay where they were created.
 
-        The env's generator starts over there, from the same seed.
+        On a new device, the env's generator restarts from the same seed.
         """
         super().to(device)
         self.__dict__.pop("lattice_steps", None)
@@ -139,17 +140,17 @@ class SplatEnv(EnvBase):
         return self
 
     def append_transform(self, transform: Transform | Callable[[TensorDictBase], TensorDictBase]) -> TransformedEnv:
-        """The env under a transform, with the state of both; see ``StatefulEnv``."""
+        """Return the env under a transform, keeping the state of both; see ``StatefulEnv``."""
         return StatefulEnv(self).append_transform(transform)
 
     def raise_faults(self) -> None:
-        """Wait for the device, and raise what renderer or checker refused since the last call; see ``Faulty``."""
+        """Wait for the device, and raise the errors of renderer and checker since the last call; see ``Faulty``."""
         for part in (self.drawing.renderer, self.checker):
             if isinstance(part, Faulty):
                 part.raise_faults()
 
     def maybe_reset(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Begin new episodes where they ended; see ``EnvBase.maybe_reset``."""
+        """Reset robots whose episode has ended; see ``EnvBase.maybe_reset``."""
         return maybe_reset(self, tensordict)
 
     @torch.compiler.disable
@@ -176,9 +177,9 @@ class SplatEnv(EnvBase):
         return self._made(self._beginning(scene, state, level, memory, kept, given.get("camera_offset", None), only))
 
     def restarted(self, after: Mapping[str, Tensor], rows: Tensor) -> dict[str, Tensor]:
-        """What a step returned, [B, ...] by key, with episodes that begin in some rows, [N] int64, as a reset has them.
+        """Return a step's result, [B, ...] by key, with some rows, [N] int64, replaced by new episodes as in a reset.
 
-        Only these are drawn. Keys that a reset does not return are left out.
+        Only these rows are drawn. Keys that a reset does not return are left out.
         """
         looked_up = None if self.lattice_steps is None else self.lattice_steps.begin(after, rows, self.generator)
         if looked_up is None:
@@ -191,7 +192,7 @@ class SplatEnv(EnvBase):
         return dict(zip(begun, merged, strict=True)) | (looked_up.values if looked_up else {})
 
     def _begun(self, rows: Tensor) -> dict[str, Tensor]:
-        """The entries of episodes that begin in some rows, [N] int64: [N, ...] each."""
+        """Return the entries of episodes that begin in some rows, [N] int64: [N, ...] each."""
         scene, state, memory = self._drawn(None)
         level = self.curriculum.level.expand(len(rows), 1).clone()
         scene = None if scene is None else scene.index_select(0, rows)
@@ -199,7 +200,7 @@ class SplatEnv(EnvBase):
         return self._beginning(scene, state.index_select(0, rows), level, memory, {}, None, None)
 
     def _drawn(self, seeds: Sequence[int | None] | None) -> tuple[Tensor | None, Tensor, dict[str, Tensor]]:
-        """The scene of a new episode of each robot, its state, and what the task remembers; see the class."""
+        """Draw a new episode for each robot: scene, state, and the task's memory; see the class for ``seeds``."""
         scene, state = self._starts(seeds)
         task = self._at(scene)[0]
         state = task.start(state, self._chance(scene))
@@ -215,16 +216,16 @@ class SplatEnv(EnvBase):
         camera_offset: Tensor | None,
         only: Tensor | None,
     ) -> dict[str, Tensor]:
-        """The entries of N episodes that begin.
+        """Return the entries of N episodes that begin.
 
         Args:
-            scene: [N] int64, the scene of each; None for the only one.
-            state: [N, ...], where each begins.
-            level: [N, 1] int64, at which it does.
-            memory: what the task remembers, [N, ...] by key.
-            kept: what task and sensors remember in its place, where it is there.
+            scene: [N] int64, scene of each episode; None if there is only one.
+            state: [N, ...], start states.
+            level: [N, 1] int64, curriculum levels.
+            memory: the task's memory, [N, ...] by key.
+            kept: given memory of task and sensors; where a key is present, it replaces the fresh value.
             camera_offset: see the class.
-            only: [N] bool, the rows that are asked for; None asks for all. In other rows entries may hold anything.
+            only: [N] bool, the rows that are requested; None requests all. Other rows may hold anything.
         """
         task, checker = self._at(scene)
         memory |= {key: kept[key].clone() for key in memory if kept.get(key, None) is not None}
@@ -250,7 +251,7 @@ class SplatEnv(EnvBase):
         }
 
     def _at(self, scene: Tensor | None) -> tuple[Task, Checker]:
-        """Task and checker of rows in some scenes, [B] int64; those of the only scene for None."""
+        """Return task and checker for rows in some scenes, [B] int64; None stands for the only scene."""
         if scene is None:
             assert not isinstance(self.checker, SeveralCheckers)
             return self.task, self.checker
@@ -258,7 +259,7 @@ class SplatEnv(EnvBase):
         return self.task.at(scene), self.checker.at(scene)
 
     def _starts(self, seeds: Sequence[int | None] | None) -> tuple[Tensor | None, Tensor]:
-        """A scene and a start of the current level for each robot; see the class about ``seeds``."""
+        """Draw a scene and a start of the current level for each robot; see the class for ``seeds``."""
         scene, state = self._start(self.numel(), self.generator)
         for row, seed in enumerate(seeds or ()):
             if seed is not None:
@@ -278,12 +279,12 @@ class SplatEnv(EnvBase):
         return self._made(self._after(tensordict) if stepping is None else self._some_after(tensordict, stepping))
 
     def _after(self, given: TensorDictBase | Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """What the env returns of the steps of N robots: [N, ...] by key."""
+        """Carry out a step of N robots and return all its entries: [N, ...] by key."""
         taken = None if self.lattice_steps is None else self.lattice_steps.step(given)
         return self._stepped(given) if taken is None else self._shown(taken, given)
 
     def _some_after(self, given: TensorDictBase, stepping: Tensor) -> dict[str, Tensor]:
-        """The same where only some step, [B, 1] bool: of others what they were given, and 0 where that is nothing."""
+        """Do the same for some robots only, [B, 1] bool; the others keep their inputs, or 0 where there is none."""
         rows = stepping.flatten().nonzero().squeeze(1)
         held = {key: value for key, value in given.items() if isinstance(value, Tensor)}
         fresh = self._after({key: held[key].index_select(0, rows) for key in self._reads if key in held})
@@ -293,34 +294,34 @@ class SplatEnv(EnvBase):
 
     @property
     def _reads(self) -> tuple[str, ...]:
-        """Keys that a step reads, some of which may be absent."""
+        """Keys that a step reads; some of them may be absent."""
         counted = ("step_count", "episode_return", "level", "goals")
         return ("state", "action", *counted, "scene", "camera_offset", *self._task_keys, *self._sensor_keys)
 
     def _made(self, values: dict[str, Tensor]) -> TensorDict:
-        """Entries of its own as a TensorDict, which would otherwise look at the shape and the device of each."""
+        """Wrap the env's own entries in a TensorDict, skipping its checks of each entry's shape and device."""
         return TensorDict._new_unsafe(values, batch_size=self.batch_size, device=self.device)
 
     def _step_proc_data(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        """What a step returned: it is complete, of which TorchRL would make sure."""
+        """Return a step's result as it is: it is complete, so TorchRL need not check that."""
         return super()._step_proc_data(next_tensordict) if self.run_type_checks else next_tensordict
 
     @cached_property
     def lattice_steps(self) -> LatticeSteps | None:
-        """All steps of the task, taken before the first one; None where they depend on more than state and action."""
+        """Table of all the task's steps, computed before the first one; None where steps cannot be looked up."""
         if self.device.type != "cpu" or self.scenes > 1 or self.sensors or not suits(self.task, self.curriculum):
             return None
         task, checker = self._at(None)
         return LatticeSteps(task, checker, self.curriculum, self.numel(), self._chance(None))
 
     def _shown(self, taken: Taken, given: TensorDictBase | Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """What the env returns of steps that were looked up."""
+        """Return the entries of steps that were looked up, with the views drawn."""
         after, poses = taken
         view = self.senses.view(self._standing(after["state"], poses), given.get("camera_offset", None))
         return {"pixels": view.pixels, **view.shown, **after}
 
     def _stepped(self, tensordict: TensorDictBase | Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """What the env returns of steps that motion and task carry out and judge."""
+        """Carry out and judge steps with motion and task, and return all entries."""
         before, action = tensordict["state"], tensordict["action"]
         scene = tensordict["scene"].squeeze(1) if self.scenes > 1 else None
         task, checker = self._at(scene)
@@ -361,24 +362,24 @@ class SplatEnv(EnvBase):
         }
 
     def _standing(self, state: Tensor, body_to_world: Tensor) -> Standing:
-        """Robots of a task that remembers nothing, in the only scene."""
+        """Place robots in the only scene, for a task that remembers nothing."""
         task, checker = self._at(None)
         return Standing(task, checker, None, state, body_to_world, NOTHING)
 
     @property
     def remembered(self) -> list[str]:
-        """Keys that an episode must begin anew with: those of sensors, and of a task that chooses its own episodes."""
+        """Memory keys that a new episode must reset: the sensors', and the task's if it chooses its own episodes."""
         return [*self._sensor_keys, *(self._task_keys if self.task.chooses_episodes else ())]
 
     def _chance(self, scene: Tensor | None, count: int | None = None) -> Anywhere:
         return Anywhere(partial(self.anywhere, scene, count), self.generator)
 
     def anywhere(self, scene: Tensor | None = None, count: int | None = None) -> Tensor:
-        """Draw a state for each robot, or for some, from the whole start set of its scene, whatever the level.
+        """Draw a state for each of N robots from the whole start set of its scene, regardless of the level.
 
         Args:
-            scene: [N] int64; None for the only one.
-            count: N; None for all robots.
+            scene: [N] int64, scene of each robot; None if there is only one.
+            count: number of robots, N; None for all.
 
         Returns:
             [N, ...].
@@ -399,7 +400,7 @@ class SplatEnv(EnvBase):
         return _restored, (self.made_by, (self.curriculum,), self.device, self.get_extra_state())
 
     def get_extra_state(self) -> Tensor:
-        """State of the random generator, for ``state_dict()``: [n] uint8."""
+        """Return the state of the random generator, for ``state_dict()``: [n] uint8."""
         return self.generator.get_state()
 
     def set_extra_state(self, state: Tensor) -> None:
@@ -412,7 +413,7 @@ def _alike(one: Tensor, other: Tensor) -> bool:
 
 
 def _restored(make: Callable[..., SplatEnv], parts: tuple[Any, ...], device: torch.device, state: Tensor) -> SplatEnv:
-    """An env made of parts, on a device, whose generator goes on from a state."""
+    """Rebuild an env from its parts on a device, and restore its generator's state."""
     env = make(*parts, 0, device)
     env.set_extra_state(state)
     return env

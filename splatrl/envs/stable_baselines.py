@@ -1,4 +1,4 @@
-"""A batch of robots as a ``VecEnv`` of Stable-Baselines3, which the extra ``sb3`` installs."""
+"""A batch of robots as a Stable-Baselines3 ``VecEnv``; requires the extra ``sb3``."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -19,12 +19,12 @@ Indices = int | Iterable[int] | None
 
 
 class StableBaselinesVecEnv(VecEnv):
-    """A batch of robots for the algorithms of Stable-Baselines3, all stepped by one call.
+    """A batch of robots for the algorithms of Stable-Baselines3, all stepped in one call.
 
-    Observation and action are those of ``GymnasiumVectorEnv``. A robot whose episode ends begins the next in the same
-    step; its info then holds ``terminal_observation``, ``TimeLimit.truncated`` and ``is_success``, and ``outcome``,
-    ``goals``, ``success`` and ``state`` as they were at the end. ``VecMonitor`` around it counts returns and lengths.
-    ``seed(s)`` gives the robots the seeds s, s + 1, … for the next reset.
+    Observation and action are those of ``GymnasiumVectorEnv``. A robot whose episode ends begins the next one in the
+    same step; its info then holds ``terminal_observation``, ``TimeLimit.truncated`` and ``is_success``, and the final
+    values of ``outcome``, ``goals``, ``success`` and ``state``. Wrap it in ``VecMonitor`` to record episode returns and
+    lengths. ``seed(s)`` gives the robots the seeds s, s + 1, … for the next reset.
 
     Example:
         >>> import splatrl
@@ -36,8 +36,8 @@ class StableBaselinesVecEnv(VecEnv):
         env: a ``SplatEnv``, bare or under transforms.
 
     Raises:
-        ImportError: without Stable-Baselines3.
-        ValueError: for an env that is not of batch size [B], or an action that is neither discrete nor bounded.
+        ImportError: if Stable-Baselines3 is not installed.
+        ValueError: for an env whose batch size is not [B], or an action that is neither discrete nor bounded.
     """
 
     def __init__(self, env: EnvBase):
@@ -47,7 +47,7 @@ class StableBaselinesVecEnv(VecEnv):
         super().__init__(self.vector.num_envs, *spaces)
 
     def reset(self) -> Observation:
-        """Begin all episodes anew: [B, H, W, 3] uint8, or a dictionary."""
+        """Restart all episodes; returns [B, H, W, 3] uint8, or a dictionary."""
         seeds = None if all(seed is None for seed in self._seeds) else list(self._seeds)
         observations, infos = self.vector.reset(seed=seeds, options=_together(self._options))
         self.reset_infos = [_row(infos, row) for row in range(self.num_envs)]
@@ -56,11 +56,11 @@ class StableBaselinesVecEnv(VecEnv):
         return observations
 
     def step_async(self, actions: Actions) -> None:
-        """Note the actions of the next ``step_wait``."""
+        """Store the actions for the next ``step_wait``."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Observation, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[Infos]]:
-        """Take one action with each robot."""
+        """Take the stored action of each robot."""
         assert self._actions is not None, "expected step_async first"
         observations, rewards, terminated, truncated, infos = self.vector.step(self._actions)
         done = terminated | truncated
@@ -81,18 +81,18 @@ class StableBaselinesVecEnv(VecEnv):
         self.vector.close()
 
     def get_images(self) -> Sequence[Pixels]:
-        """The current views, [H, W, 3] uint8 each."""
+        """Return the current views, [H, W, 3] uint8 each."""
         return self.vector.render() or ()
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """An attribute, which all robots share, once for each of these robots."""
+        """Return an attribute, which all robots share, once for each requested robot."""
         return [getattr(self.vector, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
         """Set an attribute of all robots.
 
         Raises:
-            ValueError: for some of them, as they share it.
+            ValueError: for a subset of the robots, since they share the attribute.
         """
         if len(list(self._get_indices(indices))) != self.num_envs:
             raise ValueError(f"indices: expected all robots, which share {attr_name}, got {indices}")
@@ -101,7 +101,7 @@ class StableBaselinesVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Refuse to call a method of single robots, which are stepped together.
+        """Refuse to call methods of individual robots, which are stepped together.
 
         Raises:
             NotImplementedError: always.
@@ -109,12 +109,12 @@ class StableBaselinesVecEnv(VecEnv):
         raise NotImplementedError(f"{method_name}: expected a call of .vector, since robots have no env of their own")
 
     def env_is_wrapped(self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: Indices = None) -> list[bool]:
-        """Whether robots have a wrapper of their own, which they never have."""
+        """Return False for each requested robot: robots have no wrappers of their own."""
         return [False] * len(list(self._get_indices(indices)))
 
 
 def _together(options: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
-    """One option of the batch from those of its robots: either all or none have a ``state``."""
+    """Merge the robots' options into one for the batch; each key must be given for all robots or for none."""
     if not any(options):
         return None
     keys = {key for option in options for key in option}
@@ -125,6 +125,6 @@ def _together(options: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
 
 
 def _row(infos: Infos, row: int) -> Infos:
-    """The info of one robot, with scalars as Python numbers."""
+    """Return the info of one robot, with scalars as Python numbers."""
     values = {key: infos[key][row] for key in ("outcome", "goals", "success", "state")}
     return {key: value.item() if value.ndim == 0 else value for key, value in values.items()}

@@ -1,4 +1,4 @@
-"""An env under transforms that keeps the state of both."""
+"""A transformed env whose state includes that of the base env."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
@@ -15,22 +15,22 @@ BASE = "base_env."
 
 
 class StatefulEnv(TransformedEnv):
-    """TorchRL's env under transforms, whose ``state_dict()`` holds the base env's generator and curriculum as well.
+    """TorchRL's transformed env, whose ``state_dict()`` also holds the base env's generator and curriculum.
 
-    That of ``TransformedEnv`` holds the transforms' alone, so an env that was restored from it went on elsewhere. Here
-    the transforms' holds all, since TorchRL's collectors ask only for that.
+    ``TransformedEnv`` saves only the state of its transforms, so an env restored from it would continue differently.
+    Here the state of the transforms includes everything, since TorchRL's collectors save only that.
 
-    It is pickled as its base env and its transforms, with all state.
+    It is pickled as its base env and its transforms, with all their state.
 
     Args:
         base_env: a ``SplatEnv``.
-        transforms: transforms around it, the innermost first.
+        transforms: transforms around it, innermost first.
 
     Raises:
-        ValueError: for TorchRL's ``FrameSkipTransform``, here or when it is added later.
+        ValueError: for TorchRL's ``FrameSkipTransform``, given here or added later.
     """
 
-    rand_action = EnvBase.rand_action  # around an env with another one TorchRL refuses transforms of the action
+    rand_action = EnvBase.rand_action  # around an env that overrides it, TorchRL refuses action transforms
 
     def __init__(self, base_env: EnvBase, *transforms: Transform):
         super().__init__(base_env, BaseAndTransforms(*transforms))
@@ -49,16 +49,16 @@ class StatefulEnv(TransformedEnv):
         return self
 
     def step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """One step; without transforms it is the base env's, without the copies that transforms need."""
+        """Take a step; without transforms it is the base env's own, which avoids the copies that transforms need."""
         return super().step(tensordict) if len(self.transform) else self.base_env.step(tensordict)
 
     def maybe_reset(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Begin new episodes where they ended; see ``EnvBase.maybe_reset``."""
+        """Reset robots whose episode has ended; see ``EnvBase.maybe_reset``."""
         return maybe_reset(self, tensordict)
 
     def load_state_dict(self, state_dict: Mapping[str, Any], **kwargs: Any) -> None:
         """Restore a ``state_dict()``."""
-        self.reset()  # gives transforms that remember frames the sizes that they had
+        self.reset()  # gives the buffers of frame-stacking transforms their sizes
         super().load_state_dict(OrderedDict(state_dict), **kwargs)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -66,7 +66,7 @@ class StatefulEnv(TransformedEnv):
 
 
 class BaseAndTransforms(Compose):
-    """Transforms whose state includes that of the env that they are around."""
+    """Transforms whose state includes that of the env they wrap."""
 
     def _save_to_state_dict(self, destination: dict[str, Any], prefix: str, keep_vars: bool) -> None:
         super()._save_to_state_dict(destination, prefix, keep_vars)

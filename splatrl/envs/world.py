@@ -1,4 +1,4 @@
-"""What all envs of one task share, in one scene or in several."""
+"""Worlds: what all envs of one configuration share, in one scene or in several."""
 
 import itertools
 from abc import ABC, abstractmethod
@@ -26,18 +26,18 @@ from splatrl.scenes.scene import Scene
 
 
 class EnvMaker(ABC):
-    """Makes envs in the worlds of one scene or of several, all of one configuration.
+    """Makes envs of one configuration, in one scene or in several.
 
     Attributes:
-        drawing: makes the pixels.
-        checker: tests the robot's body.
+        drawing: draws the pixels.
+        checker: tests the robot's body for collisions.
         robot: body and camera.
         task: motion, goals and rewards.
-        make_transforms: makes new transforms for an env, the innermost first.
-        device: default device of its envs.
-        made_by: makes the same again, from names and paths. Pickles hold this in place of all the rest, so that
-            processes are sent no scenes; None pickles everything.
-        sensors: what is observed besides the pixels, by key.
+        make_transforms: creates new transforms for an env, innermost first.
+        device: default device of the envs.
+        made_by: recreates the same object from names and paths. A pickle then holds only this function, so that no
+            scenes are sent to other processes; None pickles everything.
+        sensors: sensors other than the camera, by key.
     """
 
     drawing: Drawing
@@ -52,11 +52,11 @@ class EnvMaker(ABC):
     @property
     @abstractmethod
     def worlds(self) -> "tuple[World, ...]":
-        """The worlds of its scenes."""
+        """The world of each scene."""
 
     @property
     def names(self) -> list[str]:
-        """Names of its scenes, with a number behind those that came before: garden, garden-2."""
+        """Names of the scenes; repeated names are numbered: garden, garden-2."""
         names: list[str] = []
         for world in self.worlds:
             numbered = itertools.chain([world.name], (f"{world.name}-{number}" for number in itertools.count(2)))
@@ -65,12 +65,12 @@ class EnvMaker(ABC):
 
     @property
     def planned(self) -> bool:
-        """Whether the planner knows the way to the goal of every episode, which ends there."""
+        """Whether episodes end at their goal and the planner knows shortest paths to it in every scene."""
         return all(one.plan.field is not None for one in self.worlds) and self.task.goals_for_success is None
 
     @property
     def told(self) -> tuple[str, ...]:
-        """Keys of what sensors sense, and of what task and sensors remember of each robot."""
+        """Keys of sensor readings, and of what task and sensors remember about each robot."""
         sensors = self.sensors.values()
         remembered = [*self.task.memory_spec, *(key for one in sensors for key in one.memory_spec(self.robot))]
         return tuple(dict.fromkeys([*self.sensors, *remembered]))
@@ -90,13 +90,13 @@ class EnvMaker(ABC):
         seed: int | None = 0,
         device: torch.device | str | None = None,
     ) -> EnvBase:
-        """A batch of robots in its scenes, under its transforms.
+        """Create a batch of robots in the scenes, under the transforms.
 
         Args:
             num_envs: number of robots.
-            curriculum: decides where episodes begin; None lets them begin anywhere in the start set.
+            curriculum: decides where episodes begin; with None they begin anywhere in the start set.
             seed: seed of the env's generator.
-            device: device of its tensors; None takes the world's.
+            device: device of the env's tensors; None uses the world's.
         """
         if curriculum is None:
             curriculum = Curriculum([one.plan for one in self.worlds], first=None)
@@ -105,12 +105,12 @@ class EnvMaker(ABC):
         return StatefulEnv(env, *transforms) if transforms else env
 
     def bare_env(self, num_envs: int, curriculum: Curriculum, seed: int | None, device: torch.device | str) -> SplatEnv:
-        """A batch of robots without transforms, which is pickled as its maker and these arguments; see ``env``."""
+        """Create a batch of robots without transforms, pickled as this maker and its arguments; see ``env``."""
         env = SplatEnv(
             self.drawing,
             self.checker,
             self.robot,
-            deepcopy(self.task),  # an env moves its task to its device; the plan's stays where it is
+            deepcopy(self.task),  # the env moves its task to its device; the plan's must stay
             curriculum,
             [num_envs],
             seed,
@@ -127,9 +127,9 @@ class World(EnvMaker):
 
     Attributes:
         scene: Gaussians in the world frame.
-        occupancy: what is solid.
-        checker: tests the robot's body against it.
-        drawing: makes the pixels; its renderer may cache them.
+        occupancy: the solid parts of the scene.
+        checker: tests the robot's body against the occupancy.
+        drawing: draws the pixels; its renderer may cache them.
         robot, task, make_transforms, device, made_by, sensors: see ``EnvMaker``.
         plan: free poses and shortest paths.
     """
@@ -148,7 +148,7 @@ class World(EnvMaker):
 
     @property
     def worlds(self) -> "tuple[World, ...]":
-        """Itself alone."""
+        """This world alone."""
         return (self,)
 
     @property
@@ -167,10 +167,10 @@ class Worlds(EnvMaker):
     """Everything that envs of one configuration in several scenes share; each episode takes place in one of them.
 
     Attributes:
-        places: the world of each scene; they draw with the same renderer and ask the same checkers.
-        drawing: makes the pixels; its renderer's models are the scenes, in their order.
-        checker: tests the robot's body in each of them.
-        task: motion, goals and rewards, with what belongs to a scene ``stacked``.
+        places: the world of each scene; they share the renderer and the checkers.
+        drawing: draws the pixels; its renderer's models are the scenes, in order.
+        checker: tests the robot's body in each scene.
+        task: motion, goals and rewards, with scene-specific tensors ``stacked``.
         robot, make_transforms, device, made_by, sensors: see ``EnvMaker``.
     """
 
@@ -186,7 +186,7 @@ class Worlds(EnvMaker):
 
     @property
     def worlds(self) -> tuple[World, ...]:
-        """Those of its scenes, in their order."""
+        """The world of each scene, in order."""
         return self.places
 
     @property
@@ -196,10 +196,10 @@ class Worlds(EnvMaker):
 
     @property
     def digest(self) -> str:
-        """Fingerprint of the scenes, in their order."""
+        """Fingerprint of the scenes, in order."""
         return blake2b(" ".join(world.digest for world in self.places).encode(), digest_size=16).hexdigest()
 
 
 def _made(make: Callable[[], World | Worlds]) -> World | Worlds:
-    """The world that a constructor makes."""
+    """Recreate a world when it is unpickled."""
     return make()

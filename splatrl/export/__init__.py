@@ -1,4 +1,4 @@
-"""Export: a trained policy as one ONNX file that needs neither PyTorch nor splatrl."""
+"""Exporting a trained policy to a single ONNX file that needs neither PyTorch nor splatrl."""
 
 from splatrl.export.onnx_file import export_policy
 from splatrl.export.policy import StandalonePolicy

@@ -1,4 +1,4 @@
-"""Writes a policy as an ONNX file, once onnxruntime does with it what PyTorch does."""
+"""Writing a policy as an ONNX file, after checking that onnxruntime reproduces PyTorch's outputs."""
 
 import json
 import logging
@@ -26,7 +26,7 @@ from splatrl.files import replacing
 from splatrl.motions import Motion
 
 PARITY = 1e-5
-"""Largest difference from the policy in PyTorch with which a file is written: of a probability, or of an action."""
+"""Largest difference from the policy in PyTorch, in a probability or an action, with which a file is still written."""
 POLICY, RUNNER = "policy.onnx", "run_policy.py"
 ROBOTS = 8
 NO_SENSORS: Mapping[str, Sensor] = {}
@@ -42,21 +42,21 @@ def export_policy(
 ) -> float:
     """Write ``policy.onnx`` into a folder, and ``run_policy.py`` beside it, which runs it on a camera or a video.
 
-    The file states in its metadata what the policy sees and what its actions mean; see ``metadata``. It is written only
-    if onnxruntime, fed with the views of episodes of the policy, gives what PyTorch gives.
+    The file's metadata states what the policy sees and what its actions mean; see ``metadata``. It is written only if
+    onnxruntime, fed with the views of episodes that the policy runs, gives the same outputs as PyTorch.
 
     Args:
         model: actor and critic.
-        world: the world that it was trained in.
-        folder: folder to write to; it is made if there is none.
-        frames: least number of views on which the two are compared.
-        facts: more metadata.
+        world: the world in which the policy was trained.
+        folder: the folder to write to; created if it does not exist.
+        frames: minimum number of views on which the two runtimes are compared.
+        facts: additional metadata.
 
     Returns:
         The largest difference found.
 
     Raises:
-        ImportError: without the extra ``export``.
+        ImportError: if the extra ``export`` is not installed.
         ValueError: for a policy that cannot be exported, or a difference above ``PARITY``.
     """
     env = world.env(ROBOTS)
@@ -64,7 +64,7 @@ def export_policy(
     about = metadata(policy, world.robot, world.task.motion, world.sensors)
     content = onnx_bytes(policy, about | dict(facts or {}))
     found = largest_difference(content, policy, model, env, frames)
-    if not found <= PARITY:  # NaN is not
+    if not found <= PARITY:  # also true for NaN
         raise ValueError(f"{POLICY}: expected what PyTorch gives within {PARITY}, got a difference of {found:.1e}")
     folder.mkdir(parents=True, exist_ok=True)
     with replacing(folder / RUNNER) as stream, Path(__file__).with_name(RUNNER).open("rb") as source:
@@ -77,11 +77,12 @@ def export_policy(
 def metadata(
     policy: StandalonePolicy, robot: Robot, motion: Motion, sensors: Mapping[str, Sensor] = NO_SENSORS
 ) -> dict[str, str]:
-    """What stands in an ONNX file about a policy: texts, of which lists are JSON.
+    """Return the metadata that an ONNX file holds about its policy: strings, with lists and other values as JSON.
 
     ``fov_deg`` is the horizontal field of view; ``actions`` are the names of discrete actions, ``low`` and ``high`` the
-    limits of continuous ones; ``step`` is the longest way of an action in metres, ``angle_step`` its largest turn in
-    radians; ``left_out`` are transforms of the simulated camera, which a real one does not need.
+    limits of continuous ones; ``step`` is the longest distance that an action moves in metres, ``angle_step`` the
+    largest angle that it turns in radians; ``left_out`` lists transforms of the simulated camera that a real one does
+    not need.
     """
     height, width = robot.image_height, robot.image_width
     facts: dict[str, Any] = {
@@ -109,17 +110,17 @@ def metadata(
 
 
 def _about(sensor: Sensor) -> dict[str, Any]:
-    """The first sentence about a sensor, and its settings."""
+    """Return the first paragraph of a sensor's docstring, and its settings."""
     words = " ".join((getdoc(type(sensor)) or "").partition("\n\n")[0].split())
     settings = {key: value for key, value in vars(sensor).items() if isinstance(value, (bool, int, float, str))}
     return {"is": words, **settings}
 
 
 def onnx_bytes(policy: StandalonePolicy, facts: Mapping[str, str]) -> bytes:
-    """The content of an ONNX file: the policy for any number of robots, with metadata.
+    """Return the contents of an ONNX file: the policy for any batch size, with metadata.
 
     Raises:
-        ImportError: without the extra ``export``.
+        ImportError: if the extra ``export`` is not installed.
     """
     try:
         import onnx
@@ -128,7 +129,7 @@ def onnx_bytes(policy: StandalonePolicy, facts: Mapping[str, str]) -> bytes:
         raise ImportError(_MISSING) from error
     example = policy.example(2)
     batch = torch.export.Dim("batch")
-    shapes = (tuple({0: batch} for _ in example),)  # of one argument that stands for all
+    shapes = (tuple({0: batch} for _ in example),)  # one entry for the variadic argument
     with _quietly():
         program = torch.onnx.export(
             policy,
@@ -147,7 +148,7 @@ def onnx_bytes(policy: StandalonePolicy, facts: Mapping[str, str]) -> bytes:
 
 
 class _quietly(warnings.catch_warnings):
-    """A block in which PyTorch's exporter does not talk about what is not ours: torchvision, its own old names."""
+    """Silence warnings of PyTorch's exporter within a block: they concern torchvision and its own deprecated names."""
 
     def __enter__(self) -> None:
         super().__enter__()
@@ -163,20 +164,23 @@ class _quietly(warnings.catch_warnings):
 def largest_difference(
     content: bytes, policy: StandalonePolicy, model: ActorValueOperator, env: EnvBase, frames: int
 ) -> float:
-    """How far onnxruntime is from PyTorch, in probabilities, or in continuous actions.
+    """Return the largest difference between onnxruntime and PyTorch, in probabilities or in continuous actions.
 
-    PyTorch acts in the env, which stacks views and carries states for it; onnxruntime is shown the same views one by
-    one, and keeps what it remembers itself.
+    PyTorch acts in the env, which stacks views and carries recurrent states for it; onnxruntime receives the same views
+    one at a time, and its states are fed back from its own outputs.
 
     Args:
-        content: of an ONNX file.
-        policy: what it was made of.
+        content: contents of an ONNX file.
+        policy: the policy that was exported to it.
         model: actor and critic.
         env: the env in which the model acts.
-        frames: least number of views.
+        frames: minimum number of views to compare.
+
+    Returns:
+        The difference; NaN if onnxruntime returned a value that is not finite.
 
     Raises:
-        ImportError: without the extra ``export``.
+        ImportError: if the extra ``export`` is not installed.
     """
     try:
         import onnxruntime
@@ -206,7 +210,7 @@ def largest_difference(
 
 
 def _expected(acted: TensorDictBase, head: ProbabilisticTensorDictSequential) -> dict[str, Any]:
-    """What PyTorch made of a step's views, under the names of the outputs."""
+    """Return PyTorch's outputs for a step's views, under the ONNX file's output names."""
     if "logits" in acted.keys():  # noqa: SIM118, a TensorDict is no dict
         return {"probabilities": acted["logits"].softmax(-1).numpy()}
     chosen = head.module[1].get_dist(acted).deterministic_sample

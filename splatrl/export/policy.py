@@ -1,4 +1,4 @@
-"""A policy on plain tensors: what it remembers goes in and comes out beside what it sees and does."""
+"""A policy as a function of plain tensors: its memory is an explicit input and output."""
 
 from copy import deepcopy
 from typing import NamedTuple
@@ -17,22 +17,22 @@ from splatrl.training.heads import distribution
 from splatrl.training.memory import STATE, Memory, RecurrentReset
 
 FRAMES = "frames"
-"""Name of the state of a policy that sees several views."""
+"""Name of the state that holds the past views of a policy with stacked frames."""
 NEXT = "next_"
-"""Prefix of the outputs that are the states of the next step."""
+"""Prefix of the outputs that hold the states for the next step."""
 SIMULATED = (Appearance, Latency, PoseNoise, Weather)
-"""Transforms that make a simulated camera more like a real one; a real camera needs none of them."""
+"""Transforms that make the simulation more like reality; with a real camera none of them is needed."""
 REMEMBERING = (FrameStack, InitTracker, RecurrentReset)
 """Transforms whose work ``StandalonePolicy`` does itself."""
 
 
 class Named(NamedTuple):
-    """Something that a policy observes or remembers.
+    """An observation or a state of a policy.
 
     Attributes:
-        name: of the input; where it is remembered, the output has ``NEXT`` before it.
-        shape: without the batch.
-        dtype: of its numbers.
+        name: name of the input; the output of a state has the prefix ``NEXT``.
+        shape: shape without the batch dimension.
+        dtype: data type.
     """
 
     name: str
@@ -43,16 +43,16 @@ class Named(NamedTuple):
 class StandalonePolicy(nn.Module):
     """The policy of an actor-critic, with the transforms that it needs, as a function of tensors.
 
-    Input: what it observes: ``pixels`` [B, H, W, 3] uint8, one view, and what it reads of sensors, as they sense it;
-        for a policy that remembers also ``begin`` [B] bool, true in the first step of an episode, and its ``states``,
-        which are not read there.
+    Input: the observations: ``pixels`` [B, H, W, 3] uint8, a single view, and the sensor readings that it uses,
+        unprocessed; for a policy with memory also ``begin`` [B] bool, true in the first step of an episode, and its
+        ``states``, which are ignored in that step.
     Output: ``action``, the most probable one, [B] int64, or [B, D] float32 within the task's limits; for discrete
         actions ``probabilities`` [B, A] float32, for continuous ones ``loc`` and ``scale`` [B, D] float32, mean and
-        standard deviation before the tanh; then the states of the next step.
+        standard deviation before the tanh; then the states for the next step.
 
     Args:
-        model: actor and critic; it is copied to the CPU.
-        env: the env in which it acts, with its transforms.
+        model: actor and critic; a copy is moved to the CPU.
+        env: the env in which the policy acts, with its transforms.
 
     Raises:
         ValueError: for an env with a transform that can be neither carried over nor left out.
@@ -82,7 +82,7 @@ class StandalonePolicy(nn.Module):
 
     @property
     def inputs(self) -> list[str]:
-        """Names of the inputs, in the order of ``forward``."""
+        """Names of the inputs, in the order in which ``forward`` takes them."""
         known = [each.name for each in self.observed], [state.name for state in self.states]
         return [*known[0], *(["begin"] if self.states else []), *known[1]]
 
@@ -93,7 +93,7 @@ class StandalonePolicy(nn.Module):
         return ["action", *about, *(NEXT + state.name for state in self.states)]
 
     def example(self, batch: int) -> tuple[Tensor, ...]:
-        """Inputs of zeros for a number of robots that begin."""
+        """Return all-zero inputs for a batch of robots whose episodes begin."""
         seen, states = (
             [torch.zeros(batch, *each.shape, dtype=each.dtype) for each in named]
             for named in (self.observed, self.states)
@@ -109,7 +109,7 @@ class StandalonePolicy(nn.Module):
             kept, begun = torch.cat([known[FRAMES][..., 3:], known["pixels"]], -1), [known["pixels"]] * self.views
             observed["pixels"] = torch.where(known["begin"].view(-1, 1, 1, 1), torch.cat(begun, -1), kept)
             following[FRAMES] = observed["pixels"]
-        seen = TensorDict(observed, batch_size=[])  # a batch size would become a constant of the file
+        seen = TensorDict(observed, batch_size=[])  # a batch size would be baked into the file
         if STATE in known:
             seen.update({STATE: known[STATE], "is_init": known["begin"].unsqueeze(-1)})
         thought = self.trunk(seen)
@@ -126,10 +126,10 @@ class StandalonePolicy(nn.Module):
 
 
 def _left_out(env: EnvBase) -> list[str]:
-    """Names of the transforms that only the simulated camera needs.
+    """Return the names of the transforms that only the simulation needs.
 
     Raises:
-        ValueError: for a transform that is none of them, and that a ``StandalonePolicy`` does not do itself.
+        ValueError: for any other transform whose work ``StandalonePolicy`` does not do itself.
     """
     transforms: list[Transform] = [each for outer in layers(env)[1] for each in outer.transform]
     strange = [type(each).__name__ for each in transforms if not isinstance(each, (*SIMULATED, *REMEMBERING))]

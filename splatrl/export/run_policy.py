@@ -1,7 +1,7 @@
-"""Runs policy.onnx, beside this file, on a video or a camera: python run_policy.py walk.mp4 --fov 69
+"""Run policy.onnx, which lies beside this file, on a video or a camera: python run_policy.py walk.mp4 --fov 69
 
-Prints the policy's action for each frame. Needs numpy, onnxruntime and opencv-python, and no splatrl. What a policy
-observes besides is given as it stays: --give pointgoal_with_gps_compass=2.5,0.3 or --give imagegoal=goal.png
+Prints the policy's action for each frame. Needs numpy, onnxruntime and opencv-python, but not splatrl. Any other
+observation of the policy is held constant: --give pointgoal_with_gps_compass=2.5,0.3 or --give imagegoal=goal.png
 """
 
 import argparse
@@ -21,7 +21,7 @@ options = parser.parse_args()
 session = onnxruntime.InferenceSession(str(Path(__file__).with_name("policy.onnx")))
 facts = session.get_modelmeta().custom_metadata_map
 width, height, own = int(facts["image_width"]), int(facts["image_height"]), float(facts["fov_deg"])
-wide = math.tan(math.radians(own) / 2) / math.tan(math.radians(options.fov or own) / 2)  # as a share of the camera's
+wide = math.tan(math.radians(own) / 2) / math.tan(math.radians(options.fov or own) / 2)  # as a fraction of the camera's
 kinds = {"tensor(uint8)": np.uint8, "tensor(float)": np.float32, "tensor(bool)": np.bool_}
 given: dict[str, np.ndarray] = {
     each.name: np.zeros([1, *each.shape[1:]], kinds[each.type]) for each in session.get_inputs()
@@ -43,11 +43,11 @@ for number in range(10**9):
     found, image = camera.read()
     if not found:
         break
-    scale = min(image.shape[1] * min(wide, 1.0) / width, image.shape[0] / height)  # of the camera's pixels in one
+    scale = min(image.shape[1] * min(wide, 1.0) / width, image.shape[0] / height)  # camera pixels per policy pixel
     rows, columns = max(round(scale * height), 1), max(round(scale * width), 1)
     top, left = (image.shape[0] - rows) // 2, (image.shape[1] - columns) // 2
     view = cv2.resize(image[top : top + rows, left : left + columns], (width, height), interpolation=cv2.INTER_AREA)
-    given |= {"pixels": view[None, :, :, ::-1].copy()} if "pixels" in given else {}  # OpenCV's blue comes first
+    given |= {"pixels": view[None, :, :, ::-1].copy()} if "pixels" in given else {}  # OpenCV has BGR
     given |= {"begin": begin & (number == 0)} if "begin" in given else {}
     answer = {each.name: value for each, value in zip(session.get_outputs(), session.run(None, given), strict=True)}
     given |= {name.removeprefix("next_"): value for name, value in answer.items() if name.startswith("next_")}

@@ -1,4 +1,4 @@
-"""How actions move a robot."""
+"""Motions, which define how actions move a robot."""
 
 from splatrl.motions.base import Motion, Move, PlannedMotion, SweptMotion, Taps
 from splatrl.motions.drive import DriveMotion

@@ -1,4 +1,4 @@
-"""The interface of every motion: how actions change a robot's state."""
+"""The interface of all motions, which define how actions change a robot's state."""
 
 from abc import ABC, abstractmethod
 from typing import NamedTuple, Protocol
@@ -14,12 +14,12 @@ class Move(NamedTuple):
     """The result of carrying out one action of each robot.
 
     Attributes:
-        state: [B, ...] states after it.
+        state: [B, ...] states after the action.
         body_to_world: [B, 4, 4] float32, poses of ``state``, metres.
-        free_fraction: [B] float32 in [0, 1], how much of the action was free before the body touched something; 1 where
-            it touched nothing.
+        free_fraction: [B] float32 in [0, 1], fraction of the action that was free before the body touched something; 1
+            where it touched nothing.
         inside: [B] bool, whether the action stayed within the motion's bounds.
-        sensed: [B, S, s] float64, what sensors of the physics said in each substep; None without physics.
+        sensed: [B, S, s] float64, readings of the physics' sensors in each substep; None without physics.
     """
 
     state: Tensor
@@ -30,11 +30,11 @@ class Move(NamedTuple):
 
 
 class Taps(NamedTuple):
-    """The nodes between which states lie, and their weights for interpolation.
+    """The nodes between which states lie, and the weights that interpolate between them.
 
     Attributes:
         node: [N, K] int64, indices of nodes.
-        weight: [N, K] float32, rows of sum 1.
+        weight: [N, K] float32; each row sums to 1.
     """
 
     node: Tensor
@@ -42,12 +42,12 @@ class Taps(NamedTuple):
 
 
 class Motion(Protocol):
-    """How actions change a robot's state; states are [B, ...] tensors of any kind.
+    """Defines how actions change a robot's state; states are [B, ...] tensors of any dtype.
 
     Attributes:
-        action_names: a name for each discrete action, in their order; empty where actions are continuous.
-        step: longest distance that an action moves, metres.
-        angle_step: largest angle that an action turns, radians.
+        action_names: a name for each discrete action, in order; empty if actions are continuous.
+        step: longest distance that an action moves the robot, metres.
+        angle_step: largest angle that an action turns the robot, radians.
     """
 
     action_names: tuple[str, ...]
@@ -56,7 +56,7 @@ class Motion(Protocol):
 
     @property
     def height(self) -> float | None:
-        """z of every pose, metres; None where the height varies or poses are tilted."""
+        """z of every pose, metres; None if the height varies or poses are tilted."""
         ...
 
     @property
@@ -73,73 +73,73 @@ class Motion(Protocol):
         """Carry out one action of each robot.
 
         Args:
-            state: [B, ...] states before it.
+            state: [B, ...] states before the action.
             action: [B, ...] actions.
             checker: tells what the body touches; a motion that resolves contacts itself need not use it.
         """
         ...
 
     def planar(self, state: Tensor) -> Tensor:
-        """Position and heading of states: [B, ...] -> [B, 3] float64, x and y in metres, yaw in radians."""
+        """Return position and heading of states: [B, ...] -> [B, 3] float64, x and y in metres, yaw in radians."""
         ...
 
     def body_to_world(self, state: Tensor) -> Tensor:
-        """Poses of states: [B, ...] -> [B, 4, 4] float32."""
+        """Return the poses of states: [B, ...] -> [B, 4, 4] float32."""
         ...
 
 
 class PlannedMotion(Motion, Protocol):
     """A motion for which shortest paths can be found: where an action leads does not depend on what it touches.
 
-    Costs are kept at nodes and interpolated between them. A motion with finitely many states has a node for each.
+    Costs are stored at nodes and interpolated between them. A motion with finitely many states has one node per state.
     """
 
     def states(self) -> Tensor:
-        """The states in which episodes may begin: [S, ...]."""
+        """Return the states in which episodes may begin: [S, ...]."""
         ...
 
     def actions(self) -> Tensor:
-        """The actions from which paths are made: [A, ...]."""
+        """Return the actions from which paths are made: [A, ...]."""
         ...
 
     def advance(self, state: Tensor, action: Tensor) -> Tensor:
-        """Where an unobstructed action leads, possibly outside the bounds: [B, ...], [B, ...] -> [B, ...]."""
+        """Return where an unobstructed action leads, possibly out of bounds: [B, ...], [B, ...] -> [B, ...]."""
         ...
 
     def inside(self, state: Tensor) -> Tensor:
-        """Whether states are within the bounds, which are inclusive: [B, ...] -> [B] bool."""
+        """Return whether states are within the bounds, which are inclusive: [B, ...] -> [B] bool."""
         ...
 
     def nodes(self) -> Tensor:
-        """The states at which costs are kept: [C, ...]."""
+        """Return the states at which costs are stored: [C, ...]."""
         ...
 
     def taps(self, state: Tensor) -> Taps:
-        """The nodes between which states inside the bounds lie."""
+        """Return the nodes between which states inside the bounds lie."""
         ...
 
     def nearest(self, planar: Tensor) -> Tensor:
-        """The states nearest to positions and headings: [N, 3] float64 x, y and yaw -> [N, ...]."""
+        """Return the states nearest to positions and headings: [N, 3] float64 x, y and yaw -> [N, ...]."""
         ...
 
 
 class SweptMotion(nn.Module, ABC):
-    """A motion whose robots either move straight to where the action leads or stay where they are.
+    """A motion in which a robot either moves straight to where the action leads or stays where it is.
 
     A robot stays where it was when the swept body touches something, or when the action leads out of the bounds.
     """
 
     @abstractmethod
     def advance(self, state: Tensor, action: Tensor) -> Tensor:
-        """Where an unobstructed action leads; see ``PlannedMotion``."""
+        """Return where an unobstructed action leads; see ``PlannedMotion``."""
 
     @abstractmethod
     def inside(self, state: Tensor) -> Tensor:
-        """Whether states are within the bounds; see ``PlannedMotion``."""
+        """Return whether states are within the bounds; see ``PlannedMotion``."""
 
     @abstractmethod
     def body_to_world(self, state: Tensor) -> Tensor:
-        """Poses of states; see ``Motion``."""
+        """Return the poses of states; see ``Motion``."""
 
     def move(self, state: Tensor, action: Tensor, checker: Checker) -> Move:
         """Carry out one action of each robot; see ``Motion``."""

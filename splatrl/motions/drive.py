@@ -1,4 +1,4 @@
-"""A differential drive: a linear and an angular velocity, held for a time step."""
+"""A differential drive: an action is a linear and an angular velocity, held for a time step."""
 
 import math
 from collections.abc import Sequence
@@ -12,13 +12,13 @@ from splatrl.motions.planar import StoppingMotion, along
 CELL = 0.05
 """Distance between the positions at which paths are computed, metres."""
 STILL = 0.1
-"""Share of the limits of both velocities below which an action says stop, in tasks in which robots say so."""
+"""Fraction of both velocity limits below which an action means stop, in tasks in which the robot declares arrival."""
 HEADINGS_A_TURN = 4
-"""Number of headings at which paths are computed within the largest turn of a time step."""
+"""Headings at which paths are computed within the largest turn of one time step."""
 REACH = 0.25
-"""How far ahead one looks who chooses a way, metres."""
+"""Look-ahead distance for choosing a direction, metres."""
 WAYS = 36
-"""Number of ways from which one chooses."""
+"""Number of directions from which to choose."""
 
 
 class DriveMotion(StoppingMotion):
@@ -27,7 +27,7 @@ class DriveMotion(StoppingMotion):
     A state is [..., 3] float32: x and y in metres and yaw in radians. The robot follows the exact arc; collision is
     checked along the straight line between the ends of the step, with the heading turning at a constant rate.
 
-    Paths are made of full speed forwards and backwards, turns on the spot, and the arcs that combine them.
+    Paths consist of full speed forwards and backwards, turns on the spot, and the arcs that combine them.
 
     Args:
         height: z of every pose, metres.
@@ -37,7 +37,7 @@ class DriveMotion(StoppingMotion):
         lower: smallest x and y, metres.
         upper: largest x and y, metres.
         spacing: distance between neighbouring starts, metres.
-        headings: number of directions of the starts.
+        headings: number of start headings.
 
     Raises:
         ValueError: for a time step that is not positive, velocities out of order, or bounds without area.
@@ -74,28 +74,28 @@ class DriveMotion(StoppingMotion):
 
     @property
     def action_spec(self) -> Bounded:
-        """Linear velocity in metres per second and angular velocity in radians per second, [2]; no batch."""
+        """Spec of one robot's action, [2]: linear velocity, metres per second, and angular, radians per second."""
         return Bounded(low=self.limits[0], high=self.limits[1], shape=(2,), dtype=torch.float32)
 
     def actions(self) -> Tensor:
-        """The actions from which paths are made: [N, 2] float32."""
+        """Return the actions from which paths are made: [N, 2] float32."""
         (back, right), (ahead, left) = self.limits.tolist()
         pairs = [(v, w) for v in sorted({back, 0.0, ahead}) for w in (right, 0.0, left) if (v, w) != (0.0, 0.0)]
         return torch.tensor(pairs, device=self.limits.device)
 
     def stops(self, action: Tensor) -> Tensor:
-        """Whether both velocities are within a tenth of their limits, as for Habitat: [B, 2] -> [B] bool."""
+        """Return whether both velocities are within a tenth of their limits, as in Habitat: [B, 2] -> [B] bool."""
         return (action.abs() < STILL * self.limits.abs().amax(0)).all(1)
 
     def toward(self, turn: Tensor, stop: Tensor) -> Tensor:
-        """Turns on the spot until no other way is nearer to the heading, then ahead; see ``StoppingMotion``."""
+        """Turn on the spot until no other direction is nearer to the heading, then drive; see ``StoppingMotion``."""
         _, (fastest, quickest) = self.limits
         ahead = torch.where(turn.abs() > 0.5 * self.angle_between, 0.0, fastest)
         action = torch.stack([ahead, (turn / self.time_step).clamp(-quickest, quickest)], 1)
         return torch.where(stop.unsqueeze(1), 0.0, action)
 
     def advance(self, state: Tensor, action: Tensor) -> Tensor:
-        """Where an unobstructed action leads, possibly outside the bounds.
+        """Return where an unobstructed action leads, possibly out of bounds.
 
         Args:
             state: [B, 3] float32.

@@ -1,4 +1,4 @@
-"""A finite set of states, numbered by indices: what the motions on a lattice share."""
+"""Motions over a finite set of states, given by integer indices: the base of lattice motions."""
 
 import math
 from abc import abstractmethod
@@ -12,21 +12,21 @@ from splatrl.motions.base import SweptMotion, Taps
 
 
 class FiniteMotion(SweptMotion):
-    """States are [..., D] int64 indices, from 0 to below ``shape``; an action adds one of ``moves``.
+    """A motion whose states are [..., D] int64 indices from 0 to below ``shape``; an action adds one of ``moves``.
 
-    Shortest paths over it are exact: every state is a node.
+    Shortest paths are exact, because every state is a node.
 
     Args:
         shape: number of values of each index.
-        moves: [A][D], what each action adds.
+        moves: [A][D], the indices that each action adds.
         action_names: a name for each action.
-        step: longest distance that an action moves, metres.
-        angle_step: largest angle that an action turns, radians.
-        height: z of every pose, metres; None where the height varies.
+        step: longest distance that an action moves the robot, metres.
+        angle_step: largest angle that an action turns the robot, radians.
+        height: z of every pose, metres; None if the height varies.
     """
 
     moves: Tensor  # [A, D] int64
-    counts: Tensor  # [D] int64, the shape; of several scenes [S, D]
+    counts: Tensor  # [D] int64, the shape; [S, D] for several scenes
     of_scene: tuple[str, ...] = ("shape", "counts", "height")
 
     def __init__(
@@ -47,41 +47,41 @@ class FiniteMotion(SweptMotion):
 
     @property
     def action_spec(self) -> Categorical:
-        """One of the moves; no batch."""
+        """Spec of one robot's action: the index of a move; no batch."""
         return Categorical(len(self.moves), shape=(), dtype=torch.int64)
 
     @property
     def state_spec(self) -> Bounded:
-        """Indices [D], of the largest of several scenes; no batch."""
+        """Spec of one robot's state: indices [D], up to those of the largest of several scenes; no batch."""
         high = self.counts.reshape(-1, len(self.shape)).amax(0) - 1
         return Bounded(low=torch.zeros_like(high), high=high, shape=high.shape, dtype=torch.int64)
 
     def states(self) -> Tensor:
-        """Every state, in the order of ``index``: [S, D] int64."""
+        """Return every state, in the order of ``index``: [S, D] int64."""
         return torch.cartesian_prod(*(torch.arange(n, device=self.moves.device) for n in self.shape))
 
     def actions(self) -> Tensor:
-        """The actions from which paths are made, which is all of them: [A] int64."""
+        """Return the actions from which paths are made, which are all of them: [A] int64."""
         return torch.arange(len(self.moves), device=self.moves.device)
 
     def index(self, state: Tensor) -> Tensor:
-        """The row of each state in ``states()``: [..., D] int64, inside the lattice -> [...] int64."""
+        """Return the row of each state in ``states()``: [..., D] int64, inside the lattice -> [...] int64."""
         row = state[..., 0]
         for axis, count in enumerate(self.shape[1:], 1):
             row = row * count + state[..., axis]
         return row
 
     def nodes(self) -> Tensor:
-        """Every state: [S, D] int64."""
+        """Return the nodes, which are all states: [S, D] int64."""
         return self.states()
 
     def taps(self, state: Tensor) -> Taps:
-        """The single node that is the state itself: [N, D] int64, inside the lattice -> taps of [N, 1]."""
+        """Return the single node that is the state itself: [N, D] int64, inside the lattice -> taps of [N, 1]."""
         node = self.index(state).unsqueeze(1)
         return Taps(node, torch.ones_like(node, dtype=torch.float32))
 
     def nearest(self, planar: Tensor) -> Tensor:
-        """The nearest states, measured in steps and angle steps: [N, 3] float64 x, y and yaw -> [N, D] int64."""
+        """Return the nearest states in steps and angle steps: [N, 3] float64 x, y and yaw -> [N, D] int64."""
         states = self.states()
         away = (planar.unsqueeze(1) - self.planar(states).to(planar.device)).abs()
         turn = torch.minimum(away[..., 2], math.tau - away[..., 2]) / self.angle_step
@@ -89,4 +89,4 @@ class FiniteMotion(SweptMotion):
 
     @abstractmethod
     def planar(self, state: Tensor) -> Tensor:
-        """Position and heading of states; see ``Motion``."""
+        """Return position and heading of states; see ``Motion``."""

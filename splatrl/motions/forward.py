@@ -9,7 +9,7 @@ CELL = 0.05
 
 
 class ForwardMotion(StepMotion):
-    """Moves forward and back by a step along the heading, and turns left and right by an angle, off any lattice.
+    """Moves forward and back by a step along the heading, and turns left and right by an angle, tied to no lattice.
 
     A state is [..., 3] float32: x and y in metres and yaw in radians. The four actions, in the published order, are
     forward, back, left (counter-clockwise) and right.
@@ -17,14 +17,14 @@ class ForwardMotion(StepMotion):
     Args:
         height: z of every pose, metres.
         step: length of a step, metres.
-        angle_step_deg: angle of a turn, degrees; it divides 360.
+        angle_step_deg: angle of a turn, degrees; must divide 360.
         lower: smallest x and y, metres.
         upper: largest x and y, metres.
         spacing: distance between neighbouring starts, metres; None takes the step. Starts have every heading that is a
             whole number of turns.
 
     Raises:
-        ValueError: for a step that is not positive, an angle that does not divide a turn, or bounds without area.
+        ValueError: for a step that is not positive, an angle that does not divide 360°, or bounds without area.
     """
 
     def __init__(

@@ -20,17 +20,17 @@ class LatticeMotion(FiniteMotion):
     Args:
         height: z of every pose, metres.
         step: distance between neighbouring positions, metres.
-        angle_step_deg: angle between neighbouring headings, degrees; it divides 360.
+        angle_step_deg: angle between neighbouring headings, degrees; must divide 360.
         lower: smallest x and y, metres.
         upper: largest x and y, metres; a whole number of steps from ``lower``.
 
     Raises:
-        ValueError: for a step that does not divide the bounds or an angle that does not divide a turn.
+        ValueError: for a step that does not divide the bounds or an angle that does not divide 360°.
     """
 
-    turned: Tensor  # [headings, 4, 4], poses at the world's origin
+    turned: Tensor  # [headings, 4, 4], poses of all headings at the world's origin
     origin: Tensor  # [2] float64
-    spacing: Tensor  # [3] float32, what an index of each kind is worth
+    spacing: Tensor  # [3] float32, metres or radians per index of x, y and heading
     elevation: Tensor  # [] float32, the height
     of_scene = (*FiniteMotion.of_scene, "origin", "elevation")
 
@@ -59,32 +59,32 @@ class LatticeMotion(FiniteMotion):
         self.register_buffer("elevation", torch.tensor(height, dtype=torch.float32), persistent=False)
 
     def advance(self, state: Tensor, action: Tensor) -> Tensor:
-        """Where an unobstructed action leads, possibly outside the lattice.
+        """Return where an unobstructed action leads, possibly outside the lattice.
 
         Args:
             state: [B, 3] int64.
             action: [B] int64 in [0, 6).
 
         Returns:
-            [B, 3] int64, heading wrapped.
+            [B, 3] int64, with the heading wrapped.
         """
         moved = state + self.moves.index_select(0, action)
         moved[:, 2].remainder_(self.shape[2])
         return moved
 
     def inside(self, state: Tensor) -> Tensor:
-        """Whether states are within the bounds, which are inclusive: [B, 3] -> [B] bool."""
+        """Return whether states are within the bounds, which are inclusive: [B, 3] -> [B] bool."""
         place = state[:, :2]
         return ((place >= 0) & (place < self.counts[..., :2])).all(1)
 
     def planar(self, state: Tensor) -> Tensor:
-        """Position and heading of states: [B, 3] int64 -> [B, 3] float64, x and y in metres, yaw in radians."""
+        """Return position and heading of states: [B, 3] int64 -> [B, 3] float64, x, y in metres, yaw in radians."""
         planar = (state * self.spacing).double()
         planar[:, :2] += self.origin
         return planar
 
     def body_to_world(self, state: Tensor) -> Tensor:
-        """Poses of states: [B, 3] int64 -> [B, 4, 4] float32; equal states have poses of equal bytes."""
+        """Return the poses of states: [B, 3] int64 -> [B, 4, 4] float32; equal states have bitwise equal poses."""
         poses = self.turned.index_select(0, state[:, 2])
         poses[:, :2, 3] = self.origin + state[:, :2] * self.spacing[:2]
         poses[:, 2, 3] = self.elevation
@@ -92,7 +92,7 @@ class LatticeMotion(FiniteMotion):
 
 
 def whole_steps(name: str, length: float, step: float) -> int:
-    """The number of steps in a length.
+    """Return the number of steps in a length.
 
     Raises:
         ValueError: if that is not a whole number of at least one.

@@ -1,4 +1,4 @@
-"""A robot on four legs that trots, and is told either how its joints depart from that or where to go."""
+"""Motions of a four-legged robot that trots: actions either offset its joints from the trot or say where to walk."""
 
 import math
 from collections.abc import Sequence
@@ -20,41 +20,40 @@ from splatrl.physics.trot import FREQUENCY, trot
 from splatrl.values import require_number
 
 STRIDE = 0.02
-"""Seconds for which the joints are told the same angles."""
+"""Duration for which joint targets are held, seconds."""
 JOINTS = 12
 COMMAND = 2
-"""Numbers of a command: metres per second ahead and radians per second to the left."""
+"""Size of a command: metres per second ahead and radians per second to the left."""
 ANGLES = FIRST + 7
-"""Column of a state at which the angles of the joints begin."""
+"""Column of a state at which the joint angles begin."""
 DEPARTURE = 0.25
-"""By how much a joint may depart from the trot, radians."""
+"""Largest offset of a joint from the trot, radians."""
 FELT = 46
-"""Numbers of proprioception."""
+"""Size of the proprioceptive observation."""
 SPIN, RATE = 0.25, 0.05
-"""Factors by which angular velocities of the torso and of the joints become about as large as the rest."""
+"""Factors that scale the angular velocities of torso and joints to about the magnitude of the other observations."""
 TILTED = 0.5
-"""Cosine of the torso's angle from upright at which a robot has fallen."""
+"""Cosine of the torso's tilt from upright at or below which a robot has fallen."""
 LOW = 0.14
-"""Height of the torso above the ground, metres, at which it has fallen."""
+"""Height of the torso above the ground at or below which a robot has fallen, metres."""
 
 
 class LegsMotion(PhysicsMotion):
-    """What motions on legs share: a trot and what is added to it, fifty times a second.
+    """Base of the legged motions: a trot, to which joint offsets are added fifty times a second.
 
-    A state is [n + 12 + 2 K] float64: that of ``PhysicsMotion``; by how much the joints were last told to depart from
-    the trot, as shares of 0.25 radians; and K commands that are followed one after the other, metres per second ahead
-    and radians per second to the left. The trot's phase, and which command it is the turn of, follow from the physics'
-    time.
+    A state is [n + 12 + 2 K] float64: the state of ``PhysicsMotion``; the last offsets of the joints from the trot, as
+    fractions of 0.25 radians; and K commands that are followed one after the other, in metres per second ahead and
+    radians per second to the left. The trot's phase and the active command follow from the physics' time.
 
     Args:
         commands: number of commands, K.
-        span: seconds for which each of several commands is followed.
+        span: duration for which each of several commands is followed, seconds.
         forward: lowest and highest commanded speed ahead, metres per second.
         turn: highest commanded angular velocity in either direction, radians per second.
-        options: see ``PhysicsMotion``.
+        options: arguments of ``PhysicsMotion``.
 
     Raises:
-        ValueError: for a robot without the twelve joints of ``quadruped``, or what ``PhysicsMotion`` refuses.
+        ValueError: for a robot without the twelve joints of ``quadruped``, or anything that ``PhysicsMotion`` refuses.
     """
 
     def __init__(
@@ -79,7 +78,7 @@ class LegsMotion(PhysicsMotion):
 
     @property
     def held(self) -> float:
-        """How long the joints are told the same angles, seconds."""
+        """Duration for which joint targets are held, seconds."""
         return STRIDE
 
     def settle(self, terrain: Terrain) -> None:
@@ -93,26 +92,26 @@ class LegsMotion(PhysicsMotion):
         self.limits = self.action_limits()
 
     def action_limits(self) -> Tensor:
-        """Lowest and highest actions, [2, A] float32: by default departures from the trot."""
+        """Return the lowest and highest actions, [2, A] float32; by default those are offsets from the trot."""
         one = torch.ones(1, JOINTS, device=self.home.device)
         return torch.cat([-one, one])
 
     def departure(self, state: Tensor) -> Tensor:
-        """The last departures from the trot: [B, n] -> [B, 12] float64."""
+        """Return the last joint offsets from the trot: [B, n] -> [B, 12] float64."""
         return state[:, self.physics.size : self.physics.size + JOINTS]
 
     def command(self, state: Tensor) -> Tensor:
-        """The command whose turn it is: [B, n] -> [B, 2] float64."""
+        """Return the active command: [B, n] -> [B, 2] float64."""
         each = state[:, self.physics.size + JOINTS :].unflatten(1, (self.commands, COMMAND))
         turn = (state[:, BANK] / self.span).nan_to_num().long().clamp(0, self.commands - 1)
         return each[torch.arange(len(state), device=state.device), turn]
 
     def commanded(self, state: Tensor, commands: Tensor) -> Tensor:
-        """States whose legs follow other commands: [B, n], [B, 2 K] -> [B, n]."""
+        """Replace the commands in states: [B, n], [B, 2 K] -> [B, n]."""
         return torch.cat([state[:, : self.physics.size + JOINTS], commands.to(state)], 1)
 
     def stride(self, state: Tensor, departure: Tensor) -> Stepped:
-        """Follow the command for 20 ms, with joints that depart from the trot: [B, n], [B, 12]."""
+        """Follow the command for 20 ms, with the joints offset from the trot: [B, n], [B, 12]."""
         size, departure = self.physics.size, departure.to(state).clamp(-1.0, 1.0)
         angles = trot(state[:, BANK], self.command(state)) + DEPARTURE * departure
         low, high = self.angles.to(state)
@@ -122,17 +121,21 @@ class LegsMotion(PhysicsMotion):
         return Stepped(torch.cat([after, departure, state[:, size + JOINTS :]], 1), sensed, sound)
 
     def level_velocity(self, state: Tensor) -> Tensor:
-        """Velocity ahead and to the left, and of the yaw: [B, n] -> [B, 3] float64, metres and radians per second."""
+        """Return velocity ahead and to the left, and yaw rate: [B, n] -> [B, 3] float64, metres and radians per second.
+
+        The first two are horizontal, relative to the heading.
+        """
         first, yaw = FIRST + self.physics.model.nq, self.planar(state)[:, 2]
         x, y = state[:, first], state[:, first + 1]
         turn = rotated(self._turn(state), self._spin(state))[:, 2]
         return torch.stack([x * yaw.cos() + y * yaw.sin(), y * yaw.cos() - x * yaw.sin(), turn], 1)
 
     def felt(self, state: Tensor) -> Tensor:
-        """What a robot feels without looking: [B, n] -> [B, 46] float32.
+        """Return the proprioceptive observation: [B, n] -> [B, 46] float32.
 
-        The direction of gravity and the angular velocity in the torso's frame, angles of the joints from where it
-        stands and their velocities, the last departures, the command, and sine and cosine of the trot's phase.
+        It consists of the direction of gravity and the angular velocity in the torso's frame, the joint angles relative
+        to the standing pose, the joint velocities, the last joint offsets, the command, and sine and cosine of the
+        trot's phase.
         """
         nq, count = self.physics.model.nq, len(state)
         down = state.new_tensor([0.0, 0.0, -1.0]).expand(count, 3)
@@ -150,7 +153,7 @@ class LegsMotion(PhysicsMotion):
         return torch.cat(parts, 1).float()
 
     def fallen(self, state: Tensor) -> Tensor:
-        """Whether robots lie, or their physics is lost: [B, n] -> [B] bool."""
+        """Return whether robots have fallen, or their physics has failed: [B, n] -> [B] bool."""
         x, y, z = state[:, FIRST : FIRST + 3].unbind(1)
         up = rotated(self._turn(state), state.new_tensor([0.0, 0.0, 1.0]).expand(len(state), 3))[:, 2]
         above = z - self.terrain.height(torch.stack([x, y], 1))
@@ -165,10 +168,10 @@ class LegsMotion(PhysicsMotion):
 
 
 class StridesMotion(LegsMotion):
-    """Legs whose joints are told each 20 ms by how much they depart from a trot.
+    """Legs whose actions are the joints' offsets from a trot, every 20 ms.
 
-    An action is [12] float32 in [-1, 1], shares of 0.25 radians: hip, thigh and calf of the front left, front right,
-    rear left and rear right leg. The command stands in the state; see ``LegsMotion``.
+    An action is [12] float32 in [-1, 1], fractions of 0.25 radians: hip, thigh and calf of the front left, front right,
+    rear left and rear right leg. The command is part of the state; see ``LegsMotion``.
     """
 
     def __init__(self, **options: Any):
@@ -177,24 +180,25 @@ class StridesMotion(LegsMotion):
         super().__init__(**options)
 
     def move(self, state: Tensor, action: Tensor, checker: Checker) -> Move:
-        """Make a stride; see ``Motion``."""
+        """Advance by one 20 ms stride; see ``Motion``."""
         after, sensed, sound = self.stride(state, action)
         return self.moved(after, sensed, sound)
 
 
 class WalkMotion(LegsMotion):
-    """Legs that are told where to go, and walk there by a policy that does not look.
+    """Legs whose actions are velocity commands, which a blind walking policy follows.
 
     An action is [2] float32: metres per second ahead and radians per second to the left, held for a time step, in which
-    the policy says each 20 ms by how much the joints depart from the trot.
+    the policy chooses the joints' offsets from the trot every 20 ms.
 
     Args:
-        gait: file of the policy's weights (``Dense``), the name of one of splatrl's own; None trots without.
+        gait: file of the policy's weights (``Dense``), or the name of one of splatrl's own; None trots without a
+            policy.
         time_step: duration of an action, seconds, a multiple of 0.02.
-        options: see ``LegsMotion``.
+        options: arguments of ``LegsMotion``.
 
     Raises:
-        ValueError: for weights of another size, or what ``LegsMotion`` refuses.
+        ValueError: for weights of another size, or anything that ``LegsMotion`` refuses.
     """
 
     def __init__(self, gait: str | Path | None = "quadruped", time_step: float = 0.2, **options: Any):
@@ -206,7 +210,7 @@ class WalkMotion(LegsMotion):
         self.driven, self.gait = True, None if gait is None else Dense.load(gait_path(str(gait)), FELT, JOINTS)
 
     def action_limits(self) -> Tensor:
-        """Lowest and highest commands: [2, 2] float32."""
+        """Return the lowest and highest commands: [2, 2] float32."""
         low, high = self.forward_limits
         return torch.tensor([[low, -self.turn_limit], [high, self.turn_limit]], device=self.home.device)
 

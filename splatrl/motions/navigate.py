@@ -12,28 +12,27 @@ from splatrl.motions.steps import StepMotion
 
 
 class NavigateMotion(StepMotion, StoppingMotion):
-    """Stops, steps forward along the heading, and turns left and right, off any lattice.
+    """Stops, steps forward along the heading, and turns left and right, tied to no lattice.
 
     A state is [..., 3] float32: x and y in metres and yaw in radians. The four actions, in Habitat's order, are stop,
-    which moves nothing and which a task may take for the end of an episode, forward, left (counter-clockwise) and
-    right.
+    which moves nothing and which a task may take as the end of an episode, forward, left (counter-clockwise) and right.
 
-    A blocked robot stays where it was, or with ``sliding`` goes as far along x, and then along y, as that part of the
-    step is free: along walls of voxels, which face the axes, it slides as Habitat's ``allow_sliding`` lets it. Either
-    way the move counts as one that touched something.
+    A blocked robot stays where it was. With ``sliding``, it instead makes the x component of the step if that is free,
+    and then the y component if that is free: along walls of voxels, which face the axes, it slides as with Habitat's
+    ``allow_sliding``. Either way, the move counts as one that touched something.
 
     Args:
         height: z of every pose, metres.
         step: length of a step, metres.
-        angle_step_deg: angle of a turn, degrees; it divides 360.
+        angle_step_deg: angle of a turn, degrees; must divide 360.
         sliding: whether a blocked robot slides.
         lower: smallest x and y, metres.
         upper: largest x and y, metres.
         spacing: distance between neighbouring starts, metres.
-        headings: number of directions of the starts.
+        headings: number of start headings.
 
     Raises:
-        ValueError: for a step that is not positive, an angle that does not divide a turn, or bounds without area.
+        ValueError: for a step that is not positive, an angle that does not divide 360°, or bounds without area.
     """
 
     def __init__(
@@ -52,15 +51,15 @@ class NavigateMotion(StepMotion, StoppingMotion):
         self.sliding, self.reach, self.angle_between = sliding, self.step, self.angle_step
 
     def actions(self) -> Tensor:
-        """The actions from which paths are made, all but stop: [3] int64."""
+        """Return the actions from which paths are made, all but stop: [3] int64."""
         return torch.arange(1, len(self.lengths), device=self.lengths.device)
 
     def stops(self, action: Tensor) -> Tensor:
-        """Whether actions are stop: [B] int64 -> [B] bool."""
+        """Return whether actions are stop: [B] int64 -> [B] bool."""
         return action == 0
 
     def toward(self, turn: Tensor, stop: Tensor) -> Tensor:
-        """Forward along the way, or a turn to it, or a stop; see ``StoppingMotion``."""
+        """Return a step forward, a turn towards the direction, or a stop; see ``StoppingMotion``."""
         aside = turn.abs() > 0.5 * self.angle_step
         return torch.where(stop, 0, torch.where(aside, torch.where(turn > 0, 2, 3), 1))
 

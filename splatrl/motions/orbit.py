@@ -12,7 +12,7 @@ from splatrl.motions.lattice import whole_steps
 
 
 class OrbitMotion(FiniteMotion):
-    """Looks at an origin from a lattice of azimuths, distances and elevations.
+    """Moves a camera that looks at an origin over a lattice of azimuths, distances and elevations.
 
     A state is [..., 3] int64: the indices of azimuth, distance and elevation. Azimuth 0 is on the +x side of the origin
     and azimuths increase counter-clockwise; elevation 0 is level with the origin. The actions, in order, are + and − of
@@ -20,13 +20,13 @@ class OrbitMotion(FiniteMotion):
 
     Args:
         origin: point at which the camera looks, world, metres.
-        angle_step_deg: step of azimuth and elevation, degrees; it divides 360.
+        angle_step_deg: step of azimuth and elevation, degrees; must divide 360.
         distance_step: step of the distance, metres.
         distance: smallest and largest distance, metres, a whole number of steps apart.
         elevation_deg: smallest and largest elevation, degrees, a whole number of steps apart, both in [−90, 90].
 
     Raises:
-        ValueError: for steps that do not divide their range, or ranges out of order.
+        ValueError: for steps that do not divide their ranges, or ranges out of order.
     """
 
     smallest: Tensor  # [3] float64: azimuth, distance, elevation
@@ -64,28 +64,28 @@ class OrbitMotion(FiniteMotion):
         self.register_buffer("origin", torch.tensor(tuple(origin), dtype=torch.float64), persistent=False)
 
     def advance(self, state: Tensor, action: Tensor) -> Tensor:
-        """Where an unobstructed action leads, possibly off the lattice: [B, 3] int64, [B] int64 -> [B, 3] int64."""
+        """Return where an unobstructed action leads, maybe off the lattice: [B, 3] int64, [B] int64 -> [B, 3] int64."""
         moved = state + self.moves[action]
         return torch.cat([moved[:, :1] % self.shape[0], moved[:, 1:]], 1)
 
     def inside(self, state: Tensor) -> Tensor:
-        """Whether distance and elevation are within their ranges, which are inclusive: [B, 3] -> [B] bool."""
+        """Return whether distance and elevation are within their ranges, which are inclusive: [B, 3] -> [B] bool."""
         ring, tier = state[:, 1], state[:, 2]
         return (ring >= 0) & (ring < self.counts[..., 1]) & (tier >= 0) & (tier < self.counts[..., 2])
 
     def sphere(self, state: Tensor) -> Tensor:
-        """Azimuth (radians), distance (metres) and elevation (radians) of states: [B, 3] int64 -> [B, 3] float64."""
+        """Return azimuth (radians), distance (metres) and elevation (radians): [B, 3] int64 -> [B, 3] float64."""
         return self.smallest + state * self.steps
 
     def planar(self, state: Tensor) -> Tensor:
-        """Position and heading of states: [B, 3] int64 -> [B, 3] float64, x and y in metres, yaw in radians."""
+        """Return position and heading of states: [B, 3] int64 -> [B, 3] float64, x, y in metres, yaw in radians."""
         azimuth, distance, elevation = self.sphere(state).unbind(1)
         reach = distance * elevation.cos()
         x, y = self.origin[..., 0] + reach * azimuth.cos(), self.origin[..., 1] + reach * azimuth.sin()
         return torch.stack([x, y, (azimuth + math.pi) % math.tau], 1)
 
     def body_to_world(self, state: Tensor) -> Tensor:
-        """Poses of states, with the body's +x towards the origin: [B, 3] int64 -> [B, 4, 4] float32."""
+        """Return the poses of states, with the body's +x towards the origin: [B, 3] int64 -> [B, 4, 4] float32."""
         azimuth, distance, elevation = self.sphere(state).unbind(1)
         rotation = axis_rotations(2, azimuth + math.pi) @ axis_rotations(1, elevation)
         place = self.origin - distance.unsqueeze(1) * rotation[:, :, 0]
@@ -93,6 +93,6 @@ class OrbitMotion(FiniteMotion):
 
 
 def _count(name: str, limits: Sequence[float], step: float) -> int:
-    """The number of values in a range, both ends included."""
+    """Return the number of values in a range, both ends included."""
     low, high = limits
     return whole_steps(name, high - low, step) + 1 if high > low else 1

@@ -1,4 +1,4 @@
-"""A robot with a body of its own, moved by MuJoCo."""
+"""A robot with its own MJCF body, whose motion MuJoCo simulates."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -36,56 +36,58 @@ from splatrl.scenes.formats import read_gaussians
 from splatrl.values import require_number
 
 FIRST = BANK + TIME
-"""Column of a state at which the positions begin; the robot's free joint comes first, three metres and a quaternion."""
+"""Column of a state at which positions begin, the robot's free joint first: x, y, z in metres, then a quaternion."""
 FORWARD, TURN = "forward", "turn"
-"""Actuators that take metres and radians per second, by which shortest paths are followed."""
+"""Names of actuators that take metres and radians per second; with both, a robot can follow shortest paths."""
 GROUNDS = ("scene", "level")
 FAR = 1e9
-"""No number of a state is larger."""
+"""Bound on the magnitude of every number in a state."""
 
 
 class PhysicsMotion(nn.Module):
-    """A robot of MJCF on the ground of a scene, among its boxes and with things that it may move.
+    """An MJCF robot on the ground of a scene, among the scene's boxes and things that the robot may move.
 
-    A state is [n] float64, as ``Physics`` has it: it holds where the robot and all things are, how they move, and which
-    model of the bank they obey. An action is what the actuators are told, within their ``ctrlrange``, held for a time
-    step. Nothing is reverted: contacts push back. ``Move.free_fraction`` is the share of the substeps before the robot
-    first touches a box or a thing that it is not to push, as contact sensors at the beginning of each substep see it.
+    A state is [n] float64 in the layout of ``Physics``: it holds the poses and velocities of the robot and all things,
+    and the number of the model in the bank that they obey. An action sets the actuators' controls, within their
+    ``ctrlrange``, for one time step. Moves are never reverted: contacts push back. ``Move.free_fraction`` is the
+    fraction of substeps before the robot first touches a box or a thing that it must not push, according to contact
+    sensors at the beginning of each substep.
 
-    Shortest paths are those of a kinematic twin, a ``DriveMotion`` of the robot's speeds, so that starts and distances
-    work as for other motions. Where the robot has actuators called forward and turn, which take its velocities, the
-    twin's actions are its own.
+    Shortest paths are those of a kinematic twin, a ``DriveMotion`` with the robot's speeds, so that starts and
+    distances work as for other motions. If the robot has actuators called forward and turn, which take its velocities,
+    it takes the same actions as the twin.
 
-    ``settle`` puts the robot into a scene; before, it stands on level ground.
+    ``settle`` puts the robot into a scene; until then, it stands on level ground.
 
     Args:
-        path: of the robot's MJCF, or the name of one of splatrl's own. It has one body at the top, with a free joint.
-        camera: name of the camera; the body that carries it is the one whose poses ``body_to_world`` gives.
-        things: MJCF of what stands or lies in the scene, by name; their places are columns of the state.
+        path: the robot's MJCF file, or the name of one of splatrl's own robots. The robot has one body at the top, with
+            a free joint.
+        camera: name of the camera; ``body_to_world`` returns poses of the body that carries it.
+        things: MJCF files of things that stand or lie in the scene, by name; their poses are columns of the state.
         pushed: names of the things that the robot may touch.
         time_step: duration of an action, seconds.
-        substep: of the physics, seconds; None takes the robot's own.
+        substep: duration of a substep of the physics, seconds; None takes the robot's own.
         linear: lowest and highest speed of the twin, metres per second; None takes the limits of the actuator forward.
         angular_deg: the twin's highest angular velocity, degrees per second; None takes that of the actuator turn.
-        lower, upper, spacing, headings: where robots go and start; see ``DriveMotion``.
-        ceiling: height above the ground up to which robots meet what is solid, metres, for those that fly; None takes
-            the robot's own where it stands.
-        variation: how the physics of episodes differs.
-        threads: that step robots side by side; None takes all cores.
-        ground: ``scene``, the ground and the boxes of the scene; ``level``, a level plane without an end and nothing on
+        lower, upper, spacing, headings: bounds and starts of robots; see ``DriveMotion``.
+        ceiling: height above the ground up to which robots can meet solid voxels, metres, for robots that fly; None
+            takes the highest point of the robot and the things where they stand.
+        variation: how the physics differs between episodes.
+        threads: number of threads that step robots in parallel; None takes all cores.
+        ground: ``scene`` for the ground and boxes of the scene; ``level`` for an infinite level plane with nothing on
             it, for robots that do not look.
-        looks: splat files of what things look like, by name, in place of their geoms, which then only touch: metres, in
-            the frame of a thing's first body.
+        looks: splat files, by name of thing, to draw in place of the thing's geoms, which then only make contact; in
+            metres, in the frame of the thing's first body.
 
     Raises:
-        FileNotFoundError: for MJCF that is not there.
+        FileNotFoundError: for MJCF files that do not exist.
         ImportError: without the extra ``physics``.
-        ValueError: for MJCF that is refused or has no free joint, camera or range of an actuator, or a number out of
-            range.
+        ValueError: for MJCF that is refused or lacks a free joint, the camera or the range of an actuator, or a number
+            out of range.
     """
 
     action_names: tuple[str, ...] = ()
-    limits: Tensor  # [2, nu] float32, lowest and highest control
+    limits: Tensor  # [2, nu] float32, lowest and highest controls
     home: Tensor  # [n] float64, the state at rest at the origin
 
     def __init__(
@@ -178,14 +180,14 @@ class PhysicsMotion(nn.Module):
         device = self.home.device
         self.home = home.to(device)
         self.limits = self._control_limits(model).to(device)
-        if not self.models:  # what things look like does not depend on where they are
+        if not self.models:  # appearance does not depend on the scene
             self._sample(model)
         self.kinematics = Kinematics(model, [self._eye(model), *self._shown])
         hits = [self.physics.sensor(f"touch/{name}") for name in (SCENE, *self.thing_paths) if name not in self.pushed]
         self.hits = [columns for columns in hits if columns is not None]
 
     def repeat(self, count: int) -> None:
-        """Have as many of each thing as asked, whose names are numbered from 1."""
+        """Make ``count`` copies of each thing, with names numbered from 1."""
 
         def numbered(name: str) -> list[str]:
             return [f"{name}{number}" for number in range(1, count + 1)]
@@ -198,84 +200,87 @@ class PhysicsMotion(nn.Module):
 
     @property
     def held(self) -> float:
-        """How long actuators are told the same, seconds."""
+        """Duration for which controls are held, seconds."""
         return self.time_step
 
     @property
     def action_spec(self) -> Bounded:
-        """What each actuator can be told, [nu] float32; no batch."""
+        """Spec of one robot's action: the control of each actuator, [nu] float32; no batch."""
         return Bounded(low=self.limits[0], high=self.limits[1], shape=(self.limits.shape[1],), dtype=torch.float32)
 
     @property
     def state_spec(self) -> Bounded:
-        """Finite numbers, [n] float64; no batch."""
+        """Spec of one robot's state: finite numbers, [n] float64; no batch."""
         return Bounded(low=-FAR, high=FAR, shape=(len(self.home),), dtype=torch.float64)
 
     def move(self, state: Tensor, action: Tensor, checker: Checker) -> Move:
-        """Step the physics; see ``Motion``. A robot whose physics is lost stays where it was, outside the bounds."""
+        """Step the physics; see ``Motion``. A robot whose physics fails keeps its state and counts as out of bounds."""
         ctrl = action.clamp(self.limits[0], self.limits[1])
         after, sensed, sound = self.physics.step(self.of_physics(state), ctrl)
         return self.moved(after, sensed, sound)
 
     def touched(self, sensed: Tensor) -> Tensor:
-        """In which substeps a robot touches what it is not to touch: [B, S, s] -> [B, S] bool."""
+        """Return in which substeps robots touch what they must not touch: [B, S, s] -> [B, S] bool."""
         found = torch.zeros(sensed.shape[:2], dtype=torch.bool, device=sensed.device)
         for columns in self.hits:
             found |= (sensed[..., columns] > 0).any(2)
         return found
 
     def moved(self, after: Tensor, sensed: Tensor, sound: Tensor) -> Move:
-        """What became of an action: states after it [B, n], what was sensed [B, S, s], whether the physics is sound."""
+        """Return the result of an action, given states after it [B, n], readings [B, S, s] and sound physics [B]."""
         touched = self.touched(sensed)
-        first = touched.int().argmax(1)  # of the substeps that touch
+        first = touched.int().argmax(1)  # the first substep that touches
         free = torch.where(touched.any(1), first / touched.shape[1], 1.0).float()
         return Move(after, self.body_to_world(after), free, self.inside(after) & sound, sensed)
 
     def clear(self, state: Tensor) -> Tensor:
-        """Whether robots in some states touch nothing but ground and what they may push: [N, n] -> [N] bool."""
+        """Return whether robots touch nothing but the ground and what they may push: [N, n] -> [N] bool."""
         _, sensed, sound = self._once.step(self.of_physics(state), self._rest(state))
         return sound & ~self.touched(sensed).squeeze(1)
 
     def sensed(self, state: Tensor) -> Tensor:
-        """What MuJoCo's sensors say where robots begin, with actuators at rest: [B, n] -> [B, s] float64."""
+        """Return the readings of MuJoCo's sensors at starts, with actuators at rest: [B, n] -> [B, s] float64."""
         return self._once.step(self.of_physics(state), self._rest(state)).sensed.squeeze(1)
 
     def of_physics(self, state: Tensor) -> Tensor:
-        """The columns of states that the physics steps; subclasses may keep more behind them."""
+        """Return the columns of states that the physics steps; subclasses may append further columns."""
         return state[:, : self.physics.size]
 
     @property
     def _once(self) -> Physics:
-        """The physics, one substep at a time."""
+        """The physics with one substep per step."""
         if self._single is None or self._single.models is not self.physics.models:
             self._single = Physics(self.physics.models, 1, self.threads)
         return self._single
 
     def _rest(self, state: Tensor) -> Tensor:
-        """What actuators are told where the robot stands at first: [B, nu] float64."""
+        """Return the controls of the robot's first keyframe, or zeros without one: [B, nu] float64."""
         return self.still.to(state).expand(len(state), -1)
 
     def velocity(self, state: Tensor) -> Tensor:
-        """Velocity of the robot's first body in its own frame: [B, n] -> [B, 6] float64, per second."""
+        """Return linear and angular velocity of the robot's first body: [B, n] -> [B, 6] float64.
+
+        Both are in the body's own frame, metres per second and radians per second.
+        """
         first, turn = FIRST + self.physics.model.nq, state[:, FIRST + 3 : FIRST + 7]
         return torch.cat([rotated(turned_back(turn), state[:, first : first + 3]), state[:, first + 3 : first + 6]], 1)
 
     def planar(self, state: Tensor) -> Tensor:
-        """Position and heading of the robot's first body: [B, n] -> [B, 3] float64, metres, and radians in [0, τ)."""
+        """Return x, y and yaw of the robot's first body: [B, n] -> [B, 3] float64, metres, and radians in [0, τ)."""
         x, y, _, qw, qx, qy, qz = state[:, FIRST : FIRST + 7].unbind(1)
         yaw = torch.atan2(2 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz)
         return torch.stack([x, y, yaw % math.tau], 1)
 
     def body_to_world(self, state: Tensor) -> Tensor:
-        """Poses of the body that carries the camera: [B, n] -> [B, 4, 4] float32."""
+        """Return the poses of the body that carries the camera: [B, n] -> [B, 4, 4] float32."""
         place, turn = self.kinematics(state)
         return self.kinematics.as_poses(place[:, :1], turn[:, :1]).squeeze(1)
 
     def placed(self, planar: Tensor) -> Tensor:
-        """States in which robots stand at rest on the ground, things where their files say.
+        """Return states in which robots stand at rest on the ground, and things are where their files place them.
 
         Args:
-            planar: [N, 3] x and y in metres, yaw in radians.
+            planar: [N, 3] positions and headings: x and y in metres, yaw in radians.
 
         Returns:
             [N, n] float64.
@@ -292,15 +297,15 @@ class PhysicsMotion(nn.Module):
         return state
 
     def model_of(self, state: Tensor) -> Tensor:
-        """The number of the model of the bank that states obey, of lost states any: [B, n] -> [B] int64."""
+        """Return the number of the bank's model that states obey, valid even if a state is NaN: [B, n] -> [B] int64."""
         return state[:, 0].nan_to_num().long().clamp(0, len(self.physics.models) - 1)
 
     def with_model(self, state: Tensor, number: Tensor) -> Tensor:
-        """States that obey other models of the bank: [B, n], [B] -> [B, n]."""
+        """Replace the models of the bank that states obey: [B, n], [B] -> [B, n]."""
         return torch.cat([number.unsqueeze(1).to(state), state[:, BANK:]], 1)
 
     def varied(self, state: Tensor, generator: torch.Generator) -> Tensor:
-        """States that obey models of the bank, drawn evenly: [B, n] -> [B, n]."""
+        """Replace the models that states obey by ones drawn uniformly from the bank: [B, n] -> [B, n]."""
         count = len(self.physics.models)
         if count == 1:
             return state
@@ -308,7 +313,7 @@ class PhysicsMotion(nn.Module):
         return self.with_model(state, drawn.squeeze(1))
 
     def thing(self, name: str) -> slice:
-        """The columns of a state that hold the place and orientation of a thing with a free joint, [7].
+        """Return the columns of a state that hold the position and orientation of a thing with a free joint, [7].
 
         Raises:
             ValueError: for an unknown thing, or one that cannot move freely.
@@ -322,11 +327,11 @@ class PhysicsMotion(nn.Module):
         return slice(first, first + 7)
 
     def parts(self, state: Tensor, first: int = 1) -> Parts:
-        """The scene, and robots and things where they are: [B, n] -> [B, 1 + M] parts.
+        """Return the parts to draw, the scene and the moving bodies where they are: [B, n] -> [B, 1 + M] parts.
 
         Args:
-            state: states.
-            first: number of the first of ``models`` among the renderer's.
+            state: [B, n] states.
+            first: index of the first of ``models`` among the renderer's models.
         """
         place, turn = self.kinematics(state)
         moving = self.kinematics.as_poses(place[:, 1:], turn[:, 1:])
@@ -336,31 +341,31 @@ class PhysicsMotion(nn.Module):
         return Parts(model, torch.cat([scene, moving], 1))
 
     def states(self) -> Tensor:
-        """The starts of the twin, with the robot at rest: [S, n]."""
+        """Return the twin's starts, with the robot at rest: [S, n]."""
         return self.placed(self.twin.states())
 
     def actions(self) -> Tensor:
-        """The twin's actions: [A, 2] float32."""
+        """Return the twin's actions: [A, 2] float32."""
         return self.twin.actions()
 
     def advance(self, state: Tensor, action: Tensor) -> Tensor:
-        """Where an unobstructed action leads the twin: [B, n], [B, 2] -> [B, n]."""
+        """Return where an unobstructed action leads the twin: [B, n], [B, 2] -> [B, n]."""
         return self.placed(self.twin.advance(self.planar(state).float(), action))
 
     def inside(self, state: Tensor) -> Tensor:
-        """Whether robots are within the bounds, which are inclusive: [B, n] -> [B] bool."""
+        """Return whether robots are within the bounds, which are inclusive: [B, n] -> [B] bool."""
         return self.twin.inside(self.planar(state).float())
 
     def nodes(self) -> Tensor:
-        """The twin's nodes, with the robot at rest: [C, n]."""
+        """Return the twin's nodes, with the robot at rest: [C, n]."""
         return self.placed(self.twin.nodes())
 
     def taps(self, state: Tensor) -> Taps:
-        """The twin's nodes around robots."""
+        """Return the twin's nodes around the robots."""
         return self.twin.taps(self.planar(state).float())
 
     def nearest(self, planar: Tensor) -> Tensor:
-        """Robots at rest at positions and headings: [N, 3] -> [N, n]."""
+        """Return states of robots at rest at positions and headings: [N, 3] -> [N, n]."""
         return self.placed(planar)
 
     def joined(self, modules: Sequence[nn.Module]) -> nn.Module:
@@ -377,7 +382,7 @@ class PhysicsMotion(nn.Module):
         self.models, self._shown = Models(body.gaussians for body in found), [body.body for body in found]
 
     def _eye(self, model: Any) -> str:
-        """The name of the body that carries the camera."""
+        """Return the name of the body that carries the camera."""
         mujoco = needed()
         number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, f"{ROBOT}{self.camera}")
         if number < 0:
@@ -388,7 +393,7 @@ class PhysicsMotion(nn.Module):
         return str(model.body(int(model.cam_bodyid[number])).name)
 
     def _control_limits(self, model: Any) -> Tensor:
-        """[2, nu] float32."""
+        """Return the lowest and highest controls: [2, nu] float32."""
         for number in range(model.nu):
             if not model.actuator_ctrllimited[number]:
                 name = model.actuator(number).name or number
@@ -398,7 +403,7 @@ class PhysicsMotion(nn.Module):
         return torch.from_numpy(model.actuator_ctrlrange.T.copy()).float()
 
     def _range(self, name: str) -> list[float] | None:
-        """Limits of one of the robot's actuators; None where there is no such one."""
+        """Return the limits of one of the robot's actuators; None if it has no such actuator."""
         mujoco = needed()
         number = mujoco.mj_name2id(self.physics.model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"{ROBOT}{name}")
         return None if number < 0 else [float(value) for value in self.physics.model.actuator_ctrlrange[number]]

@@ -1,4 +1,4 @@
-"""Poses anywhere on a plane: what motions with x, y and yaw as their state share."""
+"""Poses anywhere on a plane: the base of motions whose state is x, y and yaw."""
 
 import math
 from abc import abstractmethod
@@ -17,28 +17,28 @@ EDGE = 1e-5
 
 
 class PlanarMotion(SweptMotion):
-    """A state is [..., 3] float32: x and y in metres and yaw in radians in [0, τ).
+    """A motion whose state is [..., 3] float32: x and y in metres and yaw in radians in [0, τ).
 
     Episodes begin on a lattice of positions, ``spacing`` apart within the bounds, with ``headings`` directions; from
     there robots can reach any pose. Paths are computed at the nodes of a ``PoseGrid`` and interpolated.
 
     Args:
-        action_names: a name for each discrete action; empty where actions are continuous.
-        step: longest distance that an action moves, metres.
-        angle_step: largest angle that an action turns, radians.
+        action_names: a name for each discrete action; empty if actions are continuous.
+        step: longest distance that an action moves the robot, metres.
+        angle_step: largest angle that an action turns the robot, radians.
         height: z of every pose, metres.
         lower: smallest x and y, metres.
         upper: largest x and y, metres.
         spacing: distance between neighbouring starts, metres.
-        headings: number of directions of the starts, from 0 (along +x).
+        headings: number of start headings, evenly spaced from 0 (along +x).
         cell: distance between the positions at which paths are computed, metres.
-        angle_cell: angle between the headings at which paths are computed, radians; it divides a turn.
+        angle_cell: angle between the headings at which paths are computed, radians; must divide a full turn.
 
     Raises:
         ValueError: for bounds without area, a spacing that is not positive, or fewer than one heading.
     """
 
-    lower: Tensor  # [2] float32; of several scenes [S, 2]
+    lower: Tensor  # [2] float32; [S, 2] for several scenes
     upper: Tensor  # [2] float32
     elevation: Tensor  # [] float32, the height
     of_scene: tuple[str, ...] = ("lower", "upper", "elevation", "height")
@@ -75,17 +75,17 @@ class PlanarMotion(SweptMotion):
 
     @abstractmethod
     def actions(self) -> Tensor:
-        """The actions from which paths are made; see ``PlannedMotion``."""
+        """Return the actions from which paths are made; see ``PlannedMotion``."""
 
     @property
     def state_spec(self) -> Bounded:
-        """x, y and yaw, [3], within the bounds of any of several scenes; no batch."""
+        """Spec of one robot's state: x, y and yaw, [3], within bounds that cover all scenes; no batch."""
         lower, upper = self.lower.reshape(-1, 2).amin(0) - EDGE, self.upper.reshape(-1, 2).amax(0) + EDGE
         low, high = torch.cat([lower, lower.new_zeros(1)]), torch.cat([upper, upper.new_full((1,), math.tau)])
         return Bounded(low=low, high=high, shape=(3,), dtype=torch.float32)
 
     def states(self) -> Tensor:
-        """The lattice of starts: [S, 3] float32."""
+        """Return the lattice of starts: [S, 3] float32."""
         axes = [
             low + self.spacing * torch.arange(math.floor((high - low) / self.spacing + 1e-6) + 1, dtype=torch.float64)
             for low, high in zip(self.lower.double().tolist(), self.upper.double().tolist(), strict=True)
@@ -94,7 +94,7 @@ class PlanarMotion(SweptMotion):
         return torch.cartesian_prod(*axes, yaws).float().to(self.lower.device)
 
     def inside(self, state: Tensor) -> Tensor:
-        """Whether states are within the bounds, which are inclusive: [B, 3] -> [B] bool."""
+        """Return whether states are within the bounds, which are inclusive: [B, 3] -> [B] bool."""
         place = state[:, :2]
         return ((place >= self.lower - EDGE) & (place <= self.upper + EDGE)).all(1)
 
@@ -104,33 +104,33 @@ class PlanarMotion(SweptMotion):
         return PoseGrid.over(self.lower, self.upper, self.cell, self.angle_cell)
 
     def nodes(self) -> Tensor:
-        """The nodes of ``grid``: [C, 3] float32."""
+        """Return the nodes of ``grid``: [C, 3] float32."""
         return self.grid.nodes()
 
     def taps(self, state: Tensor) -> Taps:
-        """The eight nodes around states: [N, 3] -> taps of [N, 8]."""
+        """Return the eight nodes around states: [N, 3] -> taps of [N, 8]."""
         return self.grid.taps(state)
 
     def nearest(self, planar: Tensor) -> Tensor:
-        """Positions and headings, which are states already: [N, 3] float64 -> [N, 3] float32."""
+        """Return positions and headings, which are states already: [N, 3] float64 -> [N, 3] float32."""
         return planar.to(self.lower)
 
     def planar(self, state: Tensor) -> Tensor:
-        """Position and heading of states: [B, 3] -> [B, 3] float64, x and y in metres, yaw in radians."""
+        """Return position and heading of states: [B, 3] -> [B, 3] float64, x and y in metres, yaw in radians."""
         return state.double()
 
     def body_to_world(self, state: Tensor) -> Tensor:
-        """Poses of states: [B, 3] -> [B, 4, 4] float32."""
+        """Return the poses of states: [B, 3] -> [B, 4, 4] float32."""
         height = self.elevation.expand(len(state)).unsqueeze(1)
         return rigid(axis_rotations(2, state[:, 2]), torch.cat([state[:, :2], height], 1))
 
 
 class StoppingMotion(PlanarMotion):
-    """A motion in which some action says that the robot is where it is to be.
+    """A motion in which some action declares that the robot has arrived.
 
     Attributes:
-        reach: how far ahead one looks who chooses a way, metres.
-        angle_between: angle between the ways from which one chooses, radians; it divides a turn.
+        reach: look-ahead distance for choosing a direction, metres.
+        angle_between: angle between the directions from which to choose, radians; must divide a full turn.
     """
 
     reach: float
@@ -138,18 +138,18 @@ class StoppingMotion(PlanarMotion):
 
     @abstractmethod
     def stops(self, action: Tensor) -> Tensor:
-        """Whether actions say so: [B, ...] -> [B] bool."""
+        """Return whether actions declare arrival: [B, ...] -> [B] bool."""
 
     @abstractmethod
     def toward(self, turn: Tensor, stop: Tensor) -> Tensor:
-        """Actions that lead a way, or stop.
+        """Return actions that lead in a direction, or that stop.
 
         Args:
-            turn: [B] float32, angle from the heading to the way, radians in [-π, π].
+            turn: [B] float32, angle from the heading to the direction, radians in [-π, π].
             stop: [B] bool, whether to stop instead.
 
         Returns:
-            [B, ...], as ``action_spec`` says.
+            [B, ...] actions that match ``action_spec``.
         """
 
 

@@ -1,4 +1,4 @@
-"""Nodes at positions and headings on a plane, and interpolation between them."""
+"""A grid of nodes at positions and headings on a plane, and interpolation between them."""
 
 import math
 from dataclasses import dataclass
@@ -36,19 +36,19 @@ class PoseGrid:
             lower: [2] smallest x and y, metres.
             upper: [2] largest x and y, metres.
             cell: distance between neighbouring positions, metres.
-            angle_cell: angle between neighbouring headings, radians; rounded to divide a turn.
+            angle_cell: angle between neighbouring headings, radians; rounded so that it divides a full turn.
         """
         columns, rows = (((upper - lower) / cell).round().long() + 1).tolist()
         headings = round(math.tau / angle_cell)
         return cls(lower, (columns, rows, headings), cell, math.tau / headings)
 
     def nodes(self) -> Tensor:
-        """The pose of each node: [C, 3] float32, x and y in metres and yaw in radians."""
+        """Return the pose of each node: [C, 3] float32, x and y in metres and yaw in radians."""
         axes = torch.cartesian_prod(*(torch.arange(count, device=self.lower.device) for count in self.shape))
         return torch.cat([self.lower + self.cell * axes[:, :2], self.angle_cell * axes[:, 2:]], 1)
 
     def taps(self, state: Tensor) -> Taps:
-        """The eight nodes around poses, with trilinear weights; poses beyond the grid are clamped to its edge.
+        """Return the eight nodes around poses, with trilinear weights; poses beyond the grid are clamped to its edge.
 
         Args:
             state: [N, 3] float32, x and y in metres and yaw in radians.

@@ -1,4 +1,4 @@
-"""Actions that are steps along the heading and turns on the spot, of one length and one angle."""
+"""Motions whose actions are steps of one length along the heading and turns on the spot by one angle."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -11,23 +11,23 @@ from splatrl.motions.planar import PlanarMotion, along
 
 
 class StepMotion(PlanarMotion):
-    """Each action goes a number of steps along the heading and turns by a number of angle steps, off any lattice.
+    """Each action goes a number of steps along the heading and turns by a number of angle steps, tied to no lattice.
 
     A state is [..., 3] float32: x and y in metres and yaw in radians.
 
     Args:
-        actions: steps and angle steps of each action, by name.
+        actions: number of steps and number of angle steps of each action, by name.
         step: length of a step, metres.
-        angle_step_deg: angle of a turn, degrees; it divides 360.
+        angle_step_deg: angle of a turn, degrees; must divide 360.
         height: z of every pose, metres.
         lower: smallest x and y, metres.
         upper: largest x and y, metres.
         spacing: distance between neighbouring starts, metres.
-        headings: number of directions of the starts; None takes every whole number of turns.
+        headings: number of start headings; None takes every heading that is a whole number of turns.
         cell: distance between the positions at which paths are computed, metres.
 
     Raises:
-        ValueError: for a step that is not positive, an angle that does not divide a turn, or bounds without area.
+        ValueError: for a step that is not positive, an angle that does not divide 360°, or bounds without area.
     """
 
     lengths: Tensor  # [A] float32
@@ -58,15 +58,15 @@ class StepMotion(PlanarMotion):
 
     @property
     def action_spec(self) -> Categorical:
-        """One of the actions; no batch."""
+        """Spec of one robot's action: the index of an action; no batch."""
         return Categorical(len(self.lengths), shape=(), dtype=torch.int64)
 
     def actions(self) -> Tensor:
-        """The actions from which paths are made, which is all of them: [A] int64."""
+        """Return the actions from which paths are made, which are all of them: [A] int64."""
         return torch.arange(len(self.lengths), device=self.lengths.device)
 
     def advance(self, state: Tensor, action: Tensor) -> Tensor:
-        """Where an unobstructed action leads, possibly outside the bounds.
+        """Return where an unobstructed action leads, possibly out of bounds.
 
         Args:
             state: [B, 3] float32.

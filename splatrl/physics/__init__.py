@@ -1,4 +1,4 @@
-"""Physics from MuJoCo: robots and things with bodies in a scene."""
+"""Physics with MuJoCo: robots and things that have bodies in a scene."""
 
 from splatrl.physics.bank import Variation, bank
 from splatrl.physics.compose import Composed, compose

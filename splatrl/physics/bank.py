@@ -1,4 +1,4 @@
-"""Models of one world that differ in their numbers, from which each episode takes one."""
+"""A bank of models of one world with different physical parameters, from which each episode takes one."""
 
 import copy
 import math
@@ -14,14 +14,14 @@ from splatrl.values import require_number
 
 @dataclass(frozen=True)
 class Variation:
-    """How much the physics of episodes differs: factors, drawn evenly on a logarithmic scale.
+    """Ranges of the factors by which physics differs between episodes, drawn log-uniformly.
 
     Attributes:
-        models: number of models, the first of which is as the files say.
-        friction: smallest and largest factor of all friction.
-        mass: of the masses and inertias of each body that moves.
-        motor: of the strength of each actuator.
-        seed: of what is drawn.
+        models: number of models, the first of which is as the files define it.
+        friction: smallest and largest factor of all friction, one per model.
+        mass: smallest and largest factor of mass and inertia, one per body.
+        motor: smallest and largest factor of an actuator's strength, one per actuator.
+        seed: seed of the draws.
 
     Raises:
         ValueError: for a number out of range.
@@ -43,7 +43,7 @@ class Variation:
 
 
 def bank(model: Any, variation: Variation) -> list[Any]:
-    """The model, and as many varied copies of it as asked."""
+    """Return the model and varied copies of it, ``variation.models`` in all."""
     rng = np.random.default_rng(variation.seed)
     return [model, *(_varied(model, variation, rng) for _ in range(variation.models - 1))]
 

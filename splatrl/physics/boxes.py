@@ -1,4 +1,4 @@
-"""What is solid above the ground as few boxes: the voxels that bodies can meet, merged greedily."""
+"""Turns the solid voxels above the ground that bodies can meet into few boxes, by merging them greedily."""
 
 from collections.abc import Sequence
 from itertools import permutations
@@ -10,26 +10,26 @@ from splatrl.collision.voxels import Voxels
 from splatrl.physics.ground import Ground
 
 TURF = 0.1
-"""Metres: what stands on the ground and is no higher than this, a voxel's rounding included, is ground: grass, gravel,
-and the voxels of the floor itself, whose edges would stop a wheel."""
+"""Height up to which anything that stands on the ground counts as ground, rounding to voxels included, metres: grass,
+gravel, and the voxels of the floor itself, whose edges would stop a wheel."""
 _ORDERS = tuple(permutations(range(3)))
 
 
 def solid_above(
     voxels: Voxels, ground: Ground, lower: Sequence[float], upper: Sequence[float], top: float, turf: float = TURF
 ) -> Voxels:
-    """The voxels that bodies on the ground can meet.
+    """Select the voxels that bodies on the ground can meet.
 
-    Left out are voxels that lie below the plane, from ``top`` above it, beside the bounds, and those no higher than
-    ``turf`` above the plane on which nothing solid stands.
+    This leaves out voxels below the plane, voxels that begin ``top`` or more above it, voxels outside the bounds, and
+    voxels that reach no higher than ``turf`` above the plane and carry nothing solid.
 
     Args:
-        voxels: what is solid in the scene.
-        ground: its plane.
+        voxels: the scene's solid voxels.
+        ground: the scene's ground plane.
         lower: smallest x and y that a body can touch, metres.
         upper: largest x and y, metres.
-        top: height above the plane that bodies stay below, metres.
-        turf: see above, metres.
+        top: height above the plane below which bodies stay, metres.
+        turf: height up to which anything on the ground counts as ground, metres; see ``TURF``.
 
     Raises:
         ValueError: for a ``top`` that is not above ``turf``.
@@ -41,7 +41,7 @@ def solid_above(
         (np.arange(count) + key) * edge for count, key in zip(occupied.shape, voxels.origin_key, strict=True)
     )
     middle = np.stack(np.meshgrid(x + 0.5 * edge, y + 0.5 * edge, indexing="ij"), -1)
-    above = bottom - ground.height(middle)[:, :, None]  # [X, Y, Z], of the voxels' lower faces
+    above = bottom - ground.height(middle)[:, :, None]  # [X, Y, Z], height of lower faces over the plane
     slack = 1e-6 * edge
     beside_x = (x + edge <= lower[0] + slack) | (x >= upper[0] - slack)
     beside_y = (y + edge <= lower[1] + slack) | (y >= upper[1] - slack)
@@ -56,10 +56,10 @@ def solid_above(
 
 
 def merged_boxes(voxels: Voxels) -> NDArray[np.float64]:
-    """Boxes whose union is exactly what is solid; they may overlap.
+    """Merge solid voxels into boxes whose union is exactly what is solid; the boxes may overlap.
 
-    From each voxel that no box holds yet, boxes are grown as far as everything in them is solid, in all six orders of
-    the axes; the one that holds the most new voxels is taken.
+    From each voxel that no box covers yet, six boxes are grown, one for each order of the axes, as far as everything in
+    them is solid; the one that covers the most new voxels is kept.
 
     Returns:
         [N, 6] float64: centres and half sizes, world, metres.
@@ -77,7 +77,7 @@ def merged_boxes(voxels: Voxels) -> NDArray[np.float64]:
 
 
 def _grown(solid: NDArray[np.bool_], start: list[int], order: tuple[int, ...]) -> tuple[slice, slice, slice]:
-    """The box around a voxel that is grown along one axis after the other, both ways, while all of it is solid."""
+    """Grow a box around a voxel along one axis after the other, in both directions, while all of it is solid."""
     low, high = list(start), [at + 1 for at in start]
 
     def layer(axis: int, at: int) -> bool:

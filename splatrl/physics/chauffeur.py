@@ -1,4 +1,4 @@
-"""A scripted driver of a car that knows where it is and where it is to go, and so shows that a route can be driven."""
+"""A scripted car driver that knows the state and its waypoint, and so demonstrates that a route can be driven."""
 
 import math
 
@@ -6,23 +6,23 @@ import torch
 from torch import Tensor
 
 SPEED = 0.7
-"""Metres per second, at most."""
+"""Maximum speed, metres per second."""
 SLOWEST = 0.3
-"""Share of the speed that is left where the waypoint is far aside."""
+"""Fraction of the speed that remains when the car's target point is far to the side."""
 LOOK_AHEAD = 0.4
-"""Metres along the way from beside the car to the point that it steers for."""
+"""Look-ahead distance: from the car's projection onto the path to the point that it steers for, metres."""
 ASIDE = math.radians(80.0)
-"""Angle to the waypoint beyond which a car backs up to turn."""
+"""Angle to the target point beyond which a car backs up to turn."""
 
 
 def drive_to(robot: Tensor, last: Tensor, waypoint: Tensor, wheelbase: float, limits: Tensor) -> Tensor:
-    """The speed and steering angle by which cars drive to waypoints: pure pursuit (Coulter 1992) of the straight way.
+    """Return the speed and steering angle that drive cars to waypoints: pure pursuit (Coulter 1992) of a straight path.
 
     Args:
         robot: [B, 3] float64, x and y in metres and yaw in radians.
-        last: [B, 2] float64, where the way to the waypoint begins, metres.
+        last: [B, 2] float64, start of the path to the waypoint, metres.
         waypoint: [B, 2] float64, metres.
-        wheelbase: metres.
+        wheelbase: distance between the axles, metres.
         limits: [2, 2] lowest and highest actions.
 
     Returns:

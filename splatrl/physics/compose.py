@@ -1,4 +1,4 @@
-"""One world for MuJoCo: the ground, the scene's boxes, a robot and things that it may move."""
+"""Composes one MuJoCo world from the ground, the scene's boxes, a robot and things that it may move."""
 
 import math
 from collections.abc import Mapping
@@ -10,13 +10,13 @@ from splatrl.physics.optional import needed
 from splatrl.physics.terrain import Terrain
 
 GROUND, SCENE, ROBOT = "ground", "scene", "robot/"
-"""Name of the body of the ground; what boxes are called; prefix of the robot's names. A thing's prefix is its own name
-and a slash."""
+"""Name of the ground's body; name of the boxes' contact sensor; prefix of the robot's names. A thing's prefix is its
+own name and a slash."""
 WORLD = "world"
-"""MuJoCo's name of the body that holds the boxes. With hundreds of boxes a substep costs half of what it does with a
-body of their own, and the ground has one so that contacts with it are told apart."""
+"""MuJoCo's name of the world body, which holds the boxes: with hundreds of them, a substep costs half of what it does
+when the boxes have a body of their own. The ground has its own body, so that contacts with it can be told apart."""
 FRICTION = (0.8, 0.005, 0.0001)
-"""Of ground and boxes: sliding, torsional and rolling; a contact takes the larger value of its two sides."""
+"""Sliding, torsional and rolling friction of ground and boxes; a contact takes the larger value of its two sides."""
 
 
 class Composed(NamedTuple):
@@ -25,7 +25,7 @@ class Composed(NamedTuple):
     Attributes:
         model: the ``MjModel``.
         robot: name of the robot's first body.
-        things: name of the first body of each thing, by the thing's name.
+        things: for each thing's name, the name of its first body.
     """
 
     model: Any
@@ -37,15 +37,15 @@ def compose(robot: Any, terrain: Terrain, things: Mapping[str, Any] | None = Non
     """Put a robot and things into a scene.
 
     Options such as the time step, the integrator and gravity are the robot's. For each thing, and for the boxes, a
-    contact sensor ``touch/<name>`` says in each substep how many contacts the robot has with it.
+    contact sensor ``touch/<name>`` counts the robot's contacts with it in each substep.
 
     Args:
-        robot: an ``MjSpec`` with one body at the top, and no ground.
-        terrain: the scene.
-        things: an ``MjSpec`` with one body at the top for each, by name.
+        robot: an ``MjSpec`` with one top-level body, and no ground.
+        terrain: the scene's ground and boxes.
+        things: an ``MjSpec`` with one top-level body for each thing, by name.
 
     Raises:
-        ValueError: for a robot or thing with another number of bodies at the top, or with geoms that no body holds.
+        ValueError: for a robot or thing without exactly one top-level body, or with geoms outside any body.
     """
     mujoco = needed()
     world = mujoco.MjSpec()
@@ -92,7 +92,7 @@ def _attach(world: Any, spec: Any, prefix: str, name: str) -> str:
 
 
 def _touch(mujoco: Any, world: Any, name: str, robot: str, other: str) -> None:
-    """Sense contacts of the robot, all its links included, with another body and what hangs on it, or with boxes."""
+    """Add a sensor of contacts between the robot with all its links and another body's subtree, or the boxes."""
     world.add_sensor(
         name=f"touch/{name}",
         type=mujoco.mjtSensor.mjSENS_CONTACT,
@@ -100,19 +100,19 @@ def _touch(mujoco: Any, world: Any, name: str, robot: str, other: str) -> None:
         objname=robot,
         reftype=mujoco.mjtObj.mjOBJ_BODY if other == WORLD else mujoco.mjtObj.mjOBJ_XBODY,
         refname=other,
-        intprm=[1, 0, 1],  # the number found; no reduction; one slot
+        intprm=[1, 0, 1],  # report the number of contacts; no reduction; one slot
     )
 
 
 def _copy_options(source: Any, target: Any) -> None:
-    """Give a spec the physical options of another, so that nothing is left to disagree about."""
+    """Give a spec the physics options of another, so that the two cannot conflict."""
     for name in dir(source.option):
         if not name.startswith("_"):
             setattr(target.option, name, getattr(source.option, name))
 
 
 def _upright(normal: torch.Tensor) -> list[float]:
-    """The quaternion wxyz that turns z to a normal by the shortest way."""
+    """Return the quaternion wxyz of the shortest rotation from z to a normal."""
     x, y, z = normal.tolist()
     w = math.sqrt((1.0 + z) / 2.0)
     return [w, -y / (2.0 * w), x / (2.0 * w), 0.0]

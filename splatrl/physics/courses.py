@@ -1,4 +1,4 @@
-"""Courses of places to be passed in order, drawn where a scene has room for them."""
+"""Draws courses of places to pass in order, where a scene has room for them."""
 
 import inspect
 import json
@@ -22,12 +22,12 @@ from splatrl.values import require_number
 
 @dataclass(frozen=True)
 class CourseSettings(ABC):
-    """What courses are like; a subclass says what stands at their places, and draws one.
+    """Settings of courses; a subclass defines what the places are, and draws a course.
 
     Attributes:
-        distance: shortest and longest way from one place to the next, metres.
-        turn_deg: the most that the way turns at a place, degrees.
-        clearance: around what a robot passes on its way, metres.
+        distance: shortest and longest distance from one place to the next, metres.
+        turn_deg: maximum turn of the path at a place, degrees.
+        clearance: free space to keep around the robot's path, metres.
 
     Raises:
         ValueError: for a number out of range.
@@ -38,9 +38,9 @@ class CourseSettings(ABC):
     clearance: float
 
     tries: ClassVar[int]
-    """Courses that are begun for each that is asked for, at most."""
+    """Maximum number of attempts to draw each course."""
     places: ClassVar[str]
-    """The attribute that counts the places."""
+    """Name of the attribute that holds the number of places."""
 
     def __post_init__(self) -> None:
         require_number(f"task.course.{self.places}", getattr(self, self.places), 1, 64, whole=True)
@@ -50,18 +50,21 @@ class CourseSettings(ABC):
 
     @property
     def length(self) -> int:
-        """Number of places of a course, P."""
+        """Number of places in a course, P."""
         return int(getattr(self, self.places))
 
     @abstractmethod
     def drawn(self, room: Room, draw: np.random.Generator) -> Floats | None:
-        """One course in a room: [1 + P, 4], x, y, z and yaw of the start and of each place; None where no way leads on.
+        """Draw one course in a room, or return None if this attempt leads to a dead end.
 
-        The start heads for the first place.
+        The start faces the first place.
+
+        Returns:
+            [1 + P, 4] float64: x, y, z and yaw of the start and of each place.
         """
 
     def _require_range(self, name: str) -> None:
-        """Refuse what is no range of metres."""
+        """Refuse a value that is not a range of metres above 0."""
         value = getattr(self, name)
         if not (len(value) == 2 and 0.0 < value[0] <= value[1] <= 1e3):
             raise ValueError(f"task.course.{name}: expected 0 < lowest ≤ highest, got {list(value)}")
@@ -76,22 +79,22 @@ def draw_courses(
     seed: int,
     ceiling: float = math.inf,
 ) -> Floats:
-    """Draw courses between bounds, once for each terrain; each depends on the seed and its own number alone.
+    """Draw courses within bounds, or take them from the cache; each depends only on the seed and its own number.
 
     Args:
         terrain: ground and boxes.
         lower: smallest x and y, metres.
         upper: largest x and y, metres.
-        settings: what courses are like.
-        count: how many, N.
-        seed: of what is drawn.
+        settings: settings of the courses.
+        count: number of courses, N.
+        seed: seed of the draws.
         ceiling: height above the ground below which courses stay, metres.
 
     Returns:
         [N, 1 + P, 4] float64: x, y, z in metres, world, and yaw of the start and of each place.
 
     Raises:
-        ValueError: where there is no room.
+        ValueError: if there is no room for a course.
     """
     complaint = (
         f"task.course: expected room for {settings.length} {settings.places}, found none in {settings.tries} tries; "

@@ -1,4 +1,4 @@
-"""A small network of dense layers whose output has the same bytes in any batch."""
+"""A small network of dense layers whose output is bitwise the same in any batch."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,14 +12,14 @@ from splatrl.array_files import read_arrays
 from splatrl.files import replacing
 
 MOST = 2**24
-"""Bytes of a file's weights."""
+"""Maximum bytes of a file's weights."""
 
 
 class Dense:
-    """Layers with ReLUs between them and a tanh at the end.
+    """Dense layers with ReLUs between them and a tanh at the end.
 
-    Matrix products of PyTorch are summed in an order that depends on the size of the batch. Here products are added
-    pairwise, in an order that depends on the layer alone, so that a step of a robot is a function of its state.
+    PyTorch sums matrix products in an order that depends on the batch size. Here products are summed pairwise, in an
+    order that depends on the layer alone, so that a robot's step is a function of its state alone.
 
     Args:
         layers: weight [out, in] and bias [out] of each layer, float32.
@@ -45,21 +45,21 @@ class Dense:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Numbers of an input and of an output."""
+        """Number of inputs and number of outputs."""
         return self.layers[0][0].shape[0], self.layers[-1][0].shape[1]
 
     @classmethod
     def load(cls, path: Path, given: int, told: int) -> "Dense":
-        """Read weights from a file of arrays ``weight0``, ``bias0``, ``weight1`` and so on, of which none runs code.
+        """Read weights from a file of arrays ``weight0``, ``bias0``, ``weight1`` and so on, without running any code.
 
         Args:
-            path: of the .npz.
-            given: numbers of an input.
-            told: numbers of an output.
+            path: the .npz file.
+            given: number of inputs.
+            told: number of outputs.
 
         Raises:
-            FileNotFoundError: where there is no such file.
-            ValueError: in one line that names the file, for what is no such file or has other sizes.
+            FileNotFoundError: if there is no such file.
+            ValueError: for a file of another kind or with other sizes, in one line that names the file.
         """
         arrays = read_arrays(path, MOST)
         try:
@@ -76,7 +76,7 @@ class Dense:
         return found
 
     def save(self, path: Path) -> None:
-        """Write the weights, the same bytes each time, as ``load`` reads them."""
+        """Write the weights in the format that ``load`` reads, with the same bytes each time."""
         arrays: dict[str, NDArray[np.float32]] = {}
         for number, (weight, bias) in enumerate(self.layers):
             arrays |= {f"weight{number}": weight.T.contiguous().numpy(), f"bias{number}": bias.numpy()}
@@ -84,7 +84,7 @@ class Dense:
             np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
 
     def __call__(self, values: Tensor) -> Tensor:
-        """[B, in] float32 -> [B, out] float32 in [-1, 1]."""
+        """Apply the network: [B, in] float32 -> [B, out] float32 in [-1, 1]."""
         last = len(self.layers) - 1
         for number, (weight, bias) in enumerate(self.layers):
             weight, bias = weight.to(values.device), bias.to(values.device)
@@ -94,7 +94,7 @@ class Dense:
 
 
 def pairwise_sum(values: Tensor) -> Tensor:
-    """Sum over the middle axis, halves first: [B, K, H] -> [B, H]."""
+    """Sum over the middle axis by repeatedly adding its halves: [B, K, H] -> [B, H]."""
     while (count := values.shape[1]) > 1:
         half = count // 2
         added = values[:, :half] + values[:, half : 2 * half]

@@ -1,4 +1,4 @@
-"""Gaussians of what MuJoCo's models look like: the surfaces of visible geoms as small discs."""
+"""Converts the look of MuJoCo models to Gaussians: small discs on the surfaces of visible geoms."""
 
 import math
 from typing import Any, NamedTuple
@@ -14,28 +14,28 @@ from splatrl.spherical_harmonics import C0
 from splatrl.values import require_number
 
 SHOWN_GROUPS = 3
-"""Geoms of the groups below it are seen, as in MuJoCo's viewer; those above are for collisions."""
+"""Geoms in groups below this one are visible, as in MuJoCo's viewer; the others are for collisions."""
 OPACITY = 0.97
 SPREAD = 0.45
-"""Standard deviation of a disc along the surface, as a share of the distance between discs."""
+"""Standard deviation of a disc along the surface, as a fraction of the distance between discs."""
 THICKNESS = 0.001
-"""Standard deviation across the surface, metres."""
+"""Standard deviation of a disc across the surface, metres."""
 LEAST = 12
-"""Discs of a geom."""
+"""Minimum number of discs per geom."""
 CANDIDATES = 8
-"""Points from which each disc's place is chosen."""
+"""Candidate points per disc, from which the positions are chosen."""
 AROUND = 32
-"""Sides of what is round."""
+"""Number of sides that approximate a round shape."""
 
 Array = NDArray[np.float64]
 
 
 class BodyGaussians(NamedTuple):
-    """What a body looks like.
+    """The Gaussians that show a body.
 
     Attributes:
-        body: its name in the model.
-        gaussians: in the body's own frame, metres.
+        body: name of the body in the model.
+        gaussians: Gaussians in the body's own frame, metres.
     """
 
     body: str
@@ -43,14 +43,14 @@ class BodyGaussians(NamedTuple):
 
 
 class Models(tuple[Gaussians, ...]):
-    """Gaussians that renderers draw and nobody changes, so that copies of what holds them share them."""
+    """Gaussians that renderers draw and nothing modifies, so that copies of their owner can share them."""
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "Models":
         return self
 
 
 class _Surface(NamedTuple):
-    """Triangles: corners [F, 3, 3] in metres, and coordinates in a texture [F, 3, 2] where there are any."""
+    """Triangles of a surface: corners [F, 3, 3] in metres, and texture coordinates [F, 3, 2] if it has any."""
 
     corners: Array
     uv: Array | None = None
@@ -59,14 +59,14 @@ class _Surface(NamedTuple):
 def gaussians_from_mjcf(model: Any, prefix: str = "", count: int = 800) -> list[BodyGaussians]:
     """Sample the visible geoms of a model into Gaussians, one set for each moving body.
 
-    Bodies without joints belong to the one that carries them. Colours are those of the geom, its material and its
-    texture; a flat texture on anything but a mesh shows its mean colour. Planes are not drawn: the ground is the
-    scene's.
+    A body without joints belongs to the one that carries it. Colours are those of the geom, its material and its
+    texture; a flat texture on anything but a mesh contributes its mean colour. Planes are not drawn, because the ground
+    comes from the scene.
 
     Args:
         model: an ``MjModel``.
-        prefix: with which the names of the bodies begin.
-        count: Gaussians of a body, shared out by area.
+        prefix: prefix of the names of the bodies to sample.
+        count: number of Gaussians per body, allotted to its geoms by area.
 
     Raises:
         ValueError: for a count out of range.
@@ -100,7 +100,7 @@ def gaussians_from_mjcf(model: Any, prefix: str = "", count: int = 800) -> list[
 
 
 def _discs(mujoco: Any, model: Any, surfaces: list[tuple[int, _Surface, Array, Array]], count: int) -> Gaussians:
-    """The discs of one body's surfaces, as many on each as its share of the area."""
+    """Make the discs of one body, allotted to its surfaces by area."""
     areas = [float(_areas(surface.corners).sum()) for _, surface, _, _ in surfaces]
     columns: dict[str, list[Array]] = {"means": [], "axes": [], "rgb": [], "spread": []}
     for (geom, surface, turn, shift), area in zip(surfaces, areas, strict=True):
@@ -122,16 +122,16 @@ def _discs(mujoco: Any, model: Any, surfaces: list[tuple[int, _Surface, Array, A
 
 
 def _areas(corners: Array) -> Array:
-    """Areas of triangles: [F, 3, 3] -> [F]."""
+    """Return the areas of triangles: [F, 3, 3] -> [F]."""
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(0.5 * np.linalg.norm(cross, axis=1))
 
 
 def _spread_points(corners: Array, count: int) -> tuple[Array, Array, NDArray[np.int64], Array]:
-    """Points that cover triangles evenly: the farthest from each other among many (Eldar et al. 1997).
+    """Choose points that cover triangles evenly, by farthest point sampling (Eldar et al. 1997) of many candidates.
 
     Returns:
-        Points [N, 3], normals [N, 3], the triangle of each [N], and its shares of the corners [N, 3].
+        Points [N, 3], normals [N, 3], the triangle of each point [N], and its barycentric coordinates there [N, 3].
     """
     areas = _areas(corners)
     many = count * CANDIDATES
@@ -154,13 +154,13 @@ def _spread_points(corners: Array, count: int) -> tuple[Array, Array, NDArray[np
 
 
 def _distances(columns: Array, point: Array) -> Array:
-    """Squared distances of points, one coordinate after the other, from one of them: [3, N], [3] -> [N]."""
+    """Return the squared distances of points, stored as columns, from one point: [3, N], [3] -> [N]."""
     x, y, z = columns - point[:, None]
     return np.asarray(x * x + y * y + z * z)
 
 
 def _frames(normals: Array) -> Array:
-    """Rotations whose third axis is a normal: [N, 3] -> [N, 3, 3]."""
+    """Return rotations whose third axis is the normal: [N, 3] -> [N, 3, 3]."""
     helper = np.eye(3)[np.abs(normals).argmin(1)]
     first = np.cross(helper, normals)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -168,7 +168,7 @@ def _frames(normals: Array) -> Array:
 
 
 def _surface(mujoco: Any, model: Any, geom: int) -> _Surface | None:
-    """The triangles of a geom in its own frame; None for what is not drawn."""
+    """Return the triangles of a geom in its own frame; None for a geom that is not drawn."""
     kinds, kind, size = mujoco.mjtGeom, int(model.geom_type[geom]), model.geom_size[geom]
     if kind == kinds.mjGEOM_MESH:
         return _mesh(model, int(model.geom_dataid[geom]))
@@ -185,7 +185,7 @@ def _surface(mujoco: Any, model: Any, geom: int) -> _Surface | None:
 
 
 def _arc(half: float, radius: float) -> tuple[Array, Array]:
-    """The profile of a capsule, or of a sphere where ``half`` is 0: radii and heights, from below."""
+    """Return the profile of a capsule, or of a sphere if ``half`` is 0: radii and heights, from bottom to top."""
     angle = np.linspace(-0.5 * math.pi, 0.0, AROUND // 4 + 1)
     low, rise = radius * np.cos(angle), radius * np.sin(angle) - half
     radii, heights = np.concatenate([low, low[::-1]]), np.concatenate([rise, -rise[::-1]])
@@ -193,7 +193,7 @@ def _arc(half: float, radius: float) -> tuple[Array, Array]:
 
 
 def _turned(radii: Array, heights: Array) -> Array:
-    """Triangles of a profile turned about z, facing outwards: [F, 3, 3]."""
+    """Revolve a profile about z and return its triangles, facing outwards: [F, 3, 3]."""
     angle = np.arange(AROUND + 1) * (2 * math.pi / AROUND)
     rim = np.stack(
         [
@@ -209,7 +209,7 @@ def _turned(radii: Array, heights: Array) -> Array:
 
 
 def _box(half: Array) -> Array:
-    """Triangles of a box, facing outwards: [12, 3, 3]."""
+    """Return the triangles of a box, facing outwards: [12, 3, 3]."""
     found = []
     for axis in range(3):
         for side in (-1.0, 1.0):
@@ -221,7 +221,7 @@ def _box(half: Array) -> Array:
 
 
 def _mesh(model: Any, mesh: int) -> _Surface:
-    """The triangles of a mesh that have an area."""
+    """Return the triangles of a mesh, without those of zero area."""
     first, faces = (
         int(model.mesh_vertadr[mesh]),
         slice(int(model.mesh_faceadr[mesh]), int(model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])),
@@ -236,7 +236,7 @@ def _mesh(model: Any, mesh: int) -> _Surface:
 
 
 def _rgba(model: Any, geom: int) -> Array:
-    """The colour of a geom, or of its material where it has none of its own."""
+    """Return the colour of a geom, or of its material if it has none of its own."""
     material, own = int(model.geom_matid[geom]), model.geom_rgba[geom]
     if material >= 0 and np.array_equal(own, np.array([0.5, 0.5, 0.5, 1.0], own.dtype)):
         own = model.mat_rgba[material]
@@ -246,7 +246,7 @@ def _rgba(model: Any, geom: int) -> Array:
 def _colours(
     mujoco: Any, model: Any, geom: int, surface: _Surface, points: Array, faces: NDArray[np.int64], shares: Array
 ) -> Array:
-    """The colour of each point of a geom: [N, 3] in [0, 1]."""
+    """Return the colour of each point of a geom: [N, 3] in [0, 1]."""
     rgb = np.repeat(_rgba(model, geom)[None, :3], len(points), 0)
     material = int(model.geom_matid[geom])
     texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]) if material >= 0 else -1
@@ -266,7 +266,7 @@ def _colours(
 
 
 def _cube_texels(texels: Array, points: Array) -> Array:
-    """Look up directions in a cube map whose faces +x, −x, +y, −y, +z, −z lie above one another, as OpenGL does."""
+    """Look up directions in a cube map whose faces +x, −x, +y, −y, +z, −z are stacked vertically, as OpenGL does."""
     side = texels.shape[1]
     x, y, z = points.T
     axis = np.abs(points).argmax(1)

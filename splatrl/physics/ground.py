@@ -1,4 +1,4 @@
-"""The plane that bodies stand on, fitted to the depth that is rendered of a scene's floor."""
+"""Fits the plane that bodies stand on to rendered depth of a scene's floor."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,36 +17,36 @@ from splatrl.renderers.base import Renderer
 Floats = NDArray[np.float64]
 
 SPACING = 0.2
-"""Metres between places that are looked at, unless there would be more than ``MOST_PLACES``."""
+"""Distance between the places that are viewed, metres, unless that would give more than ``MOST_PLACES``."""
 MOST_PLACES = 400
 FEWEST_PLACES = 6
-"""Without as many there is nothing to fit."""
+"""Minimum number of places for a fit."""
 SIDE = 16
-"""Pixels of a look down."""
+"""Width and height of each downward view, pixels."""
 OPAQUE = 0.5
-"""Share of a pixel that must be covered for its depth to count."""
+"""Minimum alpha of a pixel whose depth counts."""
 THICKNESS = 0.03
-"""Metres: what is farther from the plane is not on it. Grass and worn floors lie within."""
+"""Distance from the plane up to which points are on it, metres. Grass and worn floors lie within."""
 LARGEST_TILT = math.radians(15.0)
 DRAWS = 2000
 LEVEL = 0.005
-"""Metres: a plane that differs from a level one by less than this, root mean square over the places, is made level.
-Rendered depth is not better than that, and bodies should not roll on its errors."""
+"""Root mean square difference over the places, metres, up to which a plane is replaced by a level one. Rendered depth
+is no more accurate than that, and bodies should not roll on its errors."""
 ONE_PLANE = 0.8
-"""Share of the places that lie on the plane, at least, for it to be one: plants and low things lie on it too."""
+"""Minimum fraction of places on the plane for the ground to be one plane: plants and low things lie on it too."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """A plane, and how well the ground agrees with it.
+    """A ground plane, and how well the ground agrees with it.
 
     Attributes:
         plane: [4] float64, unit normal n (upwards) and offset d, metres: n · p = d on the plane.
         spread: root mean square distance from the plane of the seen points within ``THICKNESS`` of it, metres.
-        places: how many places were looked at.
-        on: share of them that lie within ``THICKNESS`` of the plane.
-        range: distance from the plane of the lowest and of the highest hundredth of the places, metres.
-        sunk: share of all places to stand that lie below the plane by more than ``THICKNESS`` and a voxel: bodies
+        places: number of places that were viewed.
+        on: fraction of these places within ``THICKNESS`` of the plane.
+        range: 1st and 99th percentile of these places' signed distances from the plane, metres.
+        sunk: fraction of all places to stand that lie more than ``THICKNESS`` plus one voxel below the plane: bodies
             would float above them.
     """
 
@@ -68,13 +68,13 @@ class Ground:
         return self.on >= ONE_PLANE and self.sunk <= 1.0 - ONE_PLANE
 
     def height(self, xy: Floats) -> Floats:
-        """z of the plane at places: [..., 2] -> [...], metres."""
+        """Return z of the plane at places: [..., 2] -> [...], metres."""
         normal, offset = self.plane[:3], self.plane[3]
         return (offset - xy @ normal[:2]) / normal[2]
 
     @property
     def trouble(self) -> str | None:
-        """What a person should know before bodies move on it, in one line; None where the ground is a plane."""
+        """One-line warning to users about a ground that is not a plane; None if it is one."""
         if self.is_plane:
             return None
         below = f", and {self.sunk:.0%} of where one could stand is below it" if self.sunk > 1.0 - ONE_PLANE else ""
@@ -92,33 +92,33 @@ class Ground:
         return f"ground      {where}, {tilt}\n            {seen}{trouble}"
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays to keep in a cache."""
+        """Return plain arrays to keep in a cache."""
         numbers = [self.spread, self.places, self.on, *self.range, self.sunk]
         return {"plane": self.plane, "numbers": np.array(numbers, np.float64)}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> "Ground":
-        """Undo ``to_arrays``."""
+        """Rebuild a ground from the arrays of ``to_arrays``."""
         spread, places, on, low, high, sunk = arrays["numbers"].tolist()
         return cls(arrays["plane"], spread, int(places), on, (low, high), sunk)
 
 
 def fit_ground(renderer: Renderer, voxels: Voxels, lower: Sequence[float], upper: Sequence[float]) -> Ground:
-    """Fit a plane to the floor between bounds.
+    """Fit a plane to the floor within bounds.
 
-    Places to stand are found in the voxels, whose tops are up to two voxels off; from 0.3 m above a grid of those that
-    hang together a camera looks straight down, and the plane is fitted to what it sees: by random triples of places
-    first, then by reweighted least squares (Tukey's biweight) over all pixels, which leaves out grass and what lies
-    around. Where a level plane is as good within ``LEVEL``, it is taken.
+    Places to stand are found in the voxels, whose tops are up to two voxels off. From 0.3 m above a grid of connected
+    places, a camera looks straight down, and the plane is fitted to what it sees: first from random triples of places,
+    as in RANSAC, then by iteratively reweighted least squares (Tukey's biweight) over all pixels, which ignores grass
+    and objects that lie around. If a level plane is as good within ``LEVEL``, that is taken.
 
     Args:
-        renderer: of the scene; draws depth.
-        voxels: what is solid in it, the ground included.
-        lower: smallest x and y of where bodies can be, metres.
+        renderer: renders depth of the scene.
+        voxels: the scene's solid voxels, the ground included.
+        lower: smallest x and y where bodies can be, metres.
         upper: largest x and y, metres.
 
     Raises:
-        ValueError: for bounds without area, or where too few places are free to see a ground.
+        ValueError: for bounds without area, or if there are too few free places from which to see a ground.
     """
     if not all(low < high for low, high in zip(lower, upper, strict=True)):
         raise ValueError(f"ground: expected lower < upper in x and y, got {list(lower)} and {list(upper)}")
@@ -150,7 +150,7 @@ def fit_ground(renderer: Renderer, voxels: Voxels, lower: Sequence[float], upper
 
 
 def _eyes(centers: Floats, heights: Floats, spacing: float) -> Floats:
-    """A place above the floor for each cell of a grid, the one nearest to the cell's middle: [E, 3]."""
+    """Return a camera position above the floor for each grid cell, at the place nearest to its middle: [E, 3]."""
     known = ~np.isnan(heights)
     xy, z = centers[known], heights[known]
     cell = np.floor(xy / spacing)
@@ -164,7 +164,7 @@ def _eyes(centers: Floats, heights: Floats, spacing: float) -> Floats:
 
 
 def _looked_down(renderer: Renderer, eyes: Floats, spacing: float) -> tuple[Floats, NDArray[np.int64]]:
-    """What cameras see that look straight down: points [P, 3], and which eye [P] saw each."""
+    """Render straight down from each eye, and return the points seen [P, 3] and the eye that saw each [P]."""
     if len(eyes) == 0:
         return np.zeros((0, 3)), np.zeros(0, np.int64)
     position = torch.from_numpy(eyes).float()
@@ -182,7 +182,7 @@ def _looked_down(renderer: Renderer, eyes: Floats, spacing: float) -> tuple[Floa
 
 
 def _rough(places: Floats) -> Floats:
-    """The plane through three of the places that is near to the most of them: [4]."""
+    """Find the plane through three of the places, or a level one, that is near to the most places: [4]."""
     generator = np.random.default_rng(0)
     a, b, c = places[generator.integers(len(places), size=(3, DRAWS))]
     normals = np.cross(b - a, c - a)
@@ -191,7 +191,7 @@ def _rough(places: Floats) -> Floats:
     normals = normals[kept] / lengths[kept, None]
     normals *= np.where(normals[:, 2:] < 0, -1.0, 1.0)
     upright = normals[:, 2] >= math.cos(LARGEST_TILT)
-    level = np.array([[0.0, 0.0, 1.0]])  # always a candidate, through each of some places
+    level = np.array([[0.0, 0.0, 1.0]])  # level planes through some places are always candidates
     count = min(len(places), 50)
     normals = np.concatenate([normals[upright], np.repeat(level, count, 0)])
     through = np.concatenate([a[kept][upright], places[np.linspace(0, len(places) - 1, count).astype(int)]])
@@ -203,7 +203,7 @@ def _rough(places: Floats) -> Floats:
 
 
 def _levelled(points: Floats, places: Floats, plane: Floats) -> Floats:
-    """The level plane [4] among the points, if a plane hardly differs from it over the places; else that plane."""
+    """Return a level plane [4] for the points if it is within ``LEVEL`` of ``plane`` at the places, else ``plane``."""
     z = (plane[3] - places[:, :2] @ plane[:2]) / plane[2]
     height = float(np.median(z))
     for _ in range(12):
@@ -214,12 +214,12 @@ def _levelled(points: Floats, places: Floats, plane: Floats) -> Floats:
 
 
 def _biweight(distance: Floats, width: float) -> Floats:
-    """Tukey's weights: 1 at no distance, 0 from ``width`` on."""
+    """Return Tukey's biweights: 1 at distance 0, and 0 from ``width`` on."""
     return np.where(np.abs(distance) < width, (1.0 - (distance / width) ** 2) ** 2, 0.0)
 
 
 def _refined(points: Floats, plane: Floats) -> Floats:
-    """The plane that reweighted least squares finds from a rough one: [4]."""
+    """Refine a rough plane by iteratively reweighted least squares: [4]."""
     for width in (*[2 * THICKNESS] * 3, *[THICKNESS] * 12):
         weight = _biweight(points @ plane[:3] - plane[3], width)
         if (weight > 0).sum() < 3:

@@ -1,8 +1,8 @@
-"""Where the bodies of a state are: batched forward kinematics in PyTorch, the same bits whatever the batch.
+"""Batched forward kinematics in PyTorch: the poses of a state's bodies, bitwise the same in any batch.
 
-Sensors of a step see the state before its integration, so poses are computed from the state itself, as
-``mj_kinematics`` does. Every operation works element by element in double precision, without matrix products, which
-may be summed in another order in another batch.
+The sensors of a step see the state before integration, so poses are computed from the state itself, as
+``mj_kinematics`` does. All operations are element-wise in double precision, without matrix products, whose order of
+summation may depend on the batch.
 """
 
 from collections.abc import Sequence
@@ -17,45 +17,45 @@ from splatrl.physics.optional import needed
 from splatrl.physics.stepping import BANK
 
 TIME = 1
-"""Columns of MuJoCo's state before the positions."""
+"""Number of columns of MuJoCo's state before the positions: the time."""
 
 
 class _Joints(NamedTuple):
-    """Joints of one kind, each on another body of a level."""
+    """Joints of one kind, each on a different body of a level."""
 
     kind: str
-    rows: Tensor  # [J] int64, of the level's bodies
-    first: Tensor  # [J] int64, of the positions
+    rows: Tensor  # [J] int64, rows among the level's bodies
+    first: Tensor  # [J] int64, first columns among the positions
     anchor: Tensor  # [J, 3], in the body's frame
     axis: Tensor  # [J, 3]
-    rest: Tensor  # [J], the position at which the body is where its file says
+    rest: Tensor  # [J], joint positions at which bodies are placed as in their file
 
     def to(self, device: torch.device) -> "_Joints":
-        """The same on a device."""
+        """Copy to a device."""
         return _Joints(self.kind, *(part.to(device) for part in self[1:]))
 
 
 class _Level(NamedTuple):
-    """Bodies at one depth of the tree, whose poses follow from those above."""
+    """Bodies at one depth of the kinematic tree, whose poses follow from those of their parents."""
 
     bodies: Tensor  # [K] int64
     parents: Tensor  # [K] int64
     place: Tensor  # [K, 3], in the parent's frame
     turn: Tensor  # [K, 4]
-    joints: list[_Joints]  # in the order in which they turn and move a body
+    joints: list[_Joints]  # in the order in which they apply to a body
 
     def to(self, device: torch.device) -> "_Level":
-        """The same on a device."""
+        """Copy to a device."""
         moved = [part.to(device) for part in (self.bodies, self.parents, self.place, self.turn)]
         return _Level(moved[0], moved[1], moved[2], moved[3], [joints.to(device) for joints in self.joints])
 
 
 class Kinematics:
-    """Poses of the bodies of a model, from its states.
+    """Computes the poses of a model's bodies from its states.
 
     Args:
         model: an ``MjModel``.
-        bodies: names of the bodies that are asked for, in their order; only these and those above them are computed.
+        bodies: names of the requested bodies, in order; only these and their ancestors are computed.
 
     Raises:
         ValueError: for a body that the model lacks.
@@ -115,16 +115,16 @@ class Kinematics:
         return _Level(bodies, parents, place, turn, joints)
 
     def _levels(self, device: torch.device) -> list[_Level]:
-        """The levels on a device, copied there once."""
+        """Return the levels on a device, to which they are copied once."""
         if device not in self._copies:
             self._copies[device] = [level.to(device) for level in self._copies[torch.device("cpu")]]
         return self._copies[device]
 
     def __call__(self, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Places and orientations of the bodies that were asked for.
+        """Return positions and orientations of the requested bodies.
 
         Args:
-            state: [B, n] float64, as ``Physics`` has them.
+            state: [B, n] float64, in the layout of ``Physics``.
 
         Returns:
             [B, N, 3] float64 metres and [B, N, 4] float64 unit quaternions wxyz, world frame.
@@ -144,17 +144,17 @@ class Kinematics:
         return place[:, wanted], turn[:, wanted]
 
     def poses(self, state: Tensor) -> Tensor:
-        """``body_to_world`` of the bodies that were asked for: [B, n] float64 -> [B, N, 4, 4] float32."""
+        """Return ``body_to_world`` of the requested bodies: [B, n] float64 -> [B, N, 4, 4] float32."""
         return self.as_poses(*self(state))
 
     @staticmethod
     def as_poses(place: Tensor, turn: Tensor) -> Tensor:
-        """Places [..., 3] and unit quaternions [..., 4] as [..., 4, 4] float32."""
+        """Convert positions [..., 3] and unit quaternions [..., 4] to poses [..., 4, 4] float32."""
         return rigid(matrices(turn), place).float()
 
 
 def _jointed(joints: _Joints, qpos: Tensor, x: Tensor, q: Tensor) -> tuple[Tensor, Tensor]:
-    """Places and orientations after some joints: [B, J, 3], [B, J, 4]."""
+    """Apply joints to positions and orientations of their bodies: [B, J, 3], [B, J, 4]."""
     kind, _, first, anchor, axis, rest = joints
     if kind == "free":
         place = torch.stack([qpos[:, first + i] for i in range(3)], -1)
@@ -172,18 +172,18 @@ def _jointed(joints: _Joints, qpos: Tensor, x: Tensor, q: Tensor) -> tuple[Tenso
 
 
 def normalised(quats: Tensor) -> Tensor:
-    """Quaternions [..., 4] at unit length."""
+    """Scale quaternions [..., 4] to unit length."""
     w, x, y, z = quats.unbind(-1)
     return quats / (w * w + x * x + y * y + z * z).sqrt().unsqueeze(-1)
 
 
 def turned_back(quats: Tensor) -> Tensor:
-    """The inverses of unit quaternions: [..., 4] -> [..., 4]."""
+    """Return the inverses of unit quaternions: [..., 4] -> [..., 4]."""
     return quats * quats.new_tensor([1.0, -1.0, -1.0, -1.0])
 
 
 def rotated(quats: Tensor, vectors: Tensor) -> Tensor:
-    """Vectors [..., 3] turned by unit quaternions [..., 4], broadcast."""
+    """Rotate vectors [..., 3] by unit quaternions [..., 4], with broadcasting."""
     w, x, y, z = quats.unbind(-1)
     a, b, c = vectors.unbind(-1)
     s, t, u = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
@@ -191,6 +191,6 @@ def rotated(quats: Tensor, vectors: Tensor) -> Tensor:
 
 
 def matrices(quats: Tensor) -> Tensor:
-    """Rotation matrices of unit quaternions: [..., 4] -> [..., 3, 3]."""
+    """Return the rotation matrices of unit quaternions: [..., 4] -> [..., 3, 3]."""
     eye = torch.eye(3, dtype=quats.dtype, device=quats.device)
     return torch.stack([rotated(quats, eye[axis]) for axis in range(3)], -1)

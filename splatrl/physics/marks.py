@@ -1,4 +1,4 @@
-"""Shapes of Gaussians of one colour that mark places and touch nothing."""
+"""Single-colour shapes made of Gaussians, which mark places and take no part in contacts."""
 
 import math
 from collections.abc import Sequence
@@ -12,19 +12,20 @@ from splatrl.spherical_harmonics import C0
 from splatrl.values import require_rgb
 
 OPACITY, SPREAD, THICKNESS = 0.97, 0.6, 0.001
-"""Of each Gaussian: standard deviation along the disc, as a share of the distance between two; across, metres."""
+"""Opacity of each Gaussian; its standard deviation along the surface, as a fraction of the distance between two
+Gaussians; and its standard deviation across the surface, metres."""
 BEACON = 0.8
-"""Radius of the ball of a beacon, as a share of its disc's."""
+"""Radius of a beacon's ball, as a fraction of its disc's."""
 GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
 
 
 def disc(radius: float, rgb: Sequence[float], count: int = 400) -> Gaussians:
-    """A disc of one colour in the plane z = 0, around the origin.
+    """Make a disc of one colour in the plane z = 0, centred on the origin.
 
     Args:
-        radius: metres.
+        radius: radius of the disc, metres.
         rgb: red, green and blue in [0, 1].
-        count: Gaussians, which lie along a sunflower's spiral.
+        count: number of Gaussians, which lie along a sunflower spiral.
 
     Raises:
         ValueError: for a colour that is not three numbers in [0, 1].
@@ -38,12 +39,12 @@ def disc(radius: float, rgb: Sequence[float], count: int = 400) -> Gaussians:
 
 
 def ball(radius: float, rgb: Sequence[float], count: int = 400) -> Gaussians:
-    """A ball of one colour around the origin, brighter towards the top.
+    """Make a ball of one colour, centred on the origin and brighter towards the top.
 
     Args:
-        radius: metres.
+        radius: radius of the ball, metres.
         rgb: red, green and blue in [0, 1].
-        count: Gaussians, which lie along a Fibonacci spiral.
+        count: number of Gaussians, which lie along a Fibonacci spiral.
 
     Raises:
         ValueError: for a colour that is not three numbers in [0, 1].
@@ -53,7 +54,7 @@ def ball(radius: float, rgb: Sequence[float], count: int = 400) -> Gaussians:
     across = (1.0 - z * z).sqrt()
     normals = torch.stack([across * angle.cos(), across * angle.sin(), z], 1)
     spread = SPREAD * radius * math.sqrt(4.0 * math.pi / count)
-    half = torch.stack([1.0 + z, -normals[:, 1], normals[:, 0], torch.zeros_like(z)], 1)  # turns z to the normal
+    half = torch.stack([1.0 + z, -normals[:, 1], normals[:, 0], torch.zeros_like(z)], 1)  # rotates z to the normal
     quats = torch.nn.functional.normalize(half, dim=1).float()
     found = _coloured((radius * normals).float(), quats, torch.tensor([spread, spread, min(spread, THICKNESS)]), rgb)
     shade = (0.8 + 0.2 * z).float().view(-1, 1, 1)
@@ -62,12 +63,12 @@ def ball(radius: float, rgb: Sequence[float], count: int = 400) -> Gaussians:
 
 
 def beacon(radius: float, rgb: Sequence[float], height: float) -> Gaussians:
-    """A disc around the origin, and a smaller ball of its colour that hovers above it and is seen from further away.
+    """Make a disc around the origin, and above it a smaller ball of its colour that is visible from further away.
 
     Args:
-        radius: of the disc, metres; the ball has 0.8 of it.
+        radius: radius of the disc, metres; the ball's is 0.8 times that.
         rgb: red, green and blue in [0, 1].
-        height: of the middle of the ball, metres.
+        height: height of the ball's centre, metres.
 
     Raises:
         ValueError: for a colour that is not three numbers in [0, 1].
@@ -79,7 +80,7 @@ def beacon(radius: float, rgb: Sequence[float], height: float) -> Gaussians:
 
 
 def _coloured(means: Tensor, quats: Tensor, scales: Tensor, rgb: Sequence[float]) -> Gaussians:
-    """Opaque Gaussians of one size and colour: [N, 3], [N, 4], [3]."""
+    """Make opaque Gaussians of one size and colour, from means [N, 3], quats [N, 4] and scales [3]."""
     require_rgb("rgb", rgb)
     count, colour = len(means), (torch.tensor([float(value) for value in rgb]) - 0.5) / C0
     return Gaussians(

@@ -1,7 +1,7 @@
-"""Reads MJCF, MuJoCo's format for robots and things, from files that may come from strangers.
+"""Reads MJCF, MuJoCo's format for robots and things, from untrusted files.
 
-Everything that a file names is read here, from the file's own folder, and handed to MuJoCo as bytes, so that its own
-search for files finds nothing else. What can ask for unbounded memory in a few bytes is refused.
+Every file that the MJCF references is read here, from the MJCF's own folder, and handed to MuJoCo as bytes, so that
+MuJoCo's own file search finds nothing else. Anything that can request unbounded memory in a few bytes is refused.
 """
 
 import math
@@ -16,24 +16,24 @@ import numpy as np
 from splatrl.physics.optional import needed
 
 MOST_TEXT = 4 * 2**20
-"""Bytes of a file's text."""
+"""Maximum bytes of a file's text."""
 MOST_ELEMENTS = 50_000
 MOST_ASSETS = 256 * 2**20
-"""Bytes of everything that a file names."""
+"""Maximum total bytes of the meshes, skins, textures and height fields that a file references."""
 MOST_TEXELS = 2**24
-"""Of a texture or height field that a file describes in numbers."""
+"""Maximum texels of a texture or height field whose dimensions a file gives in numbers."""
 MOST_FILES = 1000
 MULTIPLYING = {"replicate", "composite", "flexcomp", "plugin", "extension", "model", "attach"}
-"""Elements that make many of one, load code, or read further models."""
+"""Elements that expand one element into many, load code, or read further models."""
 FOLDERS = {"mesh": "meshdir", "skin": "meshdir", "texture": "texturedir", "hfield": "meshdir"}
-"""Which attribute of ``<compiler>`` says where the files of an element lie."""
+"""For each element with files, the attribute of ``<compiler>`` that gives their folder."""
 NUMBERS = ("qpos0", "body_pos", "body_quat", "body_mass", "geom_size", "cam_pos", "cam_fovy", "actuator_ctrlrange")
-"""Of a model, in which MuJoCo lets numbers that are not finite pass."""
+"""Arrays of a model in which MuJoCo lets non-finite numbers pass."""
 
 
 @dataclass
 class _Reading:
-    """What has been read of a file and those that it names."""
+    """Contents read so far of the files that an MJCF file references."""
 
     folder: Path
     included: dict[str, bytes] = field(default_factory=dict)
@@ -43,16 +43,16 @@ class _Reading:
 
 
 def read_mjcf(path: Path | str) -> Any:
-    """Read a file of MJCF as an ``MjSpec``.
+    """Read an MJCF file as an ``MjSpec``.
 
     Args:
-        path: of the file. Meshes and textures lie in its folder or below.
+        path: the MJCF file. Meshes and textures lie in its folder or below.
 
     Raises:
-        FileNotFoundError: where there is no such file.
+        FileNotFoundError: if there is no such file.
         ImportError: without the extra ``physics``.
-        ValueError: in one line that names the file and the element, for what is no MJCF, is too large, names files
-            outside its folder, or uses elements that make many of one or load code.
+        ValueError: for a file that is not MJCF, is too large, references files outside its folder, or uses elements
+            that expand one element into many or load code, in one line that names the file and the element.
     """
     mujoco, path = needed(), Path(path)
     if not path.is_file():
@@ -75,10 +75,10 @@ def read_mjcf(path: Path | str) -> Any:
 
 
 def _checked(path: Path, text: bytes, reading: _Reading) -> list[ElementTree.Element]:
-    """The elements of a file and of those that it includes, without what is refused."""
+    """Parse a file and those that it includes, refuse unsafe elements, and return the root elements."""
     try:
         words = text.decode()
-        if "\0" in words:  # another encoding, in which a document type, whose entities unfold, would not be seen
+        if "\0" in words:  # another encoding could hide a document type, whose entities expand
             raise ValueError("bytes that are no text in UTF-8")
         if "<!DOCTYPE" in words or "<!ENTITY" in words:
             raise ValueError("an XML document type")
@@ -106,7 +106,7 @@ def _checked(path: Path, text: bytes, reading: _Reading) -> list[ElementTree.Ele
 
 
 def _check_sizes(where: str, node: ElementTree.Element) -> None:
-    """Refuse numbers by which a few bytes ask for much memory."""
+    """Refuse numbers with which a few bytes request much memory."""
     if node.tag in ("texture", "hfield"):
         sides = [_number(where, node, key) for key in ("width", "height", "nrow", "ncol") if key in node.attrib]
         if math.prod(sides) > MOST_TEXELS:
@@ -127,7 +127,7 @@ def _number(where: str, node: ElementTree.Element, key: str) -> float:
 
 
 def _read_files(path: Path, node: ElementTree.Element, places: dict[str, str], reading: _Reading) -> None:
-    """Read the files that an element names, under the names that MuJoCo will ask for."""
+    """Read the files that an element references, keyed by the names for which MuJoCo will ask."""
     if node.tag == "include":
         return
     for key, name in node.attrib.items():
@@ -152,7 +152,7 @@ def _read_files(path: Path, node: ElementTree.Element, places: dict[str, str], r
 
 
 def _inside(where: str, folder: Path, name: str) -> Path:
-    """The file of a name in a folder or below, and nowhere else."""
+    """Resolve a name to a file in a folder or below, and refuse any other place."""
     pure = PurePosixPath(name)
     if not name or pure.is_absolute() or ".." in pure.parts or "\\" in name or "\0" in name:
         raise ValueError(f"{where}: expected a path in the folder of the file, got {name!r:.80}")
@@ -165,7 +165,7 @@ def _inside(where: str, folder: Path, name: str) -> Path:
 
 
 def _small(path: Path, most: int) -> bytes:
-    """The bytes of a file that is not too large."""
+    """Read the bytes of a file, and refuse one that is too large."""
     with path.open("rb") as stream:
         content = stream.read(most + 1)
     if len(content) > most:

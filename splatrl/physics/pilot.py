@@ -1,4 +1,4 @@
-"""A scripted pilot of a quadrotor that knows the state: it flies through gates, and so shows that it can be done."""
+"""A scripted quadrotor pilot that knows the state, and so demonstrates that gates can be flown through."""
 
 from typing import NamedTuple
 
@@ -9,21 +9,21 @@ from splatrl.geometry import quats_to_rotations
 
 GRAVITY = 9.81
 SPEED = 1.5
-"""Metres per second, at most."""
+"""Maximum speed, metres per second."""
 CARROT = 0.6
-"""Metres along the gate's axis by which the point that is flown to is ahead."""
+"""Distance along the gate's axis by which the target point is ahead of the quadrotor, metres."""
 APPROACH = 0.7
-"""Metres before a gate at which a quadrotor that is off its axis waits until it is on it."""
+"""Distance before a gate at which a quadrotor off the gate's axis waits until it is on the axis, metres."""
 FUNNEL = (0.1, 0.5)
-"""How far off the axis it may go on towards the gate: metres at the gate, and for each metre before it."""
+"""Distance from the axis up to which a quadrotor counts as on it: metres at the gate, and more per metre before it."""
 ACCELERATION = 6.0
-"""Metres per second squared, at most."""
+"""Maximum acceleration apart from gravity, metres per second squared."""
 GAINS = {"place": 2.5, "velocity": 3.5, "tilt": 9.0, "yaw": 4.0}
-"""Per second: speed for a distance, acceleration for a speed, rate for a tilt, rate for a heading."""
+"""Control gains, per second: distance to speed, speed to acceleration, tilt to body rate, heading to yaw rate."""
 
 
 class Flying(NamedTuple):
-    """Where B quadrotors are and how they move.
+    """Poses and velocities of B quadrotors.
 
     Attributes:
         place: [B, 3] world, metres.
@@ -37,18 +37,19 @@ class Flying(NamedTuple):
 
 
 def fly_through(flying: Flying, gate: Tensor, limits: Tensor) -> Tensor:
-    """The thrust and body rates by which quadrotors fly through a gate, looking at it.
+    """Return the thrust and body rates that fly quadrotors through a gate while they face it.
 
-    A point on the gate's axis is flown to, ahead of the quadrotor; the acceleration towards it asks for a thrust and a
-    direction of the rotors, as in geometric tracking control (Lee, Leok and McClamroch 2010).
+    Each flies to a target point ahead of it on the gate's axis; the acceleration towards this point determines the
+    thrust and the direction of the rotors, as in geometric tracking control (Lee, Leok and McClamroch 2010).
 
     Args:
-        flying: the quadrotors.
-        gate: [B, 4] centre and yaw of the gate of each, which is passed along its yaw; world, metres and radians.
+        flying: poses and velocities of the quadrotors.
+        gate: [B, 4] centre and yaw of each quadrotor's gate, which is passed along its yaw; world, metres and radians.
         limits: [2, 4] lowest and highest actions.
 
     Returns:
-        [B, 4]: thrust in weights of the quadrotor, and rates about its own x, y and z, radians per second.
+        [B, 4] float32: thrust in multiples of the quadrotor's weight, and rates about its own x, y and z axes, radians
+        per second.
     """
     place, turn, velocity = (part.double() for part in flying)
     gate = gate.double()

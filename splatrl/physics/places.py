@@ -1,4 +1,4 @@
-"""Where bodies could stand: the heights of the floor that is free above, and what hangs together of it."""
+"""Places where bodies could stand: heights of floor with free space above it, and its largest connected part."""
 
 import math
 from collections.abc import Sequence
@@ -11,18 +11,18 @@ from scipy.sparse.csgraph import connected_components
 from splatrl.collision.voxels import Voxels
 
 CLEARANCE = 0.3
-"""Metres of free space above a place to stand, at least."""
+"""Minimum free space above a place to stand, metres."""
 STEP = 0.12
-"""Metres: places beside each other belong together unless one is higher than the other by more than this."""
+"""Maximum difference in height between adjacent places that are connected, metres."""
 
 
 def standing_heights(
     voxels: Voxels, lower: Sequence[float], upper: Sequence[float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The lowest solid top in each column that has free space above it.
+    """Return the height of the lowest solid top in each column that has free space above it.
 
     Args:
-        voxels: what is solid, the ground included.
+        voxels: the solid voxels, the ground included.
         lower: smallest x and y of the columns' centres, metres.
         upper: largest x and y, metres.
 
@@ -37,7 +37,7 @@ def standing_heights(
         spans.append(slice(int(inside[0]), int(inside[-1]) + 1) if len(inside) else slice(0, 0))
     solid = voxels.occupied[spans[0], spans[1]]
     gap = max(1, math.ceil(CLEARANCE / edge - 1e-6))
-    above = np.pad(solid, ((0, 0), (0, 0), (0, gap)))  # what is above the grid is free
+    above = np.pad(solid, ((0, 0), (0, 0), (0, gap)))  # space above the grid is free
     stands = solid.copy()
     for layer in range(1, gap + 1):
         stands &= ~above[:, :, layer : layer + shape[2]]
@@ -50,13 +50,13 @@ def standing_heights(
 
 
 def widest_part(heights: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """The largest set of columns between which one could walk, without steps above ``STEP``.
+    """Find the largest set of columns between which one could walk without steps above ``STEP``.
 
     Args:
-        heights: [X, Y] metres, NaN for columns where nothing stands.
+        heights: [X, Y] metres, NaN for columns where nothing can stand.
 
     Returns:
-        [X, Y] bool; all false where nothing stands anywhere.
+        [X, Y] bool; all False if nothing can stand anywhere.
     """
     known = ~np.isnan(heights)
     if not known.any():

@@ -1,4 +1,4 @@
-"""Routes of waypoints on the ground."""
+"""Draws routes of waypoints on the ground."""
 
 import math
 from collections.abc import Sequence
@@ -10,23 +10,23 @@ from splatrl.physics.courses import CourseSettings
 from splatrl.physics.room import Floats, Room, ahead, between
 
 BRANCHES = 4
-"""Places that are tried for each waypoint."""
+"""Number of places tried for each waypoint."""
 ABOVE = 0.1
-"""Metres above the ground at which a way must be free."""
+"""Height above the ground at which a path must be free, metres."""
 
 
 @dataclass(frozen=True)
 class RouteSettings(CourseSettings):
-    """What routes are like.
+    """Settings of routes.
 
-    A route begins at a free place, heading for its first waypoint; the straight ways from one to the next are free.
-    Waypoints are on the ground, and their yaw is that of the way to them.
+    A route begins at a free place, facing its first waypoint; the straight paths from one waypoint to the next are
+    free. Waypoints are on the ground, and the yaw of each is that of the path to it.
 
     Attributes:
         waypoints: number of waypoints.
-        distance: shortest and longest way from one waypoint to the next, metres.
-        turn_deg: the most that the way turns at a waypoint, degrees.
-        clearance: between a way and what is solid, metres.
+        distance: shortest and longest distance from one waypoint to the next, metres.
+        turn_deg: maximum turn of the path at a waypoint, degrees.
+        clearance: minimum distance between the path and anything solid, metres.
 
     Raises:
         ValueError: for a number out of range.
@@ -41,13 +41,13 @@ class RouteSettings(CourseSettings):
     places = "waypoints"
 
     def drawn(self, room: Room, draw: np.random.Generator) -> Floats | None:
-        """See ``CourseSettings.drawn``."""
+        """Draw one route; see ``CourseSettings.drawn``."""
         x, y = draw.uniform(room.lower + self.clearance, room.upper - self.clearance)
         route = [np.array([x, y, room.ground(x, y), draw.uniform(-math.pi, math.pi)])]
         return np.stack(route) if self._led_on(route, room, draw) else None
 
     def _led_on(self, route: list[Floats], room: Room, draw: np.random.Generator) -> bool:
-        """Lead a route on to its end, if one of the ways that are tried does, and else leave it as it was."""
+        """Complete a route by depth-first search; if no attempt succeeds, return False and leave it as it was."""
         if len(route) > self.waypoints:
             return True
         begin, heading = route[-1][:3], route[-1][3]

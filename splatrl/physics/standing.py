@@ -1,4 +1,4 @@
-"""How a model of MJCF stands before anything moves."""
+"""The initial pose of an MJCF model, before anything moves."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ from splatrl.physics.optional import needed
 
 
 def at_home(model: Any) -> Any:
-    """The ``MjData`` of a model at its first keyframe, or as its bodies are written down, with poses computed."""
+    """Return the ``MjData`` of a model at its first keyframe, or else in its default pose, with poses computed."""
     mujoco = needed()
     data = mujoco.MjData(model)
     if model.nkey:
@@ -16,6 +16,6 @@ def at_home(model: Any) -> Any:
 
 
 def top_of(model: Any) -> float:
-    """How high a model reaches where it stands, metres: at most the top of the spheres around its geoms."""
+    """Return an upper bound on how high a standing model reaches, metres: the top of its geoms' bounding spheres."""
     data = at_home(model)
     return max((float(data.geom_xpos[geom, 2] + model.geom_rbound[geom]) for geom in range(model.ngeom)), default=0.0)

@@ -13,16 +13,17 @@ from splatrl.physics.optional import needed
 from splatrl.values import require_number
 
 BANK = 1
-"""Columns of a state before MuJoCo's own: the number of its model."""
+"""Number of columns of a state before MuJoCo's own: the index of its model."""
 
 
 class Stepped(NamedTuple):
-    """What became of B states.
+    """The result of stepping B states.
 
     Attributes:
         state: [B, n] float64, states after the last substep.
-        sensed: [B, substeps, s] float64, what sensors said at the beginning of each substep.
-        sound: [B] bool, false where the physics lost its numbers; such a row is as it was before.
+        sensed: [B, substeps, s] float64, sensor readings at the beginning of each substep.
+        sound: [B] bool, False where the physics failed numerically; the state of such a row is unchanged, and its
+            readings are 0.
     """
 
     state: Tensor
@@ -31,16 +32,16 @@ class Stepped(NamedTuple):
 
 
 class Physics:
-    """Steps batches of states, each by one of several models of the same kind.
+    """Steps batches of states, each with one of several models of the same structure.
 
-    A state is [n] float64: the number of its model in the bank, and MuJoCo's ``mjSTATE_FULLPHYSICS`` (time, positions,
-    velocities, activations). Solvers begin without the last step's solution, so a step is a function of the state and
-    the controls alone: it has the same bytes alone, in a batch, in any order and with any number of threads.
+    A state is [n] float64: the index of its model in the bank, and MuJoCo's ``mjSTATE_FULLPHYSICS`` (time, positions,
+    velocities, activations). Solvers are not warm-started from the last step, so a step is a function of the state and
+    the controls alone: its result is bitwise the same alone, in a batch, in any order and with any number of threads.
 
     Args:
-        models: ``MjModel`` or several that differ only in their numbers, such as masses.
-        substeps: of a step, each of the model's own length.
-        threads: that step rows side by side; None takes all cores.
+        models: an ``MjModel``, or several that differ only in their numbers, such as masses.
+        substeps: number of substeps per step, each as long as the model's own time step.
+        threads: number of threads that step rows in parallel; None takes all cores.
 
     Raises:
         ValueError: for no model, models of different sizes, or no substep.
@@ -58,7 +59,7 @@ class Physics:
             raise ValueError(f"models: expected one size of state, controls and sensors, got {sorted(sizes)}")
         self.substeps, self.threads = substeps, threads_of(threads)
         for model in self.models:
-            model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a row that is lost stays lost
+            model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a failed row must stay failed
         self._rollout = rollout.Rollout(nthread=self.threads if self.threads > 1 else 0)
         self._data = [mujoco.MjData(self.models[0]) for _ in range(self.threads)]
         self._lock = threading.Lock()
@@ -76,11 +77,11 @@ class Physics:
 
     @property
     def size(self) -> int:
-        """Numbers of a state."""
+        """Length of a state, n."""
         return BANK + int(needed().mj_stateSize(self.model, self._spec))
 
     def state_of(self, qpos: Any = None, key: int | None = None) -> Tensor:
-        """The state [n] float64 of the first model at rest: at ``qpos``, at a keyframe, or as the model stands."""
+        """Return the first model's state [n] float64 at rest: at ``qpos``, at a keyframe, or in the default pose."""
         mujoco = needed()
         data = mujoco.MjData(self.model)
         if key is not None:
@@ -93,14 +94,14 @@ class Physics:
         return torch.from_numpy(found)
 
     def step(self, state: Tensor, ctrl: Tensor) -> Stepped:
-        """Carry out one control over all substeps.
+        """Step states, holding one control over all substeps.
 
         Args:
             state: [B, n] float64.
             ctrl: [B, nu], the model's controls.
         """
         device = state.device
-        if not len(state):  # MuJoCo's rollout crashes without rows
+        if not len(state):  # MuJoCo's rollout crashes on an empty batch
             return Stepped(state, state.new_zeros(0, self.substeps, self.model.nsensordata), state.new_zeros(0).bool())
         before = np.ascontiguousarray(state.detach().cpu().numpy(), np.float64)
         held = np.ascontiguousarray(ctrl.detach().cpu().numpy(), np.float64)[:, None]
@@ -117,14 +118,14 @@ class Physics:
                 initial_warmstart=np.zeros((count, self.model.nv)),
             )
         after = np.concatenate([before[:, :BANK], states[:, -1]], 1)
-        short = before[:, 1] + (self.substeps - 0.5) * self.model.opt.timestep > after[:, 1]  # it stops at a warning
+        short = before[:, 1] + (self.substeps - 0.5) * self.model.opt.timestep > after[:, 1]  # stops at warnings
         sound = np.isfinite(after).all(1) & np.isfinite(sensed).all((1, 2)) & ~short
         after = np.where(sound[:, None], after, before)
         sensed = np.where(sound[:, None, None], sensed, 0.0)
         return Stepped(*(torch.from_numpy(np.ascontiguousarray(one)).to(device) for one in (after, sensed, sound)))
 
     def sensor(self, name: str) -> slice | None:
-        """The columns of ``sensed`` of a sensor; None where the model has no such one."""
+        """Return the columns of ``sensed`` that belong to a sensor; None if the model has no such sensor."""
         mujoco = needed()
         number = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, name)
         if number < 0:

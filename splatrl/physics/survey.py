@@ -1,4 +1,4 @@
-"""From a scene to what physics sees of it: the ground's plane and boxes, found once and kept in the scene's cache."""
+"""Derives from a scene what physics sees of it: ground plane and boxes, computed once and kept in the scene's cache."""
 
 import warnings
 from collections.abc import Sequence
@@ -18,15 +18,15 @@ from splatrl.renderers.native import NativeRenderer
 from splatrl.scenes.scene import Scene
 
 CODE = [Path(__file__).with_name(f"{name}.py") for name in ("survey", "ground", "places", "boxes")]
-"""What a cached terrain was computed by."""
+"""Source files that compute a terrain; any change to them invalidates cached terrains."""
 
 
 class Surveyed(NamedTuple):
     """A scene as physics sees it.
 
     Attributes:
-        ground: its plane, and how well that fits.
-        terrain: the same plane, and boxes around what is solid above it.
+        ground: the ground plane, and how well it fits.
+        terrain: the same plane, and boxes that cover what is solid above it.
     """
 
     ground: Ground
@@ -45,13 +45,13 @@ def find_terrain(
     """Find the ground and the boxes of the part of a scene that bodies can be in.
 
     Args:
-        scene: in the world frame.
-        occupancy: what is solid in it, the ground included.
-        lower: smallest x and y to which robots go, metres.
+        scene: the scene, in the world frame.
+        occupancy: the scene's solid voxels, the ground included.
+        lower: smallest x and y that robots go to, metres.
         upper: largest x and y, metres.
-        reach: how far bodies reach beyond these, metres: what is farther out is left out.
-        top: height above the ground that no body gets to, metres: what is higher is left out.
-        antialiased: how the scene is drawn.
+        reach: how far bodies reach beyond these bounds, metres; anything farther out is left out.
+        top: height above the ground that no body reaches, metres; anything higher is left out.
+        antialiased: whether the scene is rendered with antialiasing.
 
     Raises:
         ValueError: for bounds without area, a negative reach, a ``top`` near the ground, or too few places to stand.
@@ -72,7 +72,7 @@ def survey_terrain(
     top: float,
     antialiased: bool = True,
 ) -> Surveyed:
-    """``find_terrain``, kept in the scene's cache; a ground that is not one plane is told by a warning."""
+    """Run ``find_terrain`` through the scene's cache, and warn if the ground is not one plane."""
     settings = {
         "occupancy": occupancy.digest,
         "bounds": [list(map(float, lower)), list(map(float, upper))],

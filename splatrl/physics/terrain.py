@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 UPRIGHT = 0.5
-"""Smallest z of a ground's normal: what is steeper is a wall."""
+"""Lower limit on the z of a ground's unit normal: anything steeper is a wall."""
 
 
 @dataclass(frozen=True)
@@ -18,8 +18,8 @@ class Terrain:
         boxes: [N, 6] float64, centre and half sizes of boxes along the world's axes.
 
     Raises:
-        ValueError: for another shape, a number that is not finite, a normal that is no unit vector or does not point
-            up, or a box without volume.
+        ValueError: for another shape, a number that is not finite, a normal that is not a unit vector or whose z is not
+            above ``UPRIGHT``, or a box without volume.
     """
 
     plane: Tensor
@@ -38,11 +38,11 @@ class Terrain:
             raise ValueError("terrain.boxes: expected half sizes above 0, got others")
 
     def height(self, places: Tensor) -> Tensor:
-        """Height of the ground: [..., 2] float64 x and y -> [...] float64 z, metres."""
+        """Return the height of the ground: [..., 2] float64 x and y -> [...] float64 z, metres."""
         x, y, z, offset = self.plane.to(places)
         return (offset - x * places[..., 0] - y * places[..., 1]) / z
 
 
 def level_ground(height: float = 0.0) -> Terrain:
-    """A level plane and nothing else."""
+    """Return a terrain that is a level plane and nothing else."""
     return Terrain(torch.tensor([0.0, 0.0, 1.0, height], dtype=torch.float64), torch.zeros(0, 6, dtype=torch.float64))

@@ -1,4 +1,4 @@
-"""Tracks of gates to fly through."""
+"""Draws tracks of gates to fly through."""
 
 import math
 from collections.abc import Sequence
@@ -12,25 +12,25 @@ from splatrl.physics.room import Floats, Room, ahead, between
 from splatrl.values import require_number
 
 BRANCHES = 12
-"""Places that are tried for each gate."""
+"""Number of places tried for each gate."""
 
 
 @dataclass(frozen=True)
 class TrackSettings(CourseSettings):
-    """What tracks are like.
+    """Settings of tracks.
 
-    A track begins at a free place, heading for its first gate. Each gate stands off the boxes, the ground and the other
-    gates, and the straight way to it and half a metre beyond it is free. Gates are passed along their yaw.
+    A track begins at a free place, facing its first gate. Each gate stands clear of the boxes, the ground and the other
+    gates, and the straight path to it and half a metre beyond it is free. Gates are passed along their yaw.
 
     Attributes:
         gates: number of gates.
-        distance: shortest and longest way from one gate to the next, metres.
-        turn_deg: the most that the way turns at a gate, degrees.
-        skew_deg: the most by which a gate is turned from the way to it, degrees.
+        distance: shortest and longest distance from one gate to the next, metres.
+        turn_deg: maximum turn of the path at a gate, degrees.
+        skew_deg: maximum angle between a gate's yaw and the path to it, degrees.
         height: lowest and highest centre of a gate above the ground, metres.
-        opening: side of a gate's opening, metres; that of the MJCF.
-        frame: side of its outside.
-        clearance: around gates and ways, metres.
+        opening: side of a gate's opening, as in its MJCF, metres.
+        frame: side of a gate's outer frame, metres.
+        clearance: free space to keep around paths and between gates, metres.
 
     Raises:
         ValueError: for a number out of range.
@@ -58,7 +58,7 @@ class TrackSettings(CourseSettings):
             raise ValueError(f"task.course.opening: expected metres below frame, {self.frame}, got {self.opening}")
 
     def drawn(self, room: Room, draw: np.random.Generator) -> Floats | None:
-        """See ``CourseSettings.drawn``."""
+        """Draw one track; see ``CourseSettings.drawn``."""
         return _Tracks(room, self).track(draw)
 
 
@@ -69,7 +69,7 @@ class _Tracks:
         self.room, self.settings = room, settings
 
     def track(self, draw: np.random.Generator) -> Floats | None:
-        """A start and gates [1 + G, 4], or None where the way ended."""
+        """Draw a start and gates [1 + G, 4], or return None if the start or some gate does not fit."""
         low, high = self.settings.height
         x, y = draw.uniform(self.room.lower + 0.3, self.room.upper - 0.3)
         track = [np.array([x, y, self.room.ground(x, y) + draw.uniform(low, high), draw.uniform(-math.pi, math.pi)])]
@@ -85,7 +85,7 @@ class _Tracks:
         return np.stack(track)
 
     def gate(self, track: list[Floats], draw: np.random.Generator) -> Floats | None:
-        """A gate after those of a track, or None if what is drawn does not fit."""
+        """Draw the next gate of a track, or return None if it does not fit."""
         settings, last = self.settings, track[-1]
         begin = last[:3] + (0.5 * ahead(last[3]) if len(track) > 1 else 0.0)
         turn = math.radians(settings.turn_deg) if len(track) > 1 else math.pi
@@ -103,11 +103,11 @@ class _Tracks:
             fits &= other is last or bool(np.linalg.norm(flown - other[:3], axis=1).min() > apart)
             beyond = other[:3] + 0.5 * ahead(other[3])
             fits &= other is last or bool(np.linalg.norm(beyond - gate[:3]) > apart)
-        for a, b in pairwise(track):  # it does not stand in an earlier way
+        for a, b in pairwise(track):  # it must not stand in an earlier path
             fits &= bool(np.linalg.norm(between(a[:3], b[:3]) - gate[:3], axis=1).min() > apart)
         return gate if fits else None
 
     def rim(self, yaw: float) -> Floats:
-        """Points of a gate's frame about its centre: [8, 3]."""
+        """Return points on a gate's frame, relative to its centre: [8, 3]."""
         half, side = 0.5 * self.settings.frame, np.array([-math.sin(yaw), math.cos(yaw), 0.0])
         return np.array([half * (a * side + [0.0, 0.0, b]) for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b])

@@ -1,9 +1,10 @@
-"""A trot for a quadruped: where its feet are at each moment, and the joint angles that put them there.
+"""A trot for a quadruped: the positions of its feet over time, and the joint angles that put them there.
 
-Diagonal pairs of feet stand and swing in turn. A foot that stands moves against the commanded motion of the ground
-below it, one that swings is lifted and set down ahead. The gait knows nothing of the robot's balance: a policy that
-moves its joints a little beside it can see to that (Iscen et al. 2018, "Policies Modulating Trajectory Generators").
-Every operation works element by element in double precision, so a row has the same bytes in any batch.
+Diagonal pairs of feet alternate between stance and swing. Relative to the body, a foot in stance moves opposite to the
+commanded motion, as the ground below it does; a foot in swing is lifted and set down ahead. The gait knows nothing of
+the robot's balance: a policy that adds small offsets to the joints can take care of that (Iscen et al. 2018, "Policies
+Modulating Trajectory Generators"). All operations are element-wise in double precision, so a row has the same bytes in
+any batch.
 """
 
 import math
@@ -12,27 +13,27 @@ import torch
 from torch import Tensor
 
 THIGH, CALF, OFFSET = 0.213, 0.213, 0.08
-"""Lengths of the links of a leg and of its hip, metres, as in ``robots/quadruped.xml``."""
+"""Lengths of the thigh, the calf and the hip's sideways offset, metres, as in ``robots/quadruped.xml``."""
 HIPS = ((0.19, 0.05), (0.19, -0.05), (-0.19, 0.05), (-0.19, -0.05))
 """x and y of the hips of the legs, in the order of the joints: front left, front right, rear left, rear right."""
 SIDES = (1.0, -1.0, 1.0, -1.0)
 BEGINS = (0.0, 0.5, 0.5, 0.0)
-"""Share of a cycle by which each leg is ahead."""
+"""Phase offset of each leg, as a fraction of a cycle."""
 FREQUENCY = 3.0
-"""Cycles a second."""
+"""Cycles per second."""
 STANDING = 0.5
-"""Share of a cycle in which a foot stands."""
+"""Duty factor: fraction of a cycle during which a foot stands."""
 DEPTH = 0.27
-"""Of a standing foot's centre below the hips, metres."""
+"""Distance of a standing foot's centre below the hips, metres."""
 LIFT = 0.07
-"""Of a swinging foot, metres."""
+"""Height to which a swinging foot is lifted, metres."""
 
 
 def trot(time: Tensor, command: Tensor) -> Tensor:
-    """The joint angles of a trot.
+    """Return the joint angles of a trot.
 
     Args:
-        time: [B] float64, seconds since some cycle began.
+        time: [B] float64, seconds since the start of some cycle.
         command: [B, 2] float64, metres per second ahead and radians per second to the left.
 
     Returns:
@@ -42,13 +43,13 @@ def trot(time: Tensor, command: Tensor) -> Tensor:
 
 
 def feet(time: Tensor, command: Tensor) -> list[Tensor]:
-    """Where the feet of a trot are from their hips, [B, 3] float64 metres each; see ``trot``."""
+    """Return the positions of a trot's feet relative to their hips, [B, 3] float64 metres each; see ``trot``."""
     found = []
     for (x, y), side, begin in zip(HIPS, SIDES, BEGINS, strict=True):
         phase = (time * FREQUENCY + begin) % 1.0
         swing = ((phase - STANDING) / (1.0 - STANDING)).clamp(0.0, 1.0)
         back = torch.where(phase < STANDING, phase / STANDING, 0.5 * (1.0 + (math.pi * swing).cos()))
-        stride = STANDING / FREQUENCY * (0.5 - back)  # seconds of the commanded motion by which the foot is ahead
+        stride = STANDING / FREQUENCY * (0.5 - back)  # lead of the foot, in seconds of commanded motion
         ahead = stride * (command[:, 0] - command[:, 1] * (y + side * OFFSET))
         aside = stride * command[:, 1] * x
         lift = LIFT * 0.5 * (1.0 - (2.0 * math.pi * swing).cos())
@@ -57,10 +58,10 @@ def feet(time: Tensor, command: Tensor) -> list[Tensor]:
 
 
 def leg_angles(foot: Tensor, side: float) -> Tensor:
-    """The angles of a leg's joints that put its foot somewhere, or as near as it reaches.
+    """Return the joint angles of a leg that put its foot at a position, or as near to it as the leg reaches.
 
     Args:
-        foot: [B, 3] float64, from the hip, metres: ahead, left and up.
+        foot: [B, 3] float64, position relative to the hip, metres: ahead, left and up.
         side: 1 for a leg on the left, −1 on the right.
 
     Returns:

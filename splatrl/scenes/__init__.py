@@ -1,4 +1,4 @@
-"""Scenes: Gaussians, the files that they come in, and their metric frame."""
+"""Scenes: Gaussians, the files that store them, and their metric frame."""
 
 from splatrl.scenes.formats import read_gaussians, write_gaussians
 from splatrl.scenes.frame import similarity

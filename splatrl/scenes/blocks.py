@@ -1,6 +1,6 @@
-"""Scenes in blocks: many splat files in one world, none of which is read before it is needed.
+"""Scenes split into blocks: many splat files in one world frame, each read only when it is needed.
 
-A folder holds the files and a ``blocks.yaml`` that says where each of them lies.
+A folder holds the files and a ``blocks.yaml`` that states where each of them lies.
 """
 
 import json
@@ -28,19 +28,19 @@ from splatrl.scenes.scene import Bounds, Scene, checked_bounds
 BLOCKS_FILE = "blocks.yaml"
 MOST_BLOCKS = 1024
 MAX_BYTES = 256 * MOST_BLOCKS
-"""Of a ``blocks.yaml``; a block takes a line of 100 bytes."""
+"""Maximum size of a ``blocks.yaml`` in bytes; each block takes a line of about 100."""
 BLOCK_KEYS = ("splat", "bounds", "world_from_splat")
 BLOCKS_KEYS = ("name", "bounds", "blocks", *(key for key in PROPOSALS if key != "free"))
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """A splat file and where it lies.
+    """A splat file and its place in the world.
 
     Attributes:
-        splat: the file.
-        bounds: lower and upper corner of the place that it shows, world, metres; Gaussians may reach beyond.
-        world_from_splat: [4, 4] float64; None where the file is in the world frame, in metres.
+        splat: the splat file.
+        bounds: lower and upper corner of the region that it covers, world frame, metres; Gaussians may extend beyond.
+        world_from_splat: [4, 4] float64; None if the file is already in the world frame, in metres.
         max_inflation: as in ``read_gaussians``.
     """
 
@@ -50,17 +50,17 @@ class Block:
     max_inflation: float = MAX_INFLATION
 
     def read(self) -> Gaussians:
-        """Its Gaussians in the world frame, read from the file each time.
+        """Read the block's Gaussians in the world frame; every call reads the file again.
 
         Raises:
-            FileNotFoundError: where the file is gone.
-            ValueError: for a damaged file.
+            FileNotFoundError: if the file no longer exists.
+            ValueError: if the file is damaged.
         """
         return read_gaussians(self.splat, self.max_inflation, self.world_from_splat)
 
     @cached_property
     def digest(self) -> str:
-        """Fingerprint of what it shows: of the file as it is, and of where it lies."""
+        """Fingerprint of the block's content: the bytes and format of its file, and its frame."""
         frame = None if self.world_from_splat is None else self.world_from_splat.tolist()
         digest = blake2b(f"{self.splat.suffix} {frame};".encode(), digest_size=16)
         with self.splat.open("rb") as stream:
@@ -70,24 +70,24 @@ class Block:
 
 
 class BlockScene(Scene):
-    """A scene whose Gaussians are in blocks, which may be larger than memory; otherwise it is as any scene.
+    """A scene whose Gaussians are stored in blocks and may exceed memory; otherwise it behaves like any scene.
 
-    ``BlockRenderer`` draws it block by block, and its occupancy is made so. What takes a scene whole, such as
-    ``ReferenceRenderer``, reads ``gaussians``.
+    ``BlockRenderer`` renders it block by block, and its occupancy grid is built the same way. Code that needs the whole
+    scene at once, such as ``ReferenceRenderer``, reads ``gaussians``.
 
     Attributes:
-        name: for captions and file names.
-        blocks: at least one; where Gaussians lie equally deep, those of the first block are in front.
-        bounds: lower and upper corner of where the scene is, metres.
-        free: None.
+        name: name of the scene, used in captions and file names.
+        blocks: at least one block; among Gaussians of equal depth, those of the earlier block are in front.
+        bounds: lower and upper corner of the scene, metres.
+        free: always None, because a scene in blocks has no record of free space.
 
     Args:
-        name: a name of a file.
-        blocks: its blocks.
-        bounds: None takes the box around those of the blocks.
+        name: a valid file name.
+        blocks: the blocks, at least one.
+        bounds: lower and upper corner, metres; None takes the box around the bounds of all blocks.
 
     Raises:
-        ValueError: for a name that is no name of a file, or no blocks.
+        ValueError: if the name is not a valid file name, or there are no blocks.
     """
 
     blocks: tuple[Block, ...]
@@ -105,17 +105,20 @@ class BlockScene(Scene):
 
     @property
     def gaussians(self) -> Gaussians:
-        """All Gaussians in one, in the order of the blocks, read each time that it is asked for."""
+        """All Gaussians in the order of the blocks; every access reads the files again."""
         return joined([read() for read in self.pieces])
 
     @property
     def pieces(self) -> Sequence[Callable[[], Gaussians]]:
-        """What reads the Gaussians of each block."""
+        """One function per block that reads its Gaussians."""
         return [block.read for block in self.blocks]
 
     @property
     def surroundings(self) -> Gaussians:
-        """The Gaussians of the blocks that are no farther from its bounds than half their longest side."""
+        """Gaussians of the blocks near the scene's bounds: at most half the bounds' longest side away.
+
+        If no block is that near, these are the Gaussians of all blocks.
+        """
         lower, upper = self.bounds
         margin = 0.5 * max(high - low for low, high in zip(lower, upper, strict=True))
         near = [
@@ -130,12 +133,12 @@ class BlockScene(Scene):
 
     @cached_property
     def digest(self) -> str:
-        """Fingerprint of all blocks, in their order."""
+        """Fingerprint of all blocks, in order."""
         return blake2b(" ".join(block.digest for block in self.blocks).encode(), digest_size=16).hexdigest()
 
 
 def joined(parts: Sequence[Gaussians]) -> Gaussians:
-    """Several Gaussians as one, in their order; harmonics of a lower degree are filled up with zeros."""
+    """Concatenate Gaussians in order; spherical harmonics of a lower degree are padded with zeros."""
     most = max(part.sh.shape[1] for part in parts)
     fields = {name: torch.cat([getattr(part, name) for part in parts]) for name in _PLAIN}
     sh = torch.cat([pad(part.sh, (0, 0, 0, most - part.sh.shape[1])) for part in parts])
@@ -146,24 +149,24 @@ _PLAIN = ("means", "quats", "scales", "opacities")
 
 
 def is_in_blocks(path: Path) -> bool:
-    """Whether a path is a folder of blocks; a ``scene.yaml`` in it has the first word."""
+    """Return whether a path is a folder of blocks; a ``scene.yaml`` in it takes precedence."""
     return (path / BLOCKS_FILE).is_file() and not (path / SCENE_FILE).is_file()
 
 
 def read_blocks(
     folder: Path, bounds: Bounds | None = None, name: str | None = None, max_inflation: float = MAX_INFLATION
 ) -> BlockScene:
-    """Open a folder of blocks, without reading any of its splats.
+    """Open a folder of blocks without reading any of its splat files.
 
     Args:
-        folder: with a ``blocks.yaml``.
-        bounds: in place of those that it states.
-        name: in place of the one that it states; by default that of the folder.
+        folder: a folder with a ``blocks.yaml``.
+        bounds: override for the bounds that the file states.
+        name: override for the name that the file states; if neither is given, the folder's name is used.
         max_inflation: as in ``read_gaussians``.
 
     Raises:
-        FileNotFoundError: where it, or a file that it names, is missing.
-        ValueError: for a ``blocks.yaml`` that is not as it should be; names the block and the key.
+        FileNotFoundError: if the ``blocks.yaml``, or a file that it names, is missing.
+        ValueError: if the ``blocks.yaml`` is invalid; the message names the block and the key.
     """
     path, stated = folder / BLOCKS_FILE, read_blocks_description(folder)
     warn_of_scale(folder, stated)
@@ -174,11 +177,11 @@ def read_blocks(
 
 
 def read_blocks_description(folder: Path) -> dict[str, Any]:
-    """Read a folder's ``blocks.yaml``: the ``BLOCKS_KEYS`` that are not null, always including ``blocks``.
+    """Read a folder's ``blocks.yaml`` and return its non-null ``BLOCKS_KEYS``, always including ``blocks``.
 
     Raises:
-        FileNotFoundError: for a folder without one.
-        ValueError: for a file that is not YAML, unknown keys or values of another type.
+        FileNotFoundError: if the folder has no ``blocks.yaml``.
+        ValueError: if the file is not YAML, or has unknown keys or values of the wrong type.
     """
     path = folder / BLOCKS_FILE
     content = read_yaml(path, MAX_BYTES)
@@ -203,14 +206,14 @@ def write_blocks(
     bounds: Bounds | None = None,
     proposals: Mapping[str, Any] | None = None,
 ) -> Path:
-    """Write the ``blocks.yaml`` of splat files in the world frame, for ``read_scene`` to read and people to edit.
+    """Write a ``blocks.yaml`` for splat files in the world frame, for ``read_scene`` to read and people to edit.
 
     Args:
-        folder: that holds the files, or will.
-        name: of the scene.
-        blocks: names of the files, and their bounds.
-        bounds: of the whole; None for the box around all blocks.
-        proposals: what the scene proposes for training in it; see ``PROPOSALS``.
+        folder: the folder that holds the files, or will.
+        name: name of the scene.
+        blocks: bounds of each block, by the name of its file.
+        bounds: bounds of the whole scene; None means the box around all blocks.
+        proposals: training settings that the scene proposes; see ``PROPOSALS``.
     """
     lines = [f"name: {json.dumps(name, ensure_ascii=False)}  # for captions and file names"]
     if bounds is not None:
@@ -229,7 +232,7 @@ def write_blocks(
 
 
 def _block(folder: Path, number: int, entry: object, max_inflation: float) -> Block:
-    """One entry of ``blocks``."""
+    """Parse one entry of ``blocks``."""
     where = f"{folder / BLOCKS_FILE}: blocks[{number}]"
     if not isinstance(entry, dict):
         raise ValueError(f"{where}: expected the keys {', '.join(BLOCK_KEYS)}, got {entry!r:.80}")
@@ -262,7 +265,7 @@ def _rounded(bounds: Bounds) -> str:
 
 
 def _around(blocks: Sequence[Block]) -> Bounds:
-    """The box around all blocks."""
+    """Return the bounding box of all blocks."""
     x, y, z = (
         (min(block.bounds[0][axis] for block in blocks), max(block.bounds[1][axis] for block in blocks))
         for axis in range(3)

@@ -1,4 +1,4 @@
-"""A cache of arrays on disk: everything in it can be rebuilt."""
+"""A disk cache of arrays, all of which can be rebuilt."""
 
 import functools
 import math
@@ -16,26 +16,27 @@ from splatrl.array_files import Arrays, read_arrays
 from splatrl.files import cache_dir, replacing
 
 GIGABYTES = 16.0
-"""That the cache may hold, unless $SPLATRL_CACHE_GB says something else."""
+"""Maximum size of the cache in gigabytes, unless $SPLATRL_CACHE_GB sets another one."""
 DAY = 24 * 3600.0
-"""Seconds for which a file that was used is kept, whatever the cache holds."""
+"""Seconds for which a file is kept after its last use, even if the cache exceeds its limit."""
 
 
 def cached_arrays(name: str, build: Callable[[], Arrays], most: int | None = None) -> Arrays:
     """Load the arrays cached under a name, or build them and cache them.
 
-    A damaged file is rebuilt, with a warning. Where the folder cannot be written to, one warning is given and nothing
-    is cached. Where the cache holds more than ``GIGABYTES``, or $SPLATRL_CACHE_GB, those of its arrays that were used
-    longest ago are removed, of those that were not used for a day.
+    A damaged file is rebuilt, with a warning. If the folder is not writable, one warning is given and nothing is
+    cached. If the cache exceeds ``GIGABYTES``, or $SPLATRL_CACHE_GB, the least recently used arrays are removed, except
+    those used within the last day.
 
     Args:
-        name: of the file, without its extension; it ends with a digest of everything that the arrays are made from, 32
-            digits and letters.
-        build: makes the arrays.
-        most: bytes of the arrays at most, for a file that is compressed on disk; None for one that is not.
+        name: file name without its extension; it ends with a digest of everything that the arrays are made from, 32
+            hexadecimal digits.
+        build: callback that builds the arrays.
+        most: maximum total size of the arrays in bytes, for a file that is compressed on disk; None for an uncompressed
+            file.
 
     Raises:
-        ValueError: for a $SPLATRL_CACHE_GB that is no number from 0 on.
+        ValueError: if $SPLATRL_CACHE_GB is not a number of at least 0.
     """
     path = cache_dir() / f"{name}.npz"
     try:
@@ -59,18 +60,18 @@ def cached_arrays(name: str, build: Callable[[], Arrays], most: int | None = Non
 
 
 def _mark_used(path: Path) -> None:
-    """Let a file have been changed today: many systems do not note when a file was read."""
+    """Update a file's modification time, which records its last use: many systems do not track access times."""
     with suppress(OSError):
         if time.time() - path.stat().st_mtime > DAY / 2:
             os.utime(path)
 
 
 _unseen = math.inf
-"""Bytes that this process has written since it looked at what the cache holds."""
+"""Bytes written by this process since it last measured the cache."""
 
 
 def _make_room(folder: Path, written: int) -> None:
-    """Remove arrays beyond what the cache may hold; looks at it now and then, as it may hold many files."""
+    """Remove arrays beyond the cache's limit; the folder is scanned only now and then, as it may hold many files."""
     global _unseen
     limit = _limit()
     _unseen += written
@@ -78,7 +79,7 @@ def _make_room(folder: Path, written: int) -> None:
         return
     _unseen = 0.0
     files = []
-    for path in folder.glob(f"*-{'[0-9a-f]' * 32}.npz"):  # named by a digest, as all that is made here
+    for path in folder.glob(f"*-{'[0-9a-f]' * 32}.npz"):  # named by a digest, as are all files written here
         with suppress(FileNotFoundError):
             known = path.stat()
             files.append((known.st_mtime, known.st_size, path))
@@ -91,7 +92,7 @@ def _make_room(folder: Path, written: int) -> None:
 
 
 def _limit() -> float:
-    """Bytes that the cache may hold."""
+    """Return the maximum size of the cache in bytes."""
     text = os.environ.get("SPLATRL_CACHE_GB") or str(GIGABYTES)
     try:
         limit = 1e9 * float(text)

@@ -1,4 +1,4 @@
-"""``scene.yaml``, the file that says where a splat lies in the world: reading and writing it."""
+"""Reads and writes ``scene.yaml``, the file that states where a splat lies in the world."""
 
 import json
 import math
@@ -16,9 +16,9 @@ from splatrl.scenes.scene import Bounds
 
 SCENE_FILE = "scene.yaml"
 SPLAT, SMALL_SPLAT = "splat.ply", "splat.spz"
-"""Names of the splat file in a folder that splatrl writes whole."""
+"""Names of the splat file in a scene folder that splatrl creates, as PLY and as SPZ."""
 PATH = "path.ply"
-"""Name of a point cloud in a captured folder: where the camera was at each image, in order, world, metres."""
+"""Name of the point cloud in a captured scene's folder: the camera position of each image, in order, world, metres."""
 SCENE_KEYS = ("splat", "name", "world_from_splat", "bounds", *PROPOSALS)
 COMMENTS = {
     "axes": "the file's axis that becomes the world's x, y and z (up)",
@@ -41,11 +41,12 @@ COMMENTS = {
 
 
 def read_description(folder: Path) -> dict[str, Any]:
-    """Read a folder's ``scene.yaml``: the ``SCENE_KEYS`` that are not null, always including ``splat``.
+    """Read a folder's ``scene.yaml`` and return its non-null ``SCENE_KEYS``, always including ``splat``.
 
     Raises:
-        FileNotFoundError: for a folder without a ``scene.yaml``.
-        ValueError: for a file that is not YAML, unknown keys or values of another type; names the file and the key.
+        FileNotFoundError: if the folder has no ``scene.yaml``.
+        ValueError: if the file is not YAML, or has unknown keys or values of the wrong type; the message names the file
+            and the key.
     """
     path = folder / SCENE_FILE
     if not path.is_file():
@@ -74,19 +75,19 @@ def write_description(
     force: bool = False,
     proposals: Mapping[str, Any] | None = None,
 ) -> Path:
-    """Write a ``scene.yaml`` for ``read_scene`` to read and people to edit, with a comment on every line.
+    """Write a ``scene.yaml`` for ``read_scene`` to read and people to edit, with comments on its keys.
 
     Args:
-        folder: to write to; it exists.
+        folder: an existing folder to write to.
         splat: name of the splat file, which is in this folder or will be.
-        name: of the scene.
-        frame: arguments of ``similarity``.
-        bounds: lower and upper corner, world, metres.
+        name: name of the scene.
+        frame: arguments of ``similarity`` by name.
+        bounds: lower and upper corner, world frame, metres.
         force: whether to overwrite an existing file.
         proposals: keys of ``PROPOSALS`` and their values; None proposes nothing.
 
     Raises:
-        FileExistsError: for an existing file, without ``force``.
+        FileExistsError: if the file exists and ``force`` is not set.
         ValueError: for proposals that ``read_description`` would refuse.
     """
     path = folder / SCENE_FILE
@@ -114,25 +115,25 @@ def write_description(
 
 
 def _decimals(bounds: Bounds) -> int:
-    """Decimals that tell a ten-thousandth of the longest side, wherever the scene is."""
+    """Return how many decimals resolve a ten-thousandth of the longest side, wherever the scene lies."""
     longest = max(high - low for low, high in zip(*bounds, strict=True))
     return 4 - math.floor(math.log10(longest)) if longest > 0.0 else 0
 
 
 def scene_folder(out: Path) -> tuple[Path, str]:
-    """The folder of a scene and the name of its splat file, by an ``--out`` that may ask for a small one.
+    """Return a scene's folder and the name of its splat file for an ``--out``, which may ask for the smaller SPZ.
 
     Args:
-        out: such as ``garden`` or ``garden.spz``, for which the folder is ``garden`` too.
+        out: a path such as ``garden`` or ``garden.spz``; the folder is ``garden`` in both cases.
     """
     return (out.with_suffix(""), SMALL_SPLAT) if out.suffix == ".spz" else (out, SPLAT)
 
 
 def check_absent(folder: Path, force: bool) -> None:
-    """Refuse to write over a ``scene.yaml`` unless told to.
+    """Refuse to overwrite an existing ``scene.yaml`` unless ``force`` is set.
 
     Raises:
-        FileExistsError: for an existing file, without ``force``.
+        FileExistsError: if the file exists and ``force`` is not set.
     """
     if (folder / SCENE_FILE).exists() and not force:
         raise FileExistsError(

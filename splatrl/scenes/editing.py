@@ -1,4 +1,4 @@
-"""Changes single values of a ``scene.yaml``, and leaves the rest of the file as it stands."""
+"""Changes individual values of a ``scene.yaml`` and leaves the rest of the file untouched."""
 
 import errno
 import json
@@ -19,19 +19,20 @@ from splatrl.scenes.scene import checked_bounds
 def edit_description(
     folder: Path, changes: Mapping[str, Any], check: Callable[[Mapping[str, Any]], object] = lambda stated: None
 ) -> Path:
-    """Write values into a folder's ``scene.yaml``; other lines and all comments stay, and the file changes at once.
+    """Set values in a folder's ``scene.yaml`` atomically, keeping all other lines and all comments.
 
-    Its line ends and permissions stay as well, and where it is a link, what it leads to is written.
+    Line endings and permissions are kept as well. If the file is a symbolic link, its target is written.
 
     Args:
         folder: a scene's folder.
-        changes: values of ``bounds`` and of ``PROPOSALS``, by key.
-        check: refuses what the file would say, by a ``ValueError``; the file then stays as it was.
+        changes: new values of ``bounds`` and of the keys of ``PROPOSALS``, by key.
+        check: callback that receives everything the changed file would state and may refuse it with a ``ValueError``;
+            the file is then left as it was.
 
     Raises:
-        FileNotFoundError: for a folder without a ``scene.yaml``.
-        PermissionError: for a file that is read-only.
-        ValueError: for values that ``read_scene`` would refuse, or a file that has not a line for each key.
+        FileNotFoundError: if the folder has no ``scene.yaml``.
+        PermissionError: if the file is read-only.
+        ValueError: for values that ``read_scene`` would refuse, or a file that does not have one line per key.
     """
     path, stated = folder / SCENE_FILE, read_description(folder)
     wanted = {**stated, **changes}
@@ -40,7 +41,7 @@ def edit_description(
         checked_bounds(changes["bounds"])
     check(wanted)
     place = path.resolve()
-    if not (os.access(place, os.W_OK) and place.stat().st_mode & 0o222):  # its folder would let it be replaced
+    if not (os.access(place, os.W_OK) and place.stat().st_mode & 0o222):  # a writable folder would allow replacing it
         raise PermissionError(errno.EACCES, "cannot write: it is read-only", str(path))
     text = place.read_bytes().decode("utf-8")
     ends = "\r\n" if "\r\n" in text else "\n"
@@ -57,7 +58,7 @@ def edit_description(
 
 
 def _with(text: str, key: str, value: str) -> str:
-    """A YAML text with a line for a key, in place of those that it had."""
+    """Return a YAML text in which one line sets a key, in place of the lines that set it before."""
     of_key = rf"^{key}:(?P<old>[^#\n]*)(?P<comment>#[^\n]*)?\n?(?P<more>(?:[ \t-][^\n]*(?:\n|$))*)"
     found = re.search(of_key, text, re.MULTILINE)
     if found is None:
@@ -65,12 +66,12 @@ def _with(text: str, key: str, value: str) -> str:
         comment = f"  # {COMMENTS[key]}" if key in COMMENTS else ""
         return f"{text}{end}{key}: {value}{comment}\n"
     comment = f"  {found['comment']}" if found["comment"] else ""
-    within = "".join(f"  {each}\n" for each in re.findall(r"#.*", found["more"]))  # of the lines that become one
+    within = "".join(f"  {each}\n" for each in re.findall(r"#.*", found["more"]))  # comments of the replaced lines
     return f"{text[: found.start()]}{key}: {value}{comment}\n{within}{text[found.end() :]}"
 
 
 def _says(path: Path, wanted: Mapping[str, Any]) -> bool:
-    """Whether a file says just this."""
+    """Return whether a file states exactly the wanted values."""
     try:
         content = read_yaml(path)
     except ValueError:

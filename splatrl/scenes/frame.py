@@ -9,17 +9,17 @@ AXES = {f"{sign}{axis}": (i, value) for i, axis in enumerate("xyz") for sign, va
 
 
 FRAME_KEYS = ("axes", "scale", "translation", "matrix")
-"""Arguments of ``similarity``."""
+"""Names of the arguments of ``similarity``."""
 
 
 def stated_similarity(stated: object) -> Tensor | None:
-    """The similarity that a file states by the arguments' names; None where it states nothing.
+    """Build the similarity that a file states as arguments of ``similarity`` by name; None if it states nothing.
 
     Args:
-        stated: keys and values; null stands for the default, and for no keys.
+        stated: keys and values, or None for no keys; a value of None stands for the default.
 
     Raises:
-        ValueError: for other keys, and as by ``similarity``.
+        ValueError: for unknown keys, and as in ``similarity``.
     """
     if stated is not None and not isinstance(stated, Mapping):
         raise ValueError(f"world_from_splat: expected keys and values, got {stated!r:.80}")
@@ -43,7 +43,7 @@ def similarity(
             ``["x", "z", "-y"]`` a −y-up one.
         scale: metres per splat unit, above 0.
         translation: [3] metres, added last.
-        matrix: [4, 4], in place of the other three.
+        matrix: [4, 4], in place of the other three arguments.
 
     Returns:
         [4, 4] float64, from splat coordinates to world metres.
@@ -73,7 +73,7 @@ def similarity(
 
 
 def checked_similarity(matrix: Sequence[Sequence[float]] | Tensor) -> Tensor:
-    """Return a 4×4 similarity as float64; a ValueError says why a matrix is not one."""
+    """Return a 4×4 similarity as float64, or raise a ValueError that says why the matrix is not one."""
     if not isinstance(matrix, Tensor) and not (_is_list(matrix, 4) and all(_is_list(row, 4) for row in matrix)):
         raise ValueError(f"world_from_splat.matrix: expected 4 rows of 4, got {matrix!r:.80}")
     rows = matrix if isinstance(matrix, Tensor) else [[_number("matrix", v) for v in row] for row in matrix]
@@ -97,7 +97,7 @@ def checked_similarity(matrix: Sequence[Sequence[float]] | Tensor) -> Tensor:
 
 
 def _is_list(values: object, count: int) -> bool:
-    """Whether something is a list of so many values, and not a text."""
+    """Return whether a value is a sequence of ``count`` items and not a string."""
     return isinstance(values, Sequence) and not isinstance(values, str) and len(values) == count
 
 

@@ -1,4 +1,4 @@
-"""The Gaussians of a scene, with their values activated."""
+"""The Gaussians of a scene, with activated values."""
 
 import warnings
 
@@ -10,16 +10,16 @@ from splatrl.geometry import multiply_quats, quats_to_rotations, rotations_to_qu
 from splatrl.spherical_harmonics import rotate_sh, sh_degree
 
 INVISIBLE = 1.0 / 255.0
-"""A Gaussian of lower opacity cannot change an image: renderers skip every alpha below it."""
+"""Minimum visible opacity: renderers skip every alpha below it, so fainter Gaussians cannot change an image."""
 BLOCK = 1 << 16
-"""Rows that are looked at together: Ctrl-C is answered between them, and memory stays small."""
+"""Rows processed per batch: this bounds memory and lets Ctrl-C take effect between batches."""
 
 
 class Gaussians(TensorClass):
     """N anisotropic Gaussians (Kerbl et al. 2023), with activated values where files store logs and logits.
 
     Attributes:
-        means: [N, 3] float32, metres once in the world frame.
+        means: [N, 3] float32, metres if in the world frame.
         quats: [N, 4] float32, wxyz, unit.
         scales: [N, 3] float32, standard deviations along the Gaussian's own axes, metres, above 0.
         opacities: [N] float32 in [0, 1].
@@ -38,20 +38,20 @@ class Gaussians(TensorClass):
         return sh_degree(self.sh.shape[-2])
 
     def covariances(self) -> Tensor:
-        """Covariance of each Gaussian: [N, 3, 3], square metres."""
+        """Return the covariance of each Gaussian: [N, 3, 3], square metres."""
         axes = quats_to_rotations(self.quats) * self.scales.unsqueeze(-2)
         return axes @ axes.mT
 
     def transformed(self, transform: Tensor) -> "Gaussians":
-        """The same Gaussians in another frame; their spherical harmonics rotate with them.
+        """Transform the Gaussians to another frame; their spherical harmonics rotate with them.
 
-        Means that are more precise than all else, as those of a file with doubles, are rounded after they moved.
+        Means of higher precision than the other values, as from a file with doubles, are rounded after the transform.
 
         Args:
             transform: [4, 4], a rotation, a uniform positive scale and a translation.
 
         Raises:
-            ValueError: where the upper left 3×3 is not a scaled rotation.
+            ValueError: if the upper left 3×3 block is not a scaled rotation.
         """
         matrix = transform.double().cpu()
         scale = matrix[:3, :3].det().sign() * matrix[:3, :3].det().abs() ** (1 / 3)
@@ -72,21 +72,21 @@ class Gaussians(TensorClass):
 def checked_gaussians(
     source: str, means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor
 ) -> Gaussians:
-    """Make Gaussians from outside values: shapes checked, quaternions normalised, unusable rows dropped.
+    """Build Gaussians from external values: check shapes, normalise quaternions and drop unusable rows.
 
     Rows with a non-finite value, a zero quaternion, a scale that is not positive or an opacity below 1/255 (which no
     renderer shows) are left out, with one warning that counts them.
 
     Args:
-        source: what the values came from, for the messages.
-        means: [N, 3]; doubles stay doubles, to be ``transformed`` before they are rounded.
-        quats: [N, 4] wxyz, any length.
+        source: origin of the values, for error messages.
+        means: [N, 3]; doubles stay doubles, so that they can be ``transformed`` before they are rounded.
+        quats: [N, 4] wxyz, of any length.
         scales: [N, 3] metres.
         opacities: [N].
         sh: [N, K, 3].
 
     Raises:
-        ValueError: for inconsistent shapes, a wrong number of harmonics, or when no row is usable.
+        ValueError: for inconsistent shapes, a wrong number of harmonics, or if no row is usable.
     """
     count = means.shape[0]
     if not count:
@@ -127,5 +127,5 @@ def checked_gaussians(
 
 
 def _finite(values: Tensor) -> Tensor:
-    """Which rows hold finite numbers only: [N, D] -> [N] bool."""
+    """Return a mask of the rows that hold only finite numbers: [N, D] -> [N] bool."""
     return torch.cat([block.isfinite().all(1) for block in values.split(BLOCK)])

@@ -1,4 +1,4 @@
-"""Flat layers of a scene: planes that much of its surface lies near."""
+"""Flat layers of a scene: planes near which much of its surface lies."""
 
 from dataclasses import dataclass
 
@@ -9,13 +9,13 @@ Floats = NDArray[np.float64]
 
 _DIRECTIONS = 500
 ALIGNED = 0.8
-"""Cosine, times flatness, above which a Gaussian lies flat in a layer."""
+"""Cosine to the layer's normal, times flatness, above which a Gaussian counts as lying flat in the layer."""
 _LOOSE = 0.3
-"""Weight of a Gaussian that is in a layer but does not lie flat in it."""
+"""Weight factor of a Gaussian that is in a layer but does not lie flat in it."""
 _APART = np.cos(np.radians(30.0))
 _RIVALS = 5
 _CONES = (15.0, 15.0, 10.0, 10.0, 6.0, 6.0, 6.0)
-"""Degrees around up, and around what lies across it, in which normals count; narrower as up becomes known."""
+"""Degrees from up, or from perpendicular to it, within which normals count: narrower with each iteration."""
 _LEANS = np.cos(np.radians(15.0))
 _ASTRAY = np.cos(np.radians(3.0))
 _KEPT = 0.9
@@ -29,9 +29,9 @@ class Layer:
 
     Attributes:
         normal: [3] unit vector; its sign has no meaning.
-        height: of the plane along the normal.
-        thickness: points within this distance on either side belong to the layer.
-        weight: share of the total weight that lies in the layer; Gaussians that are not flat in it count less.
+        height: height of the plane along the normal.
+        thickness: distance from the plane, on either side, within which points belong to the layer.
+        weight: fraction of the total weight that lies in the layer; Gaussians that are not flat in it count less.
     """
 
     normal: Floats
@@ -41,13 +41,13 @@ class Layer:
 
 
 def heavy_layers(points: Floats, normals: Floats, weights: Floats, thickness: float) -> list[Layer]:
-    """The layers with the most weight over all directions, the heaviest first, with normals at least 30° apart.
+    """Return the heaviest layers over all directions, heaviest first, with normals at least 30° apart.
 
     Args:
-        points: [N, 3].
-        normals: [N, 3]; the length, 0 to 1, says how flat a Gaussian is.
-        weights: [N], summing to 1.
-        thickness: of the layers.
+        points: [N, 3] means of the Gaussians.
+        normals: [N, 3] normals of the Gaussians; their length, 0 to 1, is the flatness.
+        weights: [N] weights of the Gaussians, summing to 1.
+        thickness: thickness of the layers on either side of their planes.
     """
     directions = np.concatenate([np.eye(3), _hemisphere(_DIRECTIONS)])
     layers = [layer_at(points, normals, weights, direction, thickness) for direction in directions]
@@ -59,14 +59,14 @@ def heavy_layers(points: Floats, normals: Floats, weights: Floats, thickness: fl
 
 
 def layer_at(points: Floats, normals: Floats, weights: Floats, normal: Floats, thickness: float) -> Layer:
-    """The heaviest layer with a given normal; arguments as for ``heaviest_layer``."""
+    """Return the heaviest layer with a given normal; the other arguments are as in ``heavy_layers``."""
     heights = points @ normal
     flat = np.abs(normals @ normal) > ALIGNED
     mass = weights * np.where(flat, 1.0, _LOOSE)
     low, high = np.quantile(heights, [0.002, 0.998]) if len(heights) > 2 else (heights.min(), heights.max())
     inside = (heights >= low) & (heights <= high)
-    bins = np.floor((heights[inside] - low) / thickness * 2).astype(np.int64)  # half a thickness each
-    sums = np.convolve(np.bincount(bins, mass[inside]), np.ones(4))  # both sides of the plane
+    bins = np.floor((heights[inside] - low) / thickness * 2).astype(np.int64)  # bins of half a thickness
+    sums = np.convolve(np.bincount(bins, mass[inside]), np.ones(4))  # four bins cover both sides of the plane
     best = int(sums.argmax())  # the sum over bins best - 3 … best
     center = low + (best - 1) * 0.5 * thickness
     within = np.abs(heights - center) <= thickness
@@ -79,12 +79,12 @@ def layer_at(points: Floats, normals: Floats, weights: Floats, normal: Floats, t
 
 
 def leaning_layer(points: Floats, normals: Floats, weights: Floats, layer: Layer) -> Layer:
-    """Lean a layer by at most 15°, so that the flat lies in it, the upright stands on it and its points are a plane.
+    """Tilt a layer by at most 15° so that it fits flat surfaces, upright surfaces and the plane of its points.
 
-    First come the normals: up is the direction along which those of the floor point and across which those of the
-    walls do, the smallest eigenvector of the difference of their scatter matrices. Then a plane is fitted to the flat
-    Gaussians of the layer, which is finer, and is dropped where it leans away from what the normals say. Neither may
-    cost the layer much of its weight.
+    First come the normals: up is the direction to which those of the floor are parallel and those of the walls are
+    perpendicular, the smallest eigenvector of the difference of their scatter matrices. Then a plane is fitted to the
+    flat Gaussians of the layer, which is more precise; it is discarded if it tilts away from what the normals say.
+    Neither step may cost the layer much of its weight.
     """
     for lean in (_between(normals, weights, layer.normal), None):
         normal = _plane(points, normals, weights, layer) if lean is None else lean
@@ -95,7 +95,7 @@ def leaning_layer(points: Floats, normals: Floats, weights: Floats, layer: Layer
 
 
 def _between(normals: Floats, weights: Floats, up: Floats) -> Floats:
-    """The direction near ``up`` that surfaces lie across or along: [3]."""
+    """Return the direction near ``up`` to which most surfaces are perpendicular or parallel: [3]."""
     flatness = np.linalg.norm(normals, axis=1)
     directions, mass = normals / np.maximum(flatness, 1e-9)[:, None], weights * flatness
     start = up
@@ -112,7 +112,7 @@ def _between(normals: Floats, weights: Floats, up: Floats) -> Floats:
 
 
 def _plane(points: Floats, normals: Floats, weights: Floats, layer: Layer) -> Floats | None:
-    """Normal of the plane through a layer's flat points; None where there are too few, or it leans away."""
+    """Return the normal of a plane fitted to a layer's flat points, unless they are too few or in line, or it tilts."""
     normal, height = layer.normal, layer.height
     for shrink in (1.0, 0.5, 0.25, 0.25):
         within = np.abs(points @ normal - height) <= shrink * layer.thickness
@@ -122,7 +122,7 @@ def _plane(points: Floats, normals: Floats, weights: Floats, layer: Layer) -> Fl
         middle = np.average(points[within], axis=0, weights=weights[within])
         offsets = points[within] - middle
         spread, axes = np.linalg.eigh((offsets * weights[within, None]).T @ offsets)
-        if spread[1] < _SLENDER * spread[2]:  # a line leans anyhow
+        if spread[1] < _SLENDER * spread[2]:  # a line does not determine a plane
             return None
         normal = axes[:, 0] * (np.sign(axes[:, 0] @ layer.normal) or 1.0)
         height = float(middle @ normal)
@@ -132,7 +132,7 @@ def _plane(points: Floats, normals: Floats, weights: Floats, layer: Layer) -> Fl
 
 
 def _hemisphere(count: int) -> Floats:
-    """Evenly spread directions on half a sphere (a Fibonacci lattice): [count, 3]."""
+    """Return evenly spread directions on a hemisphere (a Fibonacci lattice): [count, 3]."""
     z = (np.arange(count) + 0.5) / count
     turn = np.pi * (1 + 5**0.5) * np.arange(count)
     radius = np.sqrt(1 - z**2)

@@ -1,6 +1,6 @@
-"""What nerfstudio leaves beside a splat that it trained: how it moved the cameras, and how it drew.
+"""Reads what nerfstudio leaves beside a splat that it trained: how it moved the cameras, and how it rendered.
 
-``config.yml`` is YAML with Python's tags, which a loader would run: one value is found in it as text.
+``config.yml`` is YAML with Python tags, which a loader would execute, so the one value needed is searched for as text.
 """
 
 import re
@@ -12,32 +12,32 @@ from splatrl.scenes.placement import nerfstudio_transform
 
 DATAPARSER, CONFIG = "dataparser_transforms.json", "config.yml"
 MAX_BYTES = 2**20
-"""Of ``config.yml``; real ones have a hundredth of it."""
+"""Maximum number of bytes read from ``config.yml``; real files have about a hundredth of that."""
 RASTERIZE_MODE = re.compile(r"""^\s*rasterize_mode:\s*['"]?(antialiased|classic)['"]?\s*$""", re.MULTILINE)
 UPRIGHT = 0.7
-"""Least cosine between the world's z and what nerfstudio took for up."""
+"""Minimum cosine between the world's z and nerfstudio's up."""
 
 
 def transform_beside(splat: Path) -> Tensor | None:
-    """``world_from_splat`` by the ``dataparser_transforms.json`` beside a splat file.
+    """Read ``world_from_splat`` from the ``dataparser_transforms.json`` beside a splat file.
 
     Args:
-        splat: the file.
+        splat: the splat file.
 
     Returns:
-        [4, 4] float64; None where there is no such file.
+        [4, 4] float64; None if there is no such JSON file.
 
     Raises:
-        ValueError: for one that is damaged.
+        ValueError: if the JSON file is damaged.
     """
     path = splat.parent / DATAPARSER
     return nerfstudio_transform(path) if path.is_file() else None
 
 
 def stands(world_from_splat: Tensor) -> bool:
-    """Whether what nerfstudio took for up, +z of the splat, is about the world's up too.
+    """Return whether nerfstudio's up, which is +z of the splat, is roughly the world's up too.
 
-    It is not where the cameras' own frame was not z up, as COLMAP's and Record3D's are not.
+    It is not if the cameras' own frame was not z-up, as with COLMAP and Record3D.
 
     Args:
         world_from_splat: [4, 4].
@@ -46,10 +46,10 @@ def stands(world_from_splat: Tensor) -> bool:
 
 
 def antialiased_beside(splat: Path) -> bool | None:
-    """Whether a splat was trained antialiased, by the ``config.yml`` beside its file; None where that does not say.
+    """Return whether a splat was trained antialiased, by the ``config.yml`` beside it; None if that does not say.
 
     Args:
-        splat: the file.
+        splat: the splat file.
     """
     path = splat.parent / CONFIG
     if not path.is_file():

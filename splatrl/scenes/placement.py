@@ -1,4 +1,4 @@
-"""Where a splat file lies in the world: from a guess, from nerfstudio, from a known distance."""
+"""Places a splat file in the world: from a guess, from nerfstudio's transform, or from a known distance."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,9 +14,9 @@ from splatrl.scenes.frame import AXES, checked_similarity, similarity
 from splatrl.scenes.upright import Upright, axis_name
 
 MOST_BYTES = 2**20
-"""Of nerfstudio's file, which holds 13 numbers."""
+"""Maximum size of nerfstudio's file in bytes; it holds 13 numbers."""
 Frame = dict[str, Any]
-"""Arguments of ``similarity`` by name, as YAML can write them."""
+"""Arguments of ``similarity`` by name, in types that YAML can write."""
 
 STANDING = {
     "x": ["y", "z", "x"],
@@ -35,12 +35,12 @@ def upright_frame(
     scale: float | None = None,
     translation: Sequence[float] | None = None,
 ) -> Frame:
-    """Stand a file upright with its floor at z = 0.
+    """Return the frame that stands a file upright with its floor at z = 0.
 
     Args:
         upright: how the file lies; the other arguments override it.
         axes: signed axes of the file that become the world's, as for ``similarity``.
-        scale: metres per unit.
+        scale: metres per unit of the file.
         translation: [3] metres, added last.
     """
     scale = _rounded(upright.metres_per_unit) if scale is None else scale
@@ -55,29 +55,30 @@ def upright_frame(
 
 
 def matrix_frame(transform: Tensor | ArrayLike) -> Frame:
-    """The frame of a 4×4 similarity, with numbers short enough to read."""
+    """Return the frame of a 4×4 similarity, with numbers rounded for reading."""
     matrix = checked_similarity(torch.as_tensor(np.asarray(transform, np.float64)))
     rows = [[*(_rounded(value, 8) for value in row[:3]), _rounded(row[3], 12)] for row in matrix.tolist()]
     return {"matrix": rows}
 
 
 def nerfstudio_transform(path: Path) -> Tensor:
-    """``world_from_splat`` of a scene that nerfstudio trained: back to the frame of the cameras that it was given.
+    """Read ``world_from_splat`` of a scene trained by nerfstudio: the transform back to the frame of its input cameras.
 
     The file ``dataparser_transforms.json`` beside a trained model holds ``transform`` [R | t] (3×4, a rotation and a
-    shift) and ``scale`` s. Nerfstudio moved the cameras, and with them all that it trained, by
-    x_splat = s · (R x + t), so x = Rᵀ (x_splat / s − t). That frame is metric and z up if the cameras' was, as it
-    is for phones (Polycam, Record3D); COLMAP's has a scale and an up direction of its own.
+    shift) and ``scale`` s. Nerfstudio moved the cameras, and with them everything that it trained, by
+    x_splat = s · (R x + t), so x = Rᵀ (x_splat / s − t). The result is metric and z-up if the cameras' frame was. The
+    frames of phones are metric, and Polycam's is z-up as well, but Record3D's is not; COLMAP's has a scale and an up
+    direction of its own.
 
     Args:
-        path: of the JSON file.
+        path: the JSON file.
 
     Returns:
         [4, 4] float64.
 
     Raises:
-        FileNotFoundError: where there is no such file.
-        ValueError: for a file that is not JSON or lacks such a transform and scale.
+        FileNotFoundError: if there is no such file.
+        ValueError: if the file is not JSON or lacks a valid transform and scale.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: expected nerfstudio's dataparser_transforms.json, found no file")
@@ -104,12 +105,12 @@ def nerfstudio_transform(path: Path) -> Tensor:
 
 
 def metres_per_unit(start: Sequence[float], end: Sequence[float], metres: float) -> float:
-    """Scale from a distance that someone measured.
+    """Return the scale that a measured distance implies.
 
     Args:
         start: [3] a point in the file's coordinates.
-        end: [3] another.
-        metres: how far apart they are.
+        end: [3] another point in the file's coordinates.
+        metres: measured distance between the two points.
 
     Raises:
         ValueError: for points that coincide, values that are not finite, or a distance that is not above 0.
@@ -124,14 +125,14 @@ def metres_per_unit(start: Sequence[float], end: Sequence[float], metres: float)
 
 
 def rescaled(transform: Tensor, scale: float) -> Tensor:
-    """Rescale a similarity about the world's origin, so that it has this many metres per file unit."""
+    """Rescale a similarity about the world's origin so that it has ``scale`` metres per file unit."""
     result = transform.clone()
     result[:3] *= scale / float(transform[:3, 0].norm())
     return result
 
 
 def floor_height(upright: Upright, world_from_splat: Tensor) -> float:
-    """Height of the floor once the file has been placed.
+    """Return the height of the floor once the file has been placed.
 
     Args:
         upright: how the file lies.
@@ -145,7 +146,7 @@ def floor_height(upright: Upright, world_from_splat: Tensor) -> float:
 
 
 def _standing(up: ArrayLike) -> NDArray[np.float64]:
-    """The rotation that turns ``up`` to +z: the one for the nearest axis, then the smallest rotation that remains."""
+    """Return the rotation that turns ``up`` to +z: the one for the nearest axis, then the smallest remaining one."""
     direction = np.asarray(up, np.float64)
     nearest = min(AXES, key=lambda name: -direction[AXES[name][0]] * AXES[name][1])
     coarse = similarity(STANDING[nearest])[:3, :3].numpy()

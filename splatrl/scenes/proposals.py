@@ -1,4 +1,4 @@
-"""What a ``scene.yaml`` proposes for training in its scene: which keys there are, and what their values must be."""
+"""Training settings that a ``scene.yaml`` can propose for its scene: their keys and valid values."""
 
 import math
 import warnings
@@ -8,14 +8,14 @@ from typing import Any
 
 
 def check_proposals(source: object, stated: Mapping[str, Any]) -> None:
-    """Refuse values that are not of their key's kind; other keys are left alone.
+    """Refuse values that are invalid for their key; keys that are not in ``PROPOSALS`` are ignored.
 
     Args:
-        source: what they came from, for the messages.
+        source: origin of the values, for error messages.
         stated: keys and values of a ``scene.yaml``; none is null.
 
     Raises:
-        ValueError: names the key, what was expected and what came.
+        ValueError: if a value is invalid; the message names the key, what was expected and what came.
     """
     for key, (expected, fits) in PROPOSALS.items():
         if key in stated and not fits(stated[key]):
@@ -23,7 +23,7 @@ def check_proposals(source: object, stated: Mapping[str, Any]) -> None:
 
 
 def warn_of_scale(place: Path, stated: Mapping[str, Any]) -> None:
-    """Warn of a place that says ``metric: false``."""
+    """Warn about a scene that states ``metric: false``."""
     if stated.get("metric") is False:
         warnings.warn(f"{place}: not metric: nothing told its scale, so its lengths are not metres", stacklevel=3)
 
@@ -69,4 +69,4 @@ PROPOSALS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "metric": ("true or false", lambda value: isinstance(value, bool)),
     "quality": ("names of figures with a number, text, true or false each", _figures),
 }
-"""For each key, what it takes in words, and whether a value is that."""
+"""For each key, its valid values in words, and a function that tests whether a value is valid."""

@@ -1,4 +1,4 @@
-"""A scene: Gaussians in a metric world frame, where they are, and what has been derived from them."""
+"""A scene: Gaussians in a metric world frame, their bounds, and cached arrays derived from them."""
 
 import json
 import math
@@ -21,19 +21,19 @@ Bounds = tuple[Point, Point]
 """Lower and upper corner, world, metres."""
 
 OPAQUE = 0.5
-TRIM = 0.005  # share of the opaque Gaussians outside the bounds at each end of each axis: floaters
+TRIM = 0.005  # fraction of the opaque Gaussians cut off at each end of each axis as floaters
 
 CACHE_VERSION = 1
-"""Part of every cache key: raise it when what is cached under the same settings changes meaning."""
+"""Part of every cache key; increase it when the arrays cached under the same settings change meaning."""
 
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """Voxels that are free although Gaussians fill them: cameras saw through their haze.
+    """Voxels that are free although Gaussians fill them, because cameras saw through the haze there.
 
     Attributes:
-        path: a point cloud of their centres, world, metres.
-        voxel_size: their edge, metres.
+        path: point cloud of the voxels' centres, world frame, metres.
+        voxel_size: edge of a voxel, metres.
     """
 
     path: Path
@@ -45,13 +45,13 @@ class Scene:
     """Gaussians in the world frame (right-handed, z up, metres).
 
     Attributes:
-        name: for captions and file names.
+        name: name of the scene, used in captions and file names.
         gaussians: N Gaussians.
-        bounds: lower and upper corner of where the scene is, metres.
-        free: what is not solid in it, whatever its Gaussians say; None where nothing is known.
+        bounds: lower and upper corner of the scene, metres.
+        free: space that is not solid, whatever its Gaussians suggest; None if nothing is known about it.
 
     Raises:
-        ValueError: for a name that is no name of a file.
+        ValueError: if the name is not a valid file name.
     """
 
     name: str
@@ -64,27 +64,27 @@ class Scene:
 
     @property
     def pieces(self) -> Sequence[Callable[[], Gaussians]]:
-        """What gives all Gaussians piece by piece, so that a scene need not be in memory at once."""
+        """Functions that return all Gaussians piece by piece, so that the scene need not fit in memory at once."""
         return [lambda: self.gaussians]
 
     @property
     def surroundings(self) -> Gaussians:
-        """The Gaussians in its bounds and around them, for maps of the place."""
+        """Gaussians within and around the scene's bounds, for maps of the place."""
         return self.gaussians
 
     def cached(
         self, kind: str, settings: Mapping[str, Any], build: Callable[[], Arrays], most: int | None = None
     ) -> Arrays:
-        """Arrays derived from the Gaussians, built once and kept on disk.
+        """Return arrays derived from the Gaussians, built once and cached on disk.
 
-        They are built again exactly when the Gaussians, the settings or ``CACHE_VERSION`` change.
+        They are rebuilt exactly when the Gaussians, the settings or ``CACHE_VERSION`` change.
 
         Args:
-            kind: an identifier of what they are.
-            settings: everything else that ``build`` depends on, as JSON can write it.
-            build: makes the arrays.
-            most: bytes of the arrays at most, to compress them on disk; None leaves them as they are, where reading
-                should be fast and little would be saved.
+            kind: identifier that names what the arrays are.
+            settings: everything else that ``build`` depends on, in types that JSON can write.
+            build: callback that builds the arrays.
+            most: maximum total size of the arrays in bytes, if they are to be compressed on disk; None stores them
+                uncompressed, for arrays that should load fast and would shrink little.
         """
         assert kind.isidentifier(), kind
         recipe = [CACHE_VERSION, dict(settings), self.digest]
@@ -104,7 +104,7 @@ class Scene:
 
 
 def robust_bounds(gaussians: Gaussians) -> Bounds:
-    """Where the opaque Gaussians are, without the outermost half per cent at each end of each axis.
+    """Return the bounds of the opaque Gaussians, without the outermost half per cent at each end of each axis.
 
     A scene without opaque Gaussians is bounded by all of them.
     """
@@ -115,10 +115,10 @@ def robust_bounds(gaussians: Gaussians) -> Bounds:
 
 
 def checked_bounds(corners: Sequence[Sequence[float]]) -> Bounds:
-    """A lower and an upper corner as they are, world, metres.
+    """Check a lower and an upper corner, world frame, metres, and return them as bounds.
 
     Raises:
-        ValueError: for anything else, or empty bounds.
+        ValueError: for anything else, or for empty bounds.
     """
     plain = isinstance(corners, Sequence) and [len(c) if isinstance(c, Sequence) else 0 for c in corners] == [3, 3]
     if not plain or not all(isinstance(v, Real) and not isinstance(v, bool) for c in corners for v in c):

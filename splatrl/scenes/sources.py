@@ -1,4 +1,4 @@
-"""Where scenes come from: the generated backyard, splat files, and folders that say how their splat file lies."""
+"""Sources of scenes: the generated backyard, splat files, and folders that state how their splat file lies."""
 
 import os
 import warnings
@@ -21,21 +21,21 @@ from splatrl.scenes.yard import backyard_gaussians
 from splatrl.scenes.yard.layout import HALF_WIDTH
 
 YARD: Bounds = ((-HALF_WIDTH, -HALF_WIDTH, 0.0), (HALF_WIDTH, HALF_WIDTH, HALF_WIDTH))
-"""The backyard without the country and the sky around it."""
+"""Bounds of the backyard, without the countryside and the sky around it."""
 
 
 def backyard(seed: int = 0, clutter: int = 0, bounds: Sequence[Sequence[float]] | None = None) -> Scene:
-    """Generate a backyard in the sun, 6 × 6 m, with a red egg to find.
+    """Generate a sunny backyard of 6 × 6 m with a red egg to find.
 
     Example:
         >>> backyard().name
         'backyard'
 
     Args:
-        seed: for leaves, grain, clouds and the places of the trees; at least 0.
-        clutter: which arrangement of pots, wood pile, barrel and bench; 0 is the one to train in, and every other
-            number moves them elsewhere, out of the robots' reach.
-        bounds: lower and upper corner, world, metres; None takes the yard.
+        seed: seed of leaves, grain, clouds and the places of the trees; at least 0.
+        clutter: number of the arrangement of pots, wood pile, barrel and bench; 0 is the one to train in, and every
+            other number moves them elsewhere, out of the robots' reach.
+        bounds: lower and upper corner, world frame, metres; None takes those of the yard.
 
     Raises:
         ValueError: for empty bounds, or a ``clutter`` below 0.
@@ -54,26 +54,26 @@ def read_scene(
     """Read a scene from a splat file or from a folder.
 
     A folder holds the splat file and a ``scene.yaml`` with the keys ``splat`` (the file's name), ``name``,
-    ``world_from_splat`` and ``bounds``, and those of ``PROPOSALS``, which say how to train in it. Arguments override
-    what it says, key by key. A folder that says ``metric: false`` is warned of.
+    ``world_from_splat`` and ``bounds``, and those of ``PROPOSALS``, which propose training settings. Arguments override
+    its values, key by key. A folder that states ``metric: false`` causes a warning.
 
-    A folder with a ``blocks.yaml`` and no ``scene.yaml`` is a ``BlockScene``, whose splats are read when they are
-    needed.
+    A folder with a ``blocks.yaml`` and no ``scene.yaml`` is a ``BlockScene``, whose splat files are read only when they
+    are needed.
 
     Example:
         >>> read_scene("kitchen.spz", world_from_splat={"axes": ["x", "-z", "y"]})  # doctest: +SKIP
 
     Args:
-        path: of a splat file or a folder.
-        world_from_splat: the arguments of ``similarity`` by name, None standing for the default, or a 4×4 tensor.
-            Without it, the frame is that of nerfstudio's ``dataparser_transforms.json`` where there is one beside the
-            file, and otherwise splat coordinates are world metres.
-        bounds: lower and upper corner, world, metres; by default where the opaque Gaussians are.
-        name: by default that of the file or folder.
+        path: a splat file or a folder.
+        world_from_splat: arguments of ``similarity`` by name, where None stands for the default, or a 4×4 tensor.
+            Without it, the frame comes from nerfstudio's ``dataparser_transforms.json`` if there is one beside the
+            file; otherwise splat coordinates are world metres.
+        bounds: lower and upper corner, world frame, metres; by default those of the opaque Gaussians.
+        name: name of the scene; by default that of the file or folder.
         max_inflation: as in ``read_gaussians``.
 
     Raises:
-        FileNotFoundError: where there is no such file or folder.
+        FileNotFoundError: if there is no such file or folder.
         ValueError: for a damaged file, unknown keys, a frame that is not a similarity, or empty bounds.
     """
     splat = Path(path).expanduser()
@@ -116,7 +116,7 @@ def _says_something(given: Mapping[str, Any] | Tensor | None) -> bool:
 
 
 def _free_space(folder: Path, stated: Mapping[str, Any]) -> FreeSpace | None:
-    """What a folder says is free, in its own frame."""
+    """Return the free space that a folder states, which is in the folder's own frame."""
     if "free" not in stated:
         return None
     if "voxel_size" not in stated:
@@ -125,7 +125,7 @@ def _free_space(folder: Path, stated: Mapping[str, Any]) -> FreeSpace | None:
 
 
 def _transform(own: Mapping[str, Any] | None, given: Mapping[str, Any] | Tensor | None) -> Tensor | None:
-    """The frame that a folder states, overridden by an argument; None where neither says anything."""
+    """Return the transform that a folder states, overridden by an argument; None if neither states anything."""
     if isinstance(given, Tensor):
         return checked_similarity(given)
     typed = {key: value for key, value in (given or {}).items() if value is not None}

@@ -1,4 +1,4 @@
-"""Cuts a large splat into blocks: a folder that ``read_scene`` opens without reading all of it."""
+"""Splits a large splat into blocks: a folder that ``read_scene`` opens without reading all of it."""
 
 import math
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from splatrl.scenes.scene import Bounds, Scene
 from splatrl.values import require_number
 
 AROUND = "around"
-"""Name of the block of what lies outside: sky, the country up to the horizon, and what strays."""
+"""Name of the block for everything outside: the sky, the countryside up to the horizon, and stray Gaussians."""
 
 
 def write_split(
@@ -25,24 +25,24 @@ def write_split(
     bounds: Bounds | None = None,
     proposals: Mapping[str, Any] | None = None,
 ) -> list[str]:
-    """Cut a scene into square blocks along x and y, and write them with their ``blocks.yaml``.
+    """Split a scene into square blocks along x and y, and write them with their ``blocks.yaml``.
 
-    A Gaussian belongs to the block that its mean is in. What lies more than a block outside the scene's bounds is a
-    block of its own.
+    A Gaussian belongs to the block that contains its mean. Gaussians more than a block outside the scene's bounds form
+    a block of their own.
 
     Args:
-        folder: an existing folder.
-        scene: in the world frame.
-        size: of a block, metres.
-        ending: .ply keeps the values, .spz rounds them to a fifth of the size.
-        bounds: of where robots can be, as ``blocks.yaml`` states them; None for the scene's own.
-        proposals: what the scene proposes for training in it; ``antialiased`` goes into SPZ files too.
+        folder: an existing folder to write to.
+        scene: the scene, in the world frame.
+        size: side of a block, metres.
+        ending: file extension; .ply keeps the values, .spz rounds them and takes a fifth of the space.
+        bounds: bounds of the region for robots, to be stated in ``blocks.yaml``; None takes the scene's own.
+        proposals: training settings that the scene proposes; ``antialiased`` is also stored in SPZ files.
 
     Returns:
-        Names of the files.
+        Names of the splat files.
 
     Raises:
-        ValueError: for a size that is not above 0, or that makes more than ``MOST_BLOCKS`` blocks.
+        ValueError: for a size below a millimetre, or one that gives more than ``MOST_BLOCKS`` blocks.
     """
     require_number("--split", size, 1e-3)
     (left, bottom, low), (right, top, high) = scene.bounds
@@ -71,6 +71,6 @@ def write_split(
 
 
 def _box(means: np.ndarray[Any, Any]) -> Bounds:
-    """The box around points, which has some volume."""
+    """Return the bounding box of points, enlarged by a millimetre so that it is not empty."""
     low, high = means.min(0).tolist(), means.max(0).tolist()
     return (low[0], low[1], low[2]), (high[0] + 1e-3, high[1] + 1e-3, high[2] + 1e-3)

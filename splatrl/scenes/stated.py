@@ -1,4 +1,4 @@
-"""What a person states about where a splat file lies in the world; a guess supplies the rest."""
+"""Facts that a person states about where a splat file lies in the world; a guess supplies the rest."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,12 +12,12 @@ from splatrl.scenes.upright import Upright
 
 @dataclass(frozen=True, eq=False)
 class StatedFrame:
-    """What is known about a file's frame; None where nothing is.
+    """The known parts of a file's frame; None for each unknown one.
 
     Attributes:
         axes: signed axes of the file that become the world's x, y and z, as for ``similarity``.
         transform: [4, 4] float64, from the file to world metres, in place of axes and translation.
-        scale: metres per unit; a transform is rescaled about the world's origin.
+        scale: metres per unit; if a transform is given, it is rescaled about the world's origin.
         translation: [3] metres, added last.
 
     Raises:
@@ -39,12 +39,12 @@ class StatedFrame:
             raise ValueError(f"scale: expected finite metres above 0, got {self.scale}")
 
     def up(self) -> list[float] | None:
-        """The direction in the file that is up, where axes or a transform say so: [3]."""
+        """Return the up direction in the file's frame, [3]; None if neither axes nor a transform state it."""
         turned = self.transform if self.axes is None else similarity(self.axes)
         return None if turned is None else turned[2, :3].tolist()
 
     def frame(self, upright: Upright) -> Frame:
-        """Arguments of ``similarity``: what is stated, and a guess where nothing is.
+        """Return arguments of ``similarity``: what is stated, and a guess for the rest.
 
         Args:
             upright: the guess.

@@ -13,7 +13,7 @@ QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 _CELLS = 64
 """Cells along the diagonal of the robust bounds, for finding floaters."""
 _PIECE = 0.01
-"""A connected piece with a smaller share of all Gaussians is a floater."""
+"""Fraction of all Gaussians below which a connected piece counts as a floater."""
 
 
 @dataclass(frozen=True)
@@ -21,13 +21,13 @@ class Survey:
     """Statistics of Gaussians, in their own frame and units.
 
     Attributes:
-        count: how many.
-        sh_degree: of the spherical harmonics.
-        extent: corners of the box around all means.
-        bounds: corners of the box around the opaque ones without the outermost half per cent at each end.
-        opacities: [5] at ``QUANTILES``.
-        scales: [5] at ``QUANTILES``: the longest standard deviation of each Gaussian.
-        floaters: share of the Gaussians that are detached from the scene.
+        count: number of Gaussians.
+        sh_degree: degree of the spherical harmonics.
+        extent: corners of the bounding box of all means.
+        bounds: corners of the bounding box of the opaque Gaussians, without the outermost half per cent at each end.
+        opacities: [5] opacities at ``QUANTILES``.
+        scales: [5] longest standard deviation of a Gaussian at ``QUANTILES``.
+        floaters: fraction of the Gaussians that are detached from the scene.
     """
 
     count: int
@@ -57,7 +57,7 @@ def survey(gaussians: Gaussians) -> Survey:
     """Count and measure Gaussians.
 
     Args:
-        gaussians: in any frame and unit.
+        gaussians: Gaussians in any frame and unit.
     """
     means = gaussians.means.detach().double().cpu().numpy()
     lower, upper = means.min(0).tolist(), means.max(0).tolist()
@@ -74,13 +74,13 @@ def survey(gaussians: Gaussians) -> Survey:
 
 
 def floats(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """Which Gaussians are detached from the scene: [N].
+    """Return a mask of the Gaussians that are detached from the scene: [N].
 
     Means are sorted into cells of a 64th of the diagonal of the robust bounds. Gaussians farther outside these bounds
-    than half the diagonal float, and so do those in a 26-connected piece of cells with less than 1 % of all.
+    than half the diagonal are floaters, and so are those in a 26-connected piece of cells with less than 1 % of all.
 
     Args:
-        gaussians: in any frame and unit.
+        gaussians: Gaussians in any frame and unit.
     """
     means = gaussians.means.detach().double().cpu().numpy()
     lower, upper = np.array(robust_bounds(gaussians))

@@ -17,35 +17,35 @@ UNKNOWN = "cannot be known"
 
 _SAMPLE = 20_000
 _THICKNESS = 0.02
-"""Thickness of a layer on either side, in diagonals of the scene."""
+"""Thickness of a layer on either side of its plane, in diagonals of the scene."""
 _MIN_OPACITY = 0.3
 _SNAP = math.cos(math.radians(1.0))
 """Cosine of the angle within which up counts as an axis of the file."""
 _NEAR_AXIS = math.cos(math.radians(15.0))
 _PREFERENCE = 2.0
-"""How much more a layer counts whose normal is within 15° of an axis of the file: most files stand nearly upright."""
+"""Factor on the evidence of a layer whose normal is within 15° of a file axis: most files stand nearly upright."""
 _BARE = 0.05
-"""Added to the share that stands upright on a layer, so that a bare floor is a floor."""
+"""Added to the fraction that stands upright on a layer, so that a bare floor counts as a floor."""
 _ACROSS = math.cos(math.radians(78.0))
-"""Cosine between up and the normal of a Gaussian that stands upright, at most."""
+"""Maximum cosine between up and the normal of a Gaussian that stands upright."""
 _SURE, _LIKELY = 2.5, 1.5
-"""How many times the next direction's evidence a layer needs for each word."""
+"""Minimum ratios of a layer's evidence to the next direction's for ``SURE`` and ``LIKELY``."""
 _ROOM = (2.2, 3.0)
-"""Range of most rooms' heights, metres."""
+"""Range of the heights of most rooms, metres."""
 _ROOM_HEIGHT = 2.5
 _CELLS = 12
 """Cells per side of the scene, seen from above."""
 _OPPOSITE = 0.6
-"""A ceiling covers at least this share of its floor's cells, or the other way round: shelves and worktops do not."""
+"""Minimum ratio of a ceiling's cells to its floor's, or the reverse: shelves and worktops cover less."""
 
 
 @dataclass(frozen=True)
 class Guess:
-    """Something concluded from the Gaussians alone.
+    """A conclusion drawn from the Gaussians alone.
 
     Attributes:
-        confidence: how sure it is, in words.
-        reason: the evidence for it.
+        confidence: level of confidence, in words.
+        reason: evidence for the conclusion.
     """
 
     confidence: str
@@ -57,17 +57,17 @@ class Guess:
 
 @dataclass(frozen=True, eq=False)
 class Upright:
-    """How a scene seems to stand in its file.
+    """A guess at how a scene stands in its file.
 
     Attributes:
         up: [3] unit vector in the file's frame.
         floor: height of the floor along ``up``, file units.
-        ceiling: height of the ceiling, where there is one.
-        metres_per_unit: 1 where nothing indicates another value.
-        axis_guess: how sure the axis is, without its sign.
-        sign_guess: how sure its sign is.
-        floor_guess: how sure the floor is.
-        units_guess: how sure the units are.
+        ceiling: height of the ceiling along ``up``, file units; None if there is none.
+        metres_per_unit: scale of the file; 1 if nothing indicates another value.
+        axis_guess: confidence in the axis of ``up``, without its sign.
+        sign_guess: confidence in the sign of ``up``.
+        floor_guess: confidence in the floor.
+        units_guess: confidence in the units.
     """
 
     up: Floats
@@ -91,7 +91,7 @@ class Upright:
 
 
 def axis_name(direction: ArrayLike) -> str | None:
-    """The signed axis within 1° of a direction, such as "-y", or None."""
+    """Return the signed axis within 1° of a direction, such as "-y", or None."""
     vector = np.asarray(direction, np.float64)
     axis = int(np.abs(vector).argmax())
     if abs(vector[axis]) < _SNAP * np.linalg.norm(vector):
@@ -100,17 +100,17 @@ def axis_name(direction: ArrayLike) -> str | None:
 
 
 def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None, roughly: bool = False) -> Upright:
-    """Guess up, the floor and the units from where opaque Gaussians lie and which way they are flat.
+    """Guess up, the floor and the units from the positions and orientations of opaque Gaussians.
 
-    The ground is the layer with the most Gaussians, above all those that lie flat in it, on which the most stands
-    upright; a direction near an axis of the file is preferred. Rival layers make the guess less sure.
-    Its upper side is the one that things stand on or, where that is unclear, the one with the file's origin, which
-    structure from motion puts near the cameras. All of this fails for scenes without ground.
+    The ground is the layer that holds the most Gaussians, mainly those that lie flat in it, and on which the most
+    stands upright; directions near a file axis are preferred. Rival layers lower the confidence. The upper side of the
+    ground is the one that things stand on or, if that is unclear, the one with the file's origin, which structure from
+    motion puts near the cameras. The guess fails for scenes without ground.
 
     Args:
-        gaussians: in the file's frame.
-        up: [3] the up direction, where it is known; then only the floor and the units are guessed.
-        roughly: whether ``up`` is known to about 15°; then it leans to what lies across it and along it.
+        gaussians: Gaussians in the file's frame.
+        up: [3] the up direction, if it is known; then only the floor and the units are guessed.
+        roughly: whether ``up`` is known only to about 15°; it is then refined to fit floors and walls.
     """
     points, normals, weights = _surfaces(gaussians)
     size = float(np.linalg.norm(np.subtract(*np.quantile(points, [0.99, 0.01], axis=0)))) or 1.0
@@ -147,7 +147,7 @@ def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None, roughly: bo
 
 
 def _ground(points: Floats, normals: Floats, weights: Floats, thickness: float) -> tuple[Layer, Guess]:
-    """The layer with the most evidence that it is the ground, and how much it stands out from its rivals."""
+    """Return the layer with the most evidence of being the ground, and how clearly it beats its rivals."""
     layers = [
         leaning_layer(points, normals, weights, layer) for layer in heavy_layers(points, normals, weights, thickness)
     ]
@@ -162,7 +162,7 @@ def _ground(points: Floats, normals: Floats, weights: Floats, thickness: float) 
 
 
 def _evidence(normals: Floats, weights: Floats, layer: Layer) -> float:
-    """How much speaks for a layer as the ground: its weight, and that of what stands upright on it."""
+    """Return the evidence that a layer is the ground, from its weight and that of the surfaces perpendicular to it."""
     flatness = np.linalg.norm(normals, axis=1)
     across = (np.abs(normals @ layer.normal) < _ACROSS * flatness) & (flatness > 0.5)
     prefers = _PREFERENCE if np.abs(layer.normal).max() > _NEAR_AXIS else 1.0
@@ -170,7 +170,7 @@ def _evidence(normals: Floats, weights: Floats, layer: Layer) -> float:
 
 
 def _snapped(points: Floats, normals: Floats, weights: Floats, layer: Layer, lean: bool = True) -> Layer:
-    """A layer that leans to what is there, and is aligned with an axis of the file where it nearly is."""
+    """Tilt a layer to fit the surfaces, then align it with an axis of the file if it is within 1° of one."""
     layer = leaning_layer(points, normals, weights, layer) if lean else layer
     if (name := axis_name(layer.normal)) is None:
         return layer
@@ -179,7 +179,7 @@ def _snapped(points: Floats, normals: Floats, weights: Floats, layer: Layer, lea
 
 
 def _surfaces(gaussians: Gaussians) -> tuple[Floats, Floats, Floats]:
-    """Means, short axes (length: how flat, 0 to 1) and weights of up to 20,000 opaque Gaussians."""
+    """Return means, short axes (length: flatness, 0 to 1) and weights of at most 40,000 opaque Gaussians."""
     opaque = gaussians.opacities >= _MIN_OPACITY
     chosen = gaussians[opaque] if int(opaque.sum()) >= 10 else gaussians
     chosen = chosen[:: max(1, len(chosen.means) // _SAMPLE)]
@@ -189,12 +189,12 @@ def _surfaces(gaussians: Gaussians) -> tuple[Floats, Floats, Floats]:
     axes = quats_to_rotations(chosen.quats).detach().double().cpu().numpy()
     normals = np.take_along_axis(axes, scales.argmin(1)[:, None, None], 2)[..., 0]
     short, middle, _ = np.sort(scales, 1).T
-    # By area, a few large and blurred Gaussians of the background would outweigh a finely captured floor.
+    # Weighted by area, a few large and blurred background Gaussians would outweigh a finely captured floor.
     return means, normals * (1 - short / middle)[:, None], opacities / opacities.sum()
 
 
 def _opposite(points: Floats, normals: Floats, layer: Layer) -> float | None:
-    """Height of a second flat layer at the other end of the scene: a ceiling above a floor, or the floor below it."""
+    """Return the height of a second flat layer at the other end of the scene, a ceiling or a floor, if there is one."""
     heights = points @ layer.normal
     flat = np.abs(normals @ layer.normal) > ALIGNED
     low, high = np.quantile(heights, [0.005, 0.995])
@@ -218,7 +218,7 @@ def _opposite(points: Floats, normals: Floats, layer: Layer) -> float | None:
 
 
 def _sign(heights: Floats, weights: Floats, layer: Layer, other: float | None, size: float) -> tuple[float, str]:
-    """Evidence in −1 … 1 that up is the layer's normal rather than its opposite, and the strongest reason."""
+    """Return evidence in −1 … 1 that up is the layer's normal, not its opposite, and the strongest reason."""
     relative = heights - layer.height
     if other is None:
         above, below = weights[relative > layer.thickness].sum(), weights[relative < -layer.thickness].sum()

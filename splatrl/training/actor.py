@@ -1,4 +1,4 @@
-"""A model that acts on plain tensors, which costs a fraction of acting through TensorDicts."""
+"""Acting with a model on plain tensors, at a fraction of the cost of TensorDicts."""
 
 import torch
 from tensordict import TensorDictBase
@@ -11,14 +11,14 @@ from splatrl.training.heads import distribution
 
 
 class Actor:
-    """What ``model(td)`` writes: the prepared inputs, ``action``, ``action_log_prob`` and ``state_value``.
+    """Writes what ``model(td)`` writes: the prepared inputs, ``action``, ``action_log_prob`` and ``state_value``.
 
-    It draws the same actions from the same generator, and heeds TorchRL's ``set_exploration_type`` where that is
-    random or deterministic. A model with memory acts through TensorDicts.
+    It draws the same actions from the same generator, and follows TorchRL's ``set_exploration_type``. A model with
+    memory acts through TensorDicts, as does any model if that type is neither random nor deterministic.
 
     Args:
         model: actor and critic over a shared trunk.
-        judges: whether the critic is asked.
+        judges: whether to evaluate the critic as well.
     """
 
     def __init__(self, model: ActorValueOperator, judges: bool = True):
@@ -31,7 +31,7 @@ class Actor:
 
     @torch.no_grad()
     def __call__(self, td: TensorDictBase) -> TensorDictBase:
-        """Act on observations [B]; they are returned with what the model writes."""
+        """Act on observations [B], and return them with what the model writes."""
         kind = exploration_type() or ExplorationType.RANDOM
         if self._remembers or kind not in (ExplorationType.RANDOM, ExplorationType.DETERMINISTIC):
             return self._whole(td)
@@ -50,7 +50,7 @@ class Actor:
 
 
 def _chosen(policy: Distribution, kind: ExplorationType) -> Tensor:
-    """Actions as TorchRL's ``ProbabilisticTensorDictModule`` chooses them."""
+    """Choose actions as TorchRL's ``ProbabilisticTensorDictModule`` does."""
     if kind == ExplorationType.DETERMINISTIC:
         return policy.deterministic_sample  # type: ignore[attr-defined]
     return policy.rsample() if policy.has_rsample else policy.sample()

@@ -1,4 +1,4 @@
-"""What a critic is told beside what the actor sees."""
+"""Asymmetric actor-critic: extra observations that only the critic receives."""
 
 import torch
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
@@ -11,11 +11,11 @@ from splatrl.training.trunk import GAIN
 
 
 class PreparedBeside(nn.Module):
-    """The parts without weights of actor and critic.
+    """The weight-free preparation of what actor and critic read.
 
     Args:
-        own: that of the actor.
-        told: that of what the critic alone is told, vectors.
+        own: the actor's preparation module.
+        told: preparation of the vectors that only the critic receives.
     """
 
     def __init__(self, own: nn.Module, told: Prepare):
@@ -24,20 +24,20 @@ class PreparedBeside(nn.Module):
         self.count = len(told.encodings)
 
     def forward(self, *observed: Tensor) -> tuple[Tensor, ...]:
-        """What the actor's part gives, and the vector [..., V] for the critic."""
+        """Return the output of the actor's module, and the vector [..., V] for the critic."""
         own = self.own(*observed[: -self.count])
         return (*(own if isinstance(own, tuple) else (own,)), *self.told(*observed[-self.count :]))
 
 
 class TrunkBeside(nn.Module):
-    """The actor's trunk, and beside its output what a critic makes of that and of what it is told.
+    """The actor's trunk, followed by features for the critic, computed from the trunk's output and extra observations.
 
-    Policy heads read the first half of the output alone.
+    Policy heads read only the first half of the output, the actor's.
 
     Args:
         own: the actor's trunk.
-        vector: numbers that the critic is told.
-        features: size of either half.
+        vector: size of the vector that only the critic receives.
+        features: size of each half of the output.
     """
 
     def __init__(self, own: nn.Module, vector: int, features: int):
@@ -46,13 +46,13 @@ class TrunkBeside(nn.Module):
         self.joined = nn.Sequential(orthogonal(nn.Linear(features + vector, features), GAIN), nn.ReLU(inplace=True))
 
     def forward(self, *prepared: Tensor) -> Tensor:
-        """What ``PreparedBeside`` gives -> [..., 2 · features] float32."""
+        """Encode the output of ``PreparedBeside``: -> [..., 2 · features] float32."""
         own = self.own(*prepared[:-1])
         return torch.cat([own, self.joined(torch.cat([own, prepared[-1]], -1))], -1)
 
 
 def actors_trunk(model: ActorValueOperator) -> TensorDictModuleBase:
-    """The trunk of a model without what only its critic is told."""
+    """Return the trunk of a model without what only serves its critic."""
     first, trunk, *memory = model.module[0].module
     if not isinstance(trunk.module, TrunkBeside):
         return model.module[0]

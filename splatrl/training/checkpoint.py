@@ -1,4 +1,4 @@
-"""Checkpoints that a crash cannot leave half-written."""
+"""Checkpoints, written so that a crash cannot leave a partial file."""
 
 import io
 import pickletools
@@ -12,10 +12,10 @@ import torch
 from splatrl.files import refusing, replacing
 
 MADE = re.compile(r"collections OrderedDict|torch\._utils _rebuild_tensor_v2|torch \w+Storage|torch (Size|device)")
-"""What a checkpoint's pickle may make: a bytearray, which PyTorch would allow too, has any size."""
+"""Objects that a checkpoint's pickle may create. PyTorch would also allow bytearrays, which can have any size."""
 
 MOST_STEPS = 2**22
-"""Operations of a checkpoint's pickle: tables of a hundred thousand batches."""
+"""Maximum number of operations in a checkpoint's pickle: enough for the history of a hundred thousand batches."""
 
 
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
@@ -26,9 +26,9 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
         state: nested dicts and lists of tensors and plain values.
 
     Raises:
-        OSError: that names the path, where it cannot be written.
+        OSError: if the file cannot be written; the message names the path.
     """
-    memory = io.BytesIO()  # of a full disk torch.save tells as of a fault of its own
+    memory = io.BytesIO()  # torch.save would report a full disk as an error of its own
     torch.save(state, memory)
     with replacing(path) as stream:
         stream.write(memory.getbuffer())
@@ -38,13 +38,13 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> dict[str,
     """Read a checkpoint as data: tensors and plain values, but no code.
 
     Raises:
-        FileNotFoundError: if there is none.
+        FileNotFoundError: if there is no such file.
         ValueError: if the file is not a complete checkpoint.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: expected a checkpoint, found none")
     with refusing(path, "a whole checkpoint of tensors and plain values"):
-        with zipfile.ZipFile(path) as archive:  # its checksums find damage that PyTorch would read as numbers
+        with zipfile.ZipFile(path) as archive:  # its checksums reveal damage that PyTorch would read as numbers
             _check_entries(archive, path.stat().st_size)
             damaged = archive.testzip()
         if damaged is not None:
@@ -56,7 +56,7 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> dict[str,
 
 
 def _check_entries(archive: zipfile.ZipFile, size: int) -> None:
-    """Refuse entries that unpack to more than the file holds, and pickles that make anything but tensors and values."""
+    """Refuse entries that unpack to more than the file's size, and pickles that create more than tensors and values."""
     entries = archive.infolist()
     if any(entry.compress_type != zipfile.ZIP_STORED for entry in entries):
         raise ValueError("expected entries that are stored, got compressed ones")
@@ -70,11 +70,11 @@ def _check_entries(archive: zipfile.ZipFile, size: int) -> None:
 
 
 def _made(pickled: bytes) -> set[object]:
-    """The names of what a pickle makes; refuses one that makes more than any training's history and weights."""
+    """Return the names of what a pickle creates; refuse one with more operations than any training needs."""
     made: set[object] = set()
     for number, (code, argument, _) in enumerate(pickletools.genops(pickled)):
         if code.name == "GLOBAL":
             made.add(argument)
-        if number > MOST_STEPS:  # each is a byte or more, and may make a list, of sixty-four
+        if number > MOST_STEPS:  # each takes a byte or more, and may create a list of 64 bytes
             raise ValueError(f"expected at most {MOST_STEPS:,} values, got more")
     return made

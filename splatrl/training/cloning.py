@@ -1,4 +1,4 @@
-"""Behaviour cloning (Pomerleau 1989): a policy learns to act as demonstrations do, before it learns from reward."""
+"""Behaviour cloning (Pomerleau 1989): a policy learns to imitate demonstrations before it learns from reward."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -24,14 +24,14 @@ class CloningSettings:
 
     Attributes:
         epochs: passes over the demonstrations.
-        mini_batch_size: frames in a gradient step.
+        mini_batch_size: frames per gradient step.
         lr: learning rate of Adam.
-        critic_coeff: weight of the critic's loss, which learns the demonstrations' discounted returns.
-        power: to which distances of continuous actions are raised. With 2 the policy does the mean of what was right in
-            states that look alike, with 1 the median: where half of them turn left and half of them right, it turns.
+        critic_coeff: weight of the loss of the critic, which learns the demonstrations' discounted returns.
+        power: exponent of the distance in the loss of continuous actions. In states that look alike, 2 teaches the mean
+            of the right actions and 1 their median: if half of them turn left and half turn right, the policy turns.
 
     Raises:
-        ValueError: names the value that is out of range.
+        ValueError: if a value is out of range; the message names it.
     """
 
     epochs: int
@@ -49,12 +49,12 @@ class CloningSettings:
 
 
 class Cloner:
-    """Adam on the cross entropy of right actions, or for continuous ones on the distance of the policy's mode, squared.
+    """Fits a policy to right actions with Adam: by cross entropy, or by squared distance where actions are continuous.
 
-    The distance is in halves of an action's range; ``CloningSettings.power`` may be another than two. How widely
-    continuous actions are sampled learns to be as wide as the mode is off on average, so that a policy that knows what
-    to do does not act at random. A policy with memory learns from whole episodes. The optimiser keeps its moments from
-    one ``fit`` to the next.
+    The distance is that of the policy's mode, in units of half an action's range; ``CloningSettings.power`` may be
+    other than two. The standard deviation of continuous actions learns to equal the mean error of the mode, so that a
+    policy that knows what to do does not act at random. A policy with memory learns from whole episodes. The optimiser
+    keeps its moments from one ``fit`` to the next.
 
     Args:
         model: actor and critic over a shared trunk.
@@ -74,13 +74,13 @@ class Cloner:
         self._device = self.parameters[0].device
 
     def fit(self, shown: Mapping[str, Tensor], epochs: int | None = None, anneal: bool = False) -> float:
-        """Learn from frames; returns the mean loss of the actions in the last pass.
+        """Learn from frames, and return the mean imitation loss of the last pass.
 
         Args:
-            shown: N frames of episodes, in order: what the policy ``reads``, [N, ...] each, as it sees them, such as
+            shown: N frames of episodes, in order: the observations that the policy ``reads``, [N, ...] each, such as
                 ``pixels`` [N, H, W, C] uint8; ``target`` [N, D] float32, see ``imitation``; ``value_target`` [N]
                 float32; ``frame`` [N] int64, 0 where episodes begin.
-            epochs: passes over the frames; None takes those of the settings.
+            epochs: passes over the frames; None takes the number in the settings.
             anneal: whether the learning rate falls linearly to zero over these passes.
         """
         loss, passes = 0.0, self.settings.epochs if epochs is None else epochs
@@ -97,7 +97,7 @@ class Cloner:
         return loss
 
     def _minibatches(self, shown: Mapping[str, Tensor]) -> Iterator[dict[str, Tensor]]:
-        """Every frame once, in random order; with memory every episode once, one or more at a time."""
+        """Yield every frame once, in random order; with memory, every episode once, one or more per minibatch."""
         size, begins = self.settings.mini_batch_size, (shown["frame"] == 0).nonzero().squeeze(1)
         rows: list[Tensor] = list(torch.arange(len(shown["frame"])).tensor_split(begins[1:]))
         if self._memory:
@@ -128,7 +128,7 @@ class Cloner:
         return loss.detach()
 
     def _hidden(self, hidden: Tensor, frame: Tensor) -> Tensor:
-        """What the heads read: through the memory, episode by episode, if there is one."""
+        """Return what the heads read: features that have passed through the memory, if any, episode by episode."""
         for module in self._memory:
             begins = (frame == 0).nonzero().squeeze(1).cpu()
             episodes = hidden.tensor_split(begins[1:])
@@ -144,12 +144,12 @@ class Cloner:
 
 
 def imitation(policy: Distribution, target: Tensor, power: float = 2.0) -> Tensor:
-    """How far a policy is from right actions, the mean over frames: [] float32; see ``Cloner``.
+    """Return the imitation loss of a policy, averaged over frames: [] float32; see ``Cloner``.
 
     Args:
         policy: distribution of actions in each frame, [N].
-        target: [N, A] float32, shares of the A discrete actions, which sum to 1; or [N, D] float32, the action where
-            actions are continuous. NaN in frames for which no right action is known, which count nothing.
+        target: [N, A] float32, probabilities of the A discrete actions, which sum to 1; or [N, D] float32, the right
+            action if actions are continuous. NaN in frames whose right action is unknown, which do not count.
         power: see ``CloningSettings``.
     """
     if isinstance(policy, Choice):
@@ -160,10 +160,10 @@ def imitation(policy: Distribution, target: Tensor, power: float = 2.0) -> Tenso
 
 
 def width(policy: Distribution, target: Tensor) -> Tensor:
-    """How far the standard deviations of continuous actions are from how far their mode is off, squared: [] float32.
+    """Return the mean squared difference between standard deviations and the errors of the mode: [] float32.
 
-    Deviations are those before the tanh, which in the middle of a range are in halves of it. Gradients reach them alone
-    and not the mode. Discrete actions have none, 0.
+    Standard deviations are those before the tanh, which in the middle of a range are in units of half the range.
+    Gradients reach only them and not the mode. Discrete actions have no standard deviation, which gives 0.
 
     Args:
         policy: see ``imitation``.
@@ -176,12 +176,12 @@ def width(policy: Distribution, target: Tensor) -> Tensor:
 
 
 def _off(policy: Distribution, target: Tensor) -> Tensor:
-    """By how much modes are off, in halves of the actions' ranges: [N, D]; 0 where no right action is known."""
+    """Errors of the modes, in units of half the actions' ranges: [N, D]; 0 where the right action is unknown."""
     reach = (policy.high - policy.low) / 2.0  # type: ignore[attr-defined]
     return ((policy.deterministic_sample - target) / reach).nan_to_num()  # type: ignore[attr-defined]
 
 
 def _mean(each: Tensor, target: Tensor) -> Tensor:
-    """The mean over frames [N] for which a right action is known."""
+    """Mean over the frames [N] whose right action is known."""
     known = ~target.isnan().any(-1)
     return torch.where(known, each, 0.0).sum() / known.sum().clamp_min(1)

@@ -1,4 +1,4 @@
-"""Collectors of frames: one rollout that the host drives, and one that never synchronises with it."""
+"""Collectors of frames: one whose rollout the host drives, and one that never synchronises with the host."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -16,7 +16,7 @@ from splatrl.training.memory import STATE
 
 
 def seen_by(model: ActorValueOperator) -> tuple[str, ...]:
-    """Keys of an observation that a model reads, where present."""
+    """Keys of an observation that a model reads, if present."""
     return (*model.module[0].module[0].in_keys, STATE, "is_init")
 
 
@@ -30,19 +30,19 @@ class Collector(Protocol):
     """Collects batches, each of which begins where the last one stopped.
 
     Attributes:
-        carried: what the next batch begins with; all that a checkpoint has to store.
+        carried: the state from which the next batch starts; all that a checkpoint has to store.
     """
 
     @property
     def carried(self) -> TensorDictBase:
-        """What the next batch begins with."""
+        """The state from which the next batch starts."""
         ...
 
     @carried.setter
     def carried(self, value: TensorDictBase) -> None: ...
 
     def collect(self) -> TensorDictBase:
-        """The next frames, [B, T]: what each robot saw, did and met."""
+        """Collect the next frames, [B, T]: the observations, actions and results of each robot."""
         ...
 
 
@@ -51,8 +51,8 @@ class HostCollector:
 
     Args:
         env: batched env.
-        actor: writes actions; an ``Actor`` does so on plain tensors, since half of a rollout on a CPU would go into
-            TensorDicts.
+        actor: writes actions; an ``Actor`` does so on plain tensors, because TensorDicts would take half the time of a
+            rollout on a CPU.
         steps: T, the length of each batch.
     """
 
@@ -62,10 +62,10 @@ class HostCollector:
 
     @torch.no_grad()
     def collect(self) -> TensorDictBase:
-        """The next frames, [B, T]."""
+        """Collect the next frames, [B, T]."""
         options = {"auto_reset": False, "tensordict": self.carried, "break_when_any_done": False}
         batch = self.env.rollout(self.steps, self.actor, **options)
-        self.carried = self.env.step_mdp(batch[:, -1].clone())  # the next rollout resets what is done
+        self.carried = self.env.step_mdp(batch[:, -1].clone())  # the next rollout resets the robots that are done
         return batch
 
 
@@ -73,16 +73,16 @@ class DeviceCollector:
     """A rollout that stays on the device: policy, step and automatic reset write in place and never synchronise.
 
     Episodes are those of a ``HostCollector`` that resets in every step, whether any episode ended or not. The batch
-    holds what learning and reports read, in tensors that the next batch overwrites: what the model sees (pixels as
-    uint8), ``CHOSEN``, under ``"next"`` ``ENDS``, and ``next_value``, the critic's value of the observation after the
+    holds what learning and reports read, in tensors that the next batch overwrites: the model's observations (pixels as
+    uint8), ``CHOSEN``, ``ENDS`` under ``"next"``, and ``next_value``, the critic's value of the observation after the
     step and before the reset.
 
     Args:
         env: a ``SplatEnv``, bare or under transforms.
         model: actor and critic.
         steps: T, the length of each batch.
-        capture: wraps the function that does a step, for instance in a CUDA graph; None calls it directly.
-        begin: what the first batch begins with; None resets the env.
+        capture: wraps the function that takes a step, for instance in a CUDA graph; None calls it directly.
+        begin: the state from which the first batch starts; None resets the env.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class DeviceCollector:
 
     @property
     def carried(self) -> TensorDictBase:
-        """What the next batch begins with."""
+        """The state from which the next batch starts."""
         return self._now.clone()
 
     @carried.setter
@@ -112,14 +112,14 @@ class DeviceCollector:
 
     @torch.no_grad()
     def collect(self) -> TensorDictBase:
-        """The next frames, [B, T], valid until the next call."""
+        """Collect the next frames, [B, T], which are valid until the next call."""
         self._column.zero_()
         for _ in range(self.steps):
             self._advance()
         return self._batch.copy()
 
     def _step(self) -> None:
-        """Fill one column of the batch, and set what the next one begins with."""
+        """Fill one column of the batch, and set the state from which the next column starts."""
         acted = self.env.step(self.model(self._now.copy()))
         after = acted["next"]
         seen = after.select(*self._seen, strict=False)
@@ -142,16 +142,16 @@ class DeviceCollector:
 
 
 def device_collector(env: EnvBase, model: ActorValueOperator, steps: int, cuda_graph: bool | None) -> DeviceCollector:
-    """Make a collector on the env's device, with its steps captured in a CUDA graph where that is possible.
+    """Make a collector on the env's device, whose steps are captured in a CUDA graph if possible.
 
     Args:
         env: a ``SplatEnv``, bare or under transforms.
         model: actor and critic.
         steps: T, the length of each batch.
-        cuda_graph: whether to capture; None does so where renderer and checker can be captured.
+        cuda_graph: whether to capture; None does so if renderer and checker can be captured.
 
     Raises:
-        ValueError: for ``cuda_graph=True`` where the steps cannot be captured.
+        ValueError: for ``cuda_graph=True`` if the steps cannot be captured.
     """
     base = layers(env)[0]
     possible = env.device.type == "cuda" and base.capturable

@@ -1,4 +1,4 @@
-"""A trunk that compares two images place by place."""
+"""A trunk that compares every cell of one image with every cell of another."""
 
 from collections.abc import Sequence
 
@@ -11,10 +11,11 @@ from splatrl.training.trunk import GAIN, two_convolutions
 
 
 class CorrelationTrunk(nn.Module):
-    """Convolutions shared by two images, and how alike each cell of the one is to each cell of the other.
+    """Convolutions shared by two images, and the similarity of each cell of one image to each cell of the other.
 
-    The correlation volume of optical flow (Dosovitskiy et al. 2015, FlowNet; over all pairs as in Teed and Deng 2020,
-    RAFT), as cosines of features less their mean over the image. A dense layer reads it beside the features themselves.
+    This is the correlation volume of optical flow (Dosovitskiy et al. 2015, FlowNet; over all pairs as in Teed and Deng
+    2020, RAFT), as cosines of features from which their mean over the image is subtracted. A dense layer reads it
+    together with the features themselves.
 
     Args:
         height: height of the images, pixels.
@@ -24,7 +25,7 @@ class CorrelationTrunk(nn.Module):
         features: size of the output.
 
     Raises:
-        ValueError: for images that are too small for the convolutions, or other than two of them.
+        ValueError: if the images are too small for the convolutions, or ``channels`` does not hold two numbers.
     """
 
     def __init__(self, height: int, width: int, depth: int, channels: Sequence[int], features: int):

@@ -5,11 +5,11 @@ from collections.abc import Callable, Sequence
 import torch
 
 WARM_UP = 3
-"""Number of calls before the capture, in which libraries choose their kernels and allocate their memory."""
+"""Calls before the capture, during which libraries choose their kernels and allocate their memory."""
 
 
 class CudaGraph:
-    """Calls a function; after a few calls it is captured, and from then on all its kernels are launched at once.
+    """Calls a function, captures it after a few calls, and from then on launches all its kernels at once.
 
     The function has no arguments and returns nothing: it reads and writes tensors in place on one CUDA device, never
     synchronises with the host, and takes the same path in every call. Its Python code runs only until it is captured.

@@ -1,6 +1,6 @@
-"""Dataset aggregation (DAgger, Ross et al. 2011): the policy acts, and a teacher, the planner, says what was right.
+"""Dataset aggregation (DAgger, Ross et al. 2011): the policy acts, and a teacher labels its states with right actions.
 
-A task with a teacher of its own is asked in place of the planner.
+The teacher is the task's own, if it has one, or else the planner.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,7 +22,7 @@ from splatrl.training.learner import Learner
 from splatrl.values import require_number
 
 TAUGHT = "taught"
-"""Key of what the teacher would have done in a frame."""
+"""Key of the action that the teacher would have taken in a frame."""
 
 
 @dataclass(frozen=True)
@@ -30,16 +30,16 @@ class DaggerSettings:
     """Settings of DAgger.
 
     Attributes:
-        rounds: how often the policy acts for a while and then learns from all frames so far; 0 is off.
-        frames_per_round: frames in which it acts, a multiple of ``env.num_envs``.
-        epochs: passes over all frames so far in each round.
-        shown_rounds: the first rounds, in which the teacher acts in place of the policy.
-        guided: share of the robots that the teacher drives in the other rounds, so that the policy's frames are joined
-            by some from further along the way.
+        rounds: number of times that the policy acts for a while and then learns from all frames so far; 0 is off.
+        frames_per_round: frames in which it acts per round, a multiple of ``env.num_envs``.
+        epochs: passes over all frames so far, per round.
+        shown_rounds: number of rounds at the start in which the teacher acts in place of the policy.
+        guided: fraction of the robots that the teacher drives in the other rounds, so that there are also frames from
+            further along the way than the policy gets.
         last_epochs: passes over all frames after the last round, while the learning rate falls to zero.
 
     Raises:
-        ValueError: names the value that is out of range.
+        ValueError: if a value is out of range; the message names it.
     """
 
     rounds: int
@@ -67,18 +67,18 @@ def visited(
 ) -> dict[str, Tensor]:
     """Let the policy act in new episodes, and label every state that it visits.
 
-    Values are those of what the policy did, bootstrapped by its critic as in PPO.
+    Value targets are those of the actions that were taken, bootstrapped by the policy's critic as in PPO.
 
     Args:
         env: batched env of B robots.
         learner: holds the policy and its critic.
-        plans: know the actions that begin a shortest path, one for each of the env's scenes.
+        plans: one for each of the env's scenes, which knows the actions that begin a shortest path.
         frames: N, a multiple of B.
         reads: keys that the policy reads.
-        guided: share of the robots that the teacher drives in its place.
+        guided: fraction of the robots that the teacher drives in place of the policy.
 
     Returns:
-        Frames as ``Cloner.fit`` takes them, one robot after the other.
+        Frames as ``Cloner.fit`` takes them, one robot after another.
     """
     drives = torch.rand(env.numel()) < guided if guided else torch.zeros(env.numel(), dtype=torch.bool)
     acts = partial(_taught_actor, Actor(learner.model), env, plans, drives.to(env.device))
@@ -107,7 +107,7 @@ def _taught_actor(
     drives: Tensor,
     td: TensorDictBase,
 ) -> TensorDictBase:
-    """What an actor writes, and what the teacher would have done, which robots [B] that it drives do where it knows."""
+    """Let an actor act, and add the teacher's actions, which the robots [B] that it drives take where it knows one."""
     td = actor(td)
     target = _taught(td, env, plans).to(td["action"].device)
     td = td.set(TAUGHT, target)
@@ -121,7 +121,7 @@ def _taught_actor(
 
 
 def _taught(rows: TensorDictBase, env: EnvBase, plans: Sequence[Plan]) -> Tensor:
-    """What the task's teacher, or else the planner, would have done in some frames: [N, D]; see ``targets``."""
+    """Return what the task's teacher, or else the planner, would have done in frames: [N, D]; see ``targets``."""
     task = env.task
     taught = task.teach(rows["state"], {key: rows[key] for key in task.memory_spec})
     if taught is None:
@@ -132,7 +132,7 @@ def _taught(rows: TensorDictBase, env: EnvBase, plans: Sequence[Plan]) -> Tensor
 
 
 def _planned(rows: TensorDictBase, plans: Sequence[Plan], spec: TensorSpec) -> Tensor:
-    """What the planner would have done in some frames: [N, D]; see ``targets``."""
+    """Return what the planner would have done in frames: [N, D]; see ``targets``."""
     state, actions = rows["state"].to(plans[0].states.device), plans[0].actions
     optimal = torch.zeros(len(state), len(actions), dtype=torch.bool, device=state.device)
     scene = rows.get("scene", torch.zeros_like(rows["step_count"])).flatten().to(state.device)
@@ -143,16 +143,16 @@ def _planned(rows: TensorDictBase, plans: Sequence[Plan], spec: TensorSpec) -> T
 
 
 def targets(optimal: Tensor, actions: Tensor, spec: TensorSpec) -> Tensor:
-    """What to imitate where some of several actions are right; see ``imitation``.
+    """Make targets to imitate from the set of right actions in each frame; see ``imitation``.
 
     Args:
-        optimal: [N, A] bool, which actions are right.
+        optimal: [N, A] bool, whether each action is right.
         actions: [A, ...], the actions.
         spec: action spec of an env, batched or not.
 
     Returns:
-        Equal shares of all right ones if actions are discrete, or else one of them, drawn: [N, D] float32; NaN where
-        none is right.
+        Equal probabilities of all right actions if actions are discrete, or else one of them, drawn at random: [N, D]
+        float32; NaN where none is right.
     """
     known = optimal.any(1, keepdim=True)
     if isinstance(spec, Categorical):

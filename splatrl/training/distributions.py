@@ -1,6 +1,6 @@
 """Action distributions that never synchronise with the host, unlike PyTorch's and TorchRL's, which check their inputs.
 
-They draw the same numbers as those from the same generator.
+From the same generator, they draw the same numbers as the originals.
 """
 
 from typing import Any
@@ -18,10 +18,10 @@ from torchrl.modules.distributions.continuous import (
 
 
 class Choice(Categorical):
-    """A distribution over N actions that avoids ``torch.multinomial``, which synchronises to check its probabilities.
+    """A categorical distribution that avoids ``torch.multinomial``, which synchronises to check its probabilities.
 
     Args:
-        logits: [..., N].
+        logits: [..., N], unnormalised log probabilities of N actions.
     """
 
     def __init__(self, logits: Tensor):
@@ -33,7 +33,7 @@ class Choice(Categorical):
         return self.mode
 
     def sample(self, sample_shape: Any = torch.Size()) -> Tensor:  # noqa: B008, an empty size is a constant
-        """Draw from each distribution, by the first arrival among exponential clocks."""
+        """Draw from each distribution, as the first arrival among exponential clocks."""
         if len(sample_shape):
             return super().sample(sample_shape)
         return (self.probs / torch.empty_like(self.probs).exponential_()).argmax(-1)
@@ -43,8 +43,8 @@ class Squashed(TanhNormal):
     """A normal distribution squashed to limits by a tanh; TorchRL's own synchronises five times.
 
     Args:
-        loc: [..., D], before the tanh.
-        scale: [..., D], positive.
+        loc: [..., D], mean before the tanh.
+        scale: [..., D], standard deviation before the tanh, positive.
         low: [D], lowest action.
         high: [D], highest action.
     """

@@ -31,10 +31,10 @@ def orthogonal(layer: nn.Linear | nn.Conv2d, gain: float) -> nn.Linear | nn.Conv
 
 
 class Leading(nn.Module):
-    """The first features of an output, whatever comes behind them.
+    """Keeps the first features of its input, and drops the rest.
 
     Args:
-        features: how many.
+        features: number of features to keep.
     """
 
     def __init__(self, features: int):
@@ -56,8 +56,8 @@ def policy_head(
             ``Bounded`` floats in the last axis give a normal one, squashed by a tanh to the limits of the spec, whose
             mean and standard deviation depend on ``hidden``.
         features: size of ``hidden``, or of the part of it that is read.
-        beside: whether there is more behind that part, which the policy does not read.
-        spread: standard deviation of continuous actions before the tanh, in the beginning.
+        beside: whether ``hidden`` holds more after that part, which the policy does not read.
+        spread: initial standard deviation of continuous actions before the tanh.
 
     Raises:
         ValueError: for any other spec.
@@ -92,7 +92,7 @@ def policy_head(
 
 
 def distribution(head: ProbabilisticTensorDictSequential, hidden: Tensor) -> Distribution:
-    """The distribution of actions, computed without TensorDicts: ``hidden`` is [..., features] float32."""
+    """Return the distribution of actions for ``hidden``, [..., features] float32, without using TensorDicts."""
     layer, sampler = head.module
     parameters = layer.module(hidden)
     parameters = parameters if isinstance(parameters, tuple) else (parameters,)
@@ -101,7 +101,7 @@ def distribution(head: ProbabilisticTensorDictSequential, hidden: Tensor) -> Dis
 
 
 def entropy(policy: Distribution) -> Tensor:
-    """Entropy of each distribution in a batch; without a closed form, a one-sample estimate with its gradient."""
+    """Entropy of each distribution in a batch; if it has no closed form, a differentiable one-sample estimate."""
     if isinstance(policy, TanhNormal):
         return -policy.rsample_and_log_prob()[1]
     return policy.entropy()

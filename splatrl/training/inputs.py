@@ -1,4 +1,4 @@
-"""What a network reads: images and vectors, by key."""
+"""Inputs of a network: images and vectors, by key."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,10 +19,10 @@ class Input(NamedTuple):
     """An observation that a network reads.
 
     Attributes:
-        encoding: ``image`` [H, W, C], uint8 or floats in [0, 1], joined with other images as channels; ``plain``,
-            numbers as they are; ``angle``, radians, as cosine and sine; ``polar``, rho and phi, as log(1 + rho), cosine
+        encoding: ``image``: [H, W, C], uint8 or floats in [0, 1], joined with other images as channels; ``plain``:
+            numbers as they are; ``angle``: radians, as cosine and sine; ``polar``: rho and phi, as log(1 + rho), cosine
             and sine.
-        shape: of one robot's observation.
+        shape: shape of one robot's observation.
     """
 
     encoding: str
@@ -30,20 +30,21 @@ class Input(NamedTuple):
 
     @property
     def size(self) -> int:
-        """How many numbers a vector is encoded as."""
+        """Number of values that a vector is encoded as."""
         return math.prod(self.shape) * {"plain": 1, "angle": 2}.get(self.encoding, 1) + (self.encoding == "polar")
 
 
 def inputs_of(named: Mapping[str, str], spec: Composite, group: str = "inputs") -> dict[str, Input]:
-    """The inputs that a config names, with the shapes that an env gives them.
+    """Return the inputs that a config names, with the shapes that an env gives them.
 
     Args:
         named: encoding by key.
         spec: observation spec of the env, batched.
-        group: where it stands in the config.
+        group: name of the config group, for messages.
 
     Raises:
-        ValueError: for a key that is not observed, another encoding, or a shape that it does not fit.
+        ValueError: for a key that is not observed, an unknown encoding or one that does not fit the shape, or images of
+            different sizes.
     """
     found = {}
     for key, encoding in named.items():
@@ -63,10 +64,10 @@ def inputs_of(named: Mapping[str, str], spec: Composite, group: str = "inputs") 
 
 
 class Prepare(nn.Module):
-    """The part of a network without weights: pools and joins images, and encodes vectors.
+    """The weight-free part of a network: pools and joins images, and encodes vectors.
 
     Args:
-        inputs: what is read, in the order of the arguments of ``forward``.
+        inputs: the inputs, in the order of the arguments of ``forward``.
         pool: side of the cells over which images are averaged, pixels.
     """
 
@@ -76,7 +77,7 @@ class Prepare(nn.Module):
         self.pool = PoolPixels(pool)
 
     def forward(self, *observed: Tensor) -> tuple[Tensor, ...]:
-        """The joined image [..., H // pool, W // pool, C] in [-0.5, 0.5], if there is one, and the vector [..., V]."""
+        """Return the joined image [..., H // pool, W // pool, C] in [-0.5, 0.5] and the vector [..., V], if present."""
         images = [one for one, how in zip(observed, self.encodings, strict=True) if how == "image"]
         pooled = [self.pool(one if one.dtype == torch.uint8 else 255.0 * one) for one in images]
         vectors = [_encoded(one, how) for one, how in zip(observed, self.encodings, strict=True) if how != "image"]
@@ -85,7 +86,7 @@ class Prepare(nn.Module):
 
 
 def _encoded(values: Tensor, how: str) -> Tensor:
-    """A vector as a network reads it: [..., n] -> [..., size]."""
+    """Encode a vector for a network: [..., n] -> [..., size]."""
     values = values.float()
     if how == "angle":
         return torch.cat([values.cos(), values.sin()], -1)
@@ -96,14 +97,14 @@ def _encoded(values: Tensor, how: str) -> Tensor:
 
 
 class JoinedTrunk(nn.Module):
-    """Convolutions over the image, if there is one, beside a dense layer over the vector, joined by another.
+    """Convolutions over the image and a dense layer over the vector, if present, joined by another dense layer.
 
     Args:
-        image_shape: (H, W, C) after pooling; None reads vectors alone.
-        vector: numbers of the vector; 0 reads images alone.
+        image_shape: (H, W, C) after pooling; None reads only the vector.
+        vector: size of the vector; 0 reads only the image.
         channels: see ``Trunk``.
         features: size of each part and of the output.
-        trunk: class of the convolutions.
+        trunk: class of the trunk that reads the image.
     """
 
     def __init__(
@@ -120,7 +121,7 @@ class JoinedTrunk(nn.Module):
         self.joined = _dense(((self.seen is not None) + (self.told is not None)) * features, features)
 
     def forward(self, *prepared: Tensor) -> Tensor:
-        """What ``Prepare`` gives -> [..., features] float32."""
+        """Encode the output of ``Prepare``: -> [..., features] float32."""
         layers = [layer for layer in (self.seen, self.told) if layer is not None]
         return self.joined(torch.cat([layer(one) for layer, one in zip(layers, prepared, strict=True)], -1))
 

@@ -20,9 +20,9 @@ from splatrl.training.settings import LossSettings, OptimSettings
 class Learner:
     """Adam on the clipped loss; a policy without memory learns from single frames, one with memory from sequences.
 
-    The trunk is evaluated once per frame, and both heads read its output. On a CPU frames of a minibatch that show the
-    same are evaluated together, which changes nothing but the order of sums. Pooled images and the critic's values
-    come from collection.
+    The trunk is evaluated once per frame, and both heads read its output. On a CPU, the trunk is evaluated only once
+    for identical frames of a minibatch, which changes nothing but the order of sums. Pooled images and the critic's
+    values are kept from collection.
 
     Args:
         model: actor and critic over a shared trunk.
@@ -45,7 +45,7 @@ class Learner:
         self._native = native_step(*parts, optim.max_grad_norm) if compiled else None
 
     def anneal(self, left: float) -> None:
-        """Set learning rate and entropy bonus for the point at which a share ``left`` of the training remains."""
+        """Set learning rate and entropy bonus for the point at which a fraction ``left`` of the training remains."""
         if self.optim.anneal_lr:
             for group in self.optimizer.param_groups:
                 group["lr"] = self.optim.lr * left
@@ -53,7 +53,7 @@ class Learner:
             self.entropy_coeff = self.loss.entropy_coeff * left
 
     def learn(self, batch: TensorDictBase) -> dict[str, float]:
-        """Learn from a batch of frames [B, T]; returns the means of ``STATISTICS`` over its gradient steps."""
+        """Learn from a batch of frames [B, T], and return the means of ``STATISTICS`` over its gradient steps."""
         batch["advantage"], batch["value_target"] = self.advantages(batch)
         alike, epochs = self.alike(batch), range(self.loss.ppo_epochs)
         steps = [self.step(frames) for _ in epochs for frames in self.minibatches(batch, alike)]
@@ -61,10 +61,10 @@ class Learner:
 
     @torch.no_grad()
     def advantages(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """Generalised advantages and value targets, [B, T, 1] each.
+        """Return generalised advantages and value targets, [B, T, 1] each.
 
-        The value of the next observation is that of the next column. Only where the rollout ends, or an episode was
-        truncated and the next column is a new start, the critic is evaluated again, with its memory after that step. A
+        The value of the next observation is read from the next column. Only where the rollout ends, or an episode was
+        truncated and the next column is a new start, is the critic evaluated again, with its memory after that step. A
         batch with a ``next_value`` needs no evaluation.
         """
         value, after = batch["state_value"], batch["next"]
@@ -82,7 +82,7 @@ class Learner:
         )
 
     def _next_values(self, value: Tensor, after: TensorDictBase) -> Tensor:
-        """The critic's values of the observations after each step, [B, T, 1]."""
+        """Return the critic's values of the observations after each step, [B, T, 1]."""
         next_value = torch.cat([value[:, 1:], value[:, -1:]], 1)
         asked = after["truncated"].squeeze(-1).clone()
         asked[:, -1] = True
@@ -91,7 +91,7 @@ class Learner:
         return next_value
 
     def alike(self, batch: TensorDictBase) -> Tensor | None:
-        """For each frame of a batch, [B * T], the first one that shows the same; None where that would not help."""
+        """Return, for each frame of a batch [B * T], the first with identical inputs; None if that would not help."""
         if self._memory or self.optim.compile or batch["action"].device.type != "cpu" or not self._is_prepared(batch):
             return None
         return first_alike(*(batch[key].flatten(0, 1) for key in self._prepared))
@@ -100,10 +100,10 @@ class Learner:
         return all(key in batch.keys() for key in self._prepared)  # noqa: SIM118, a TensorDict is no dict
 
     def minibatches(self, batch: TensorDictBase, alike: Tensor | None = None) -> Iterator[dict[str, Tensor]]:
-        """Every frame once, in random order: [N, ...] each, or with memory whole rows of the batch, [N, T, ...].
+        """Yield every frame once, in random order: [N, ...] each, or with memory whole rows of the batch, [N, T, ...].
 
-        If a batch does not hold what the part without weights makes, such as ``image``, it is made here. With ``alike``
-        a minibatch holds what it shows only once, and in ``shown`` [N] which of that each frame shows.
+        If a batch lacks the output of the weight-free part, such as ``image``, it is computed here. With ``alike``, a
+        minibatch holds identical inputs only once, and ``shown`` [N] is the index of each frame's inputs among them.
         """
         made = self._is_prepared(batch)
         view = self._prepared if made else self._reads
@@ -129,7 +129,7 @@ class Learner:
             yield some
 
     def step(self, frames: dict[str, Tensor]) -> Tensor:
-        """Take one gradient step on a minibatch; returns ``STATISTICS``."""
+        """Take one gradient step on a minibatch, and return ``STATISTICS``."""
         if self._native is not None and self._native.suits(frames, self.optimizer):
             return self._native.step(frames, self.optimizer, self.loss, self.entropy_coeff)
         loss, statistics = self._measured(frames, self._bonus(frames["action"].device))
@@ -140,13 +140,13 @@ class Learner:
         return statistics
 
     def _losses(self, frames: dict[str, Tensor], entropy_coeff: float | Tensor) -> tuple[Tensor, Tensor]:
-        """The loss of a minibatch and ``STATISTICS``."""
+        """Return the loss of a minibatch, and ``STATISTICS``."""
         hidden = self._hidden(frames)
         policy, value = distribution(self._policy, hidden), self._value(hidden).squeeze(-1)
         return clipped_loss(policy, value, frames, self.loss, entropy_coeff)
 
     def _bonus(self, device: torch.device) -> float | Tensor:
-        """Weight of the entropy bonus: a tensor for compiled code, which would be recompiled for each new number."""
+        """Weight of the entropy bonus; a tensor for compiled code, which would be recompiled for each new number."""
         return torch.full((), self.entropy_coeff, device=device) if self.optim.compile else self.entropy_coeff
 
     def _hidden(self, frames: dict[str, Tensor]) -> Tensor:

@@ -1,4 +1,4 @@
-"""The loss of proximal policy optimisation with clipped ratios (Schulman et al. 2017, eq. 9) in plain tensors."""
+"""The clipped loss of proximal policy optimisation (Schulman et al. 2017, eq. 9), on plain tensors."""
 
 from collections.abc import Mapping
 
@@ -21,7 +21,7 @@ def clipped_loss(
     settings: LossSettings,
     entropy_coeff: float | Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Loss of a minibatch, with the value and gradient of TorchRL's ``ClipPPOLoss`` in a fraction of the time.
+    """Return the loss of a minibatch: value and gradient of TorchRL's ``ClipPPOLoss``, in a fraction of the time.
 
     Args:
         policy: distribution of actions in each frame, [...].

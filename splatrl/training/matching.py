@@ -1,6 +1,6 @@
-"""Views of one place told apart: a trunk that reads the view and a goal's image learns from where the latter was seen.
+"""View matching: a trunk that reads a view and a goal's image learns the relative pose between the two.
 
-Pairs of views cost nothing but the views: any two of a scene are a pair, whose relative pose is known.
+Pairs cost nothing beyond the views themselves: any two views of a scene form a pair whose relative pose is known.
 """
 
 import math
@@ -26,13 +26,13 @@ class MatchingSettings:
     """Settings of learning from pairs of views.
 
     Attributes:
-        frames: episodes that are begun, and in which nobody acts; each shows the view and its goal's. 0 is off.
-        pairs: of two views of one scene, drawn among them.
-        mini_batch_size: pairs in a gradient step.
+        frames: episodes to begin, in which no robot acts; each gives a robot's view and its goal's image. 0 is off.
+        pairs: number of pairs of views to draw, each from one scene.
+        mini_batch_size: pairs per gradient step.
         lr: learning rate of Adam, which falls linearly to zero.
 
     Raises:
-        ValueError: names the value that is out of range.
+        ValueError: if a value is out of range; the message names it.
     """
 
     frames: int
@@ -53,9 +53,9 @@ class Views(NamedTuple):
     Attributes:
         image: [N, H, W, 3] uint8.
         planar: [N, 3] float32, x and y in metres and yaw in radians.
-        around: [N] int64, rows of the views in the order of their scenes and, in each, of their headings.
-        first: [N] int64, of each place in this order the one at which the same scene begins.
-        among: [N] int64, likewise how many views there are of that scene.
+        around: [N] int64, rows of the views, sorted by scene and within each scene by heading.
+        first: [N] int64, for each position in this order, the position at which its scene begins.
+        among: [N] int64, for each position in this order, the number of views of its scene.
     """
 
     image: Tensor
@@ -66,11 +66,11 @@ class Views(NamedTuple):
 
 
 def views(env: EnvBase, frames: int) -> Views:
-    """Views and images of goals, as many of each, from where episodes begin.
+    """Collect robots' views and the images of their goals at the start of episodes.
 
     Args:
         env: batched env of B robots, in which robots observe ``READS``.
-        frames: a multiple of B.
+        frames: number of episodes, a multiple of B; there are twice as many views.
     """
     image = torch.empty(2, frames, *env.observation_spec[ImageGoal.KEY].shape[1:], dtype=torch.uint8)
     planar, scene = torch.empty(2, frames, 3), torch.zeros(2, frames, dtype=torch.int64)
@@ -85,7 +85,7 @@ def views(env: EnvBase, frames: int) -> Views:
 
 
 def views_of(image: Tensor, planar: Tensor, scene: Tensor) -> Views:
-    """Views [N, ...] of scenes, [N] int64."""
+    """Make ``Views`` of images and poses [N, ...], given the scene of each, [N] int64."""
     around = (scene * math.tau + planar[:, 2] % math.tau).argsort(stable=True)
     counts = scene.bincount()
     first, own = counts.cumsum(0) - counts, scene[around]
@@ -93,9 +93,10 @@ def views_of(image: Tensor, planar: Tensor, scene: Tensor) -> Views:
 
 
 class Matcher:
-    """Adam on how far off a trunk tells from where one of two views was seen, in the frame of the other's robot.
+    """Trains a trunk with Adam to tell from where one of two views was seen, in the frame of the other view's robot.
 
-    A linear layer reads place, in metres, and cosine and sine of the turn from the trunk's features; it is thrown away.
+    A linear layer predicts the position, in metres, and the cosine and sine of the turn from the trunk's features; it
+    is discarded afterwards.
 
     Args:
         model: actor and critic over a shared trunk, which reads ``READS``.
@@ -113,7 +114,7 @@ class Matcher:
         self._device = next(trunk.parameters()).device
 
     def fit(self, shown: Views) -> float:
-        """Learn from pairs of views; returns the mean loss of the last tenth of them."""
+        """Learn from pairs of views, and return the mean loss over the last tenth of the steps."""
         size, losses = self.settings.mini_batch_size, list[Tensor]()
         head = orthogonal(nn.Linear(len(self._features(shown, *drawn(shown, 1))[0]), 4), 1.0).to(self._device)
         parameters = [*self._trunk.parameters(), *head.parameters()]
@@ -139,7 +140,7 @@ class Matcher:
 
 
 def drawn(shown: Views, count: int) -> tuple[Tensor, Tensor]:
-    """Rows of both views of pairs, [count] int64 each; the nearer two headings are, the more likely is the pair."""
+    """Draw pairs of views: rows of both, [count] int64 each. The closer two headings are, the likelier is the pair."""
     here = torch.randint(len(shown.around), (count,))
     first, among = shown.first[here], shown.among[here]
     away = 0.5 * among * (2.0 * torch.rand(count) - 1.0) ** 3
@@ -148,7 +149,7 @@ def drawn(shown: Views, count: int) -> tuple[Tensor, Tensor]:
 
 
 def seen_from(here: Tensor, there: Tensor) -> Tensor:
-    """Places and turns of some poses in the frames of others: [N, 3] each -> [N, 4], metres, cosine and sine."""
+    """Express ``there`` in the frames of ``here``: [N, 3] each -> [N, 4], x and y in metres, cosine and sine of yaw."""
     away, yaw, turn = there[:, :2] - here[:, :2], here[:, 2], there[:, 2] - here[:, 2]
     ahead = away[:, 0] * yaw.cos() + away[:, 1] * yaw.sin()
     left = away[:, 1] * yaw.cos() - away[:, 0] * yaw.sin()

@@ -14,7 +14,7 @@ class Memory(GRUModule):
     """TorchRL's ``GRUModule``, evaluated step by step except on a CPU.
 
     TorchRL's version synchronises with the host to find where episodes begin, and in learning splits the batch there.
-    Here the state is cleared where an episode begins, so no synchronisation is needed.
+    Here the state is cleared where an episode begins, which needs no synchronisation.
 
     Attributes:
         stepwise: whether to evaluate step by step; None does so except on a CPU.
@@ -39,14 +39,14 @@ class Memory(GRUModule):
         return tensordict.set("hidden", stacked).set(("next", STATE), stacked.unsqueeze(-2))
 
     def _after(self, features: Tensor, state: Tensor, is_init: Tensor) -> Tensor:
-        """The state after one step: [B, F], [B, M] and [B, 1] bool -> [B, M]."""
+        """Return the state after one step: [B, F], [B, M] and [B, 1] bool -> [B, M]."""
         cell = self.gru
         weights = (cell.weight_ih_l0, cell.weight_hh_l0, cell.bias_ih_l0, cell.bias_hh_l0)
         return torch.gru_cell(features, torch.where(is_init, 0.0, state), *weights)
 
 
 class RecurrentReset(TensorDictPrimer):
-    """TorchRL's primer with zeros, without its synchronisation to find out whether any row is reset."""
+    """TorchRL's primer with zeros, but without synchronising to find out whether any row is reset."""
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         batch = tensordict_reset.batch_size
@@ -73,10 +73,10 @@ def gru(features: int, memory: int) -> Memory:
 
 
 def memory_transforms(memory: int) -> list[Transform]:
-    """The transforms that an env needs for ``actor_critic(..., memory=memory)``, to be applied after all others.
+    """Return the transforms that an env needs for ``actor_critic(..., memory=memory)``, to be applied after all others.
 
-    They carry ``recurrent_state`` [B, 1, memory] float32 from step to step, zero it where episodes begin, and mark in
-    ``is_init`` where that is.
+    They carry ``recurrent_state`` [B, 1, memory] float32 from step to step, zero it where episodes begin, and mark
+    these steps in ``is_init``.
 
     Args:
         memory: size of the state; 0 needs no transforms.

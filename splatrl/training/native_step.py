@@ -1,4 +1,4 @@
-"""A whole gradient step in C++: what a small network would otherwise spend between PyTorch's operations."""
+"""A whole gradient step in C++, which saves small networks the overhead between PyTorch's operations."""
 
 from collections.abc import Mapping
 
@@ -15,15 +15,15 @@ from splatrl.training.trunk import Trunk
 
 
 class NativeStep:
-    """The gradient step of ``Learner`` for a policy that reads images and chooses among actions.
+    """The gradient step of ``Learner`` for a policy that reads images and chooses among discrete actions.
 
-    Loss, gradients, clipping and Adam are those of PyTorch up to rounding; tests hold it to them. Adam's state is
-    PyTorch's own, so checkpoints are the same.
+    Loss, gradients, clipping and Adam equal PyTorch's up to rounding, as tests verify. Adam's state is PyTorch's own,
+    so checkpoints are the same.
 
     Args:
-        trunk: reads images.
-        policy: the policy head, of one linear layer.
-        value: the value head, a linear layer.
+        trunk: trunk that reads images.
+        policy: policy head with one linear layer.
+        value: value head, a linear layer.
         max_grad_norm: norm to which gradients are clipped.
     """
 
@@ -39,7 +39,7 @@ class NativeStep:
         self.heads = [head.weight, head.bias, value.weight, value.bias]
 
     def suits(self, frames: Mapping[str, Tensor], optimizer: torch.optim.Optimizer) -> bool:
-        """Whether it can take a step on these frames, and is faster than PyTorch."""
+        """Whether these frames are supported, and a step on them is faster than PyTorch's."""
         images = frames["image"]
         plain = images.ndim == 4 and all(each.dtype == torch.float32 and each.is_contiguous() for each in self.heads)
         return (
@@ -53,7 +53,7 @@ class NativeStep:
         loss: LossSettings,
         entropy_coeff: float,
     ) -> Tensor:
-        """Take a step on a minibatch, as ``Learner.step`` does; returns ``STATISTICS``."""
+        """Take a step on a minibatch, as ``Learner.step`` does, and return ``STATISTICS``."""
         images, shown = frames["image"].contiguous(), frames.get("shown")
         weights = [*self.trunk.convolutions.parameters(), *self.trunk.dense.parameters()]
         layers = forward(images, weights)
@@ -78,7 +78,7 @@ class NativeStep:
         return statistics
 
     def _descend(self, values: list[Tensor], gradients: list[Tensor], optimizer: torch.optim.Optimizer) -> None:
-        """Clip gradients and take a step of Adam."""
+        """Clip the gradients and take a step of Adam."""
         (group,) = optimizer.param_groups
         tensors, step = [], 0.0
         for value, gradient in zip(values, gradients, strict=True):
@@ -97,7 +97,7 @@ class NativeStep:
 def native_step(
     trunk: nn.Module, policy: ProbabilisticTensorDictSequential, value: nn.Module, max_grad_norm: float
 ) -> NativeStep | None:
-    """The compiled gradient step of a network, or None where it has other parts."""
+    """Return the compiled gradient step of a network, or None if it has parts that are not supported."""
     layer, sampler = policy.module
     if not isinstance(trunk, Trunk) or not isinstance(value, nn.Linear) or not isinstance(layer.module, nn.Linear):
         return None

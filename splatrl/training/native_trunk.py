@@ -1,4 +1,4 @@
-"""The network that reads images, compiled: the same layers as ``Trunk``, forwards and backwards in C++."""
+"""The layers of ``Trunk``, which read images, forwards and backwards in compiled C++."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,40 +11,40 @@ from splatrl.native import _core
 from splatrl.native.threads import usable_cores
 
 FAST = ("avx2", "avx512")
-"""Instruction sets with which it is faster than PyTorch's own layers."""
+"""Instruction sets with which the compiled layers are faster than PyTorch's."""
 LANES = 16
 """Channels of the convolutions must be multiples of this number."""
 LARGE = 64
-"""From so many images on, starting threads costs less than they save."""
+"""Number of images from which on threads save more time than starting them costs."""
 
 
 def suits(images: Tensor, convolutions: nn.Sequential, dense: nn.Sequential) -> bool:
-    """Whether the compiled layers take these images and weights, and are faster than PyTorch's."""
+    """Whether the compiled layers support these images and weights, and are faster than PyTorch's."""
     if torch.compiler.is_compiling() or torch.jit.is_tracing() or images.requires_grad:
         return False
     weights = (*convolutions.parameters(), *dense.parameters())
     plain = all(each.dtype == torch.float32 and each.device.type == "cpu" for each in (images, *weights))
-    fits = all(len(bias) % LANES == 0 for bias in weights[1:4:2])  # of the convolutions
+    fits = all(len(bias) % LANES == 0 for bias in weights[1:4:2])  # the biases of the convolutions
     return plain and fits and _core.isa() in FAST
 
 
 def encoded(images: Tensor, convolutions: nn.Sequential, dense: nn.Sequential) -> Tensor:
-    """Features of images, through which gradients reach the weights: [N, H, W, C] -> [N, F], float32.
+    """Encode images as features, differentiable with respect to the weights: [N, H, W, C] -> [N, F], float32.
 
     All cores share the work. Neither their number nor the size of a batch changes a byte of an image's features, and
-    gradients are sums of those of sixteen images at a time, whatever the cores.
+    gradients are always summed over sixteen images at a time, however many cores there are.
 
     Args:
-        images: they need to pass ``suits``.
-        convolutions: two of them, each before a ReLU.
-        dense: a linear layer before a ReLU.
+        images: images that pass ``suits``.
+        convolutions: two convolutions, each followed by a ReLU.
+        dense: a linear layer followed by a ReLU.
     """
     weights = (each.contiguous() for each in (*convolutions.parameters(), *dense.parameters()))
     return _Encoding.apply(images.contiguous(), *weights)
 
 
 def forward(images: Tensor, weights: Sequence[Tensor]) -> list[Tensor]:
-    """What each layer gives for images [N, H, W, C], the features [N, F] last.
+    """Return the output of each layer for images [N, H, W, C]; the features [N, F] come last.
 
     Args:
         images: float32 on the CPU, contiguous.
@@ -61,7 +61,7 @@ def forward(images: Tensor, weights: Sequence[Tensor]) -> list[Tensor]:
 
 
 def backward(images: Tensor, weights: Sequence[Tensor], layers: Sequence[Tensor], slope: Tensor) -> list[Tensor]:
-    """Gradients of the weights, from that of the features [N, F]."""
+    """Return the gradients of the weights, from that of the features [N, F]."""
     gradients, count = [torch.empty_like(weight) for weight in weights], len(images)
     given = images.data_ptr(), count, addresses(weights), addresses(layers), slope.data_ptr()
     _core.trunk_backward(_shape(images, weights), *given, addresses(gradients), _threads(count))
@@ -69,7 +69,7 @@ def backward(images: Tensor, weights: Sequence[Tensor], layers: Sequence[Tensor]
 
 
 def addresses(tensors: Sequence[Tensor]) -> tuple[int, ...]:
-    """Where tensors begin in memory."""
+    """Addresses of tensors in memory."""
     return tuple(tensor.data_ptr() for tensor in tensors)
 
 

@@ -1,4 +1,4 @@
-"""The actor and critic, which see pixels or what else they are given to read."""
+"""The actor and critic, which read pixels or other observations."""
 
 from collections.abc import Mapping, Sequence
 
@@ -16,7 +16,7 @@ from splatrl.training.trunk import PoolPixels, Trunk
 from splatrl.values import require_number
 
 FUSIONS = {"early": Trunk, "correlation": CorrelationTrunk}
-"""What reads several images, by name."""
+"""Trunks that read several images, by the name of the fusion."""
 
 
 def actor_critic(
@@ -31,10 +31,10 @@ def actor_critic(
     spread: float = FIRST_SCALE,
     fusion: str = "early",
 ) -> ActorValueOperator:
-    """Actor and critic over one trunk: ``pixels`` -> ``image`` -> ``hidden`` -> ``action`` and ``state_value``.
+    """Make actor and critic over one trunk: ``pixels`` -> ``image`` -> ``hidden`` -> ``action`` and ``state_value``.
 
-    With ``inputs`` it reads those in place of ``pixels``, and from what they are encoded as, ``image`` and ``vector``.
-    With ``critic_inputs`` the critic is told more than the actor (Pinto et al. 2018, "Asymmetric Actor Critic"): where
+    With ``inputs``, those are read in place of ``pixels``, and encoded as ``image`` and ``vector``. With
+    ``critic_inputs``, the critic receives more than the actor (Pinto et al. 2018, "Asymmetric Actor Critic"): where
     robots really are, or what they cannot feel. The actor's output does not depend on them.
 
     Args:
@@ -43,20 +43,20 @@ def actor_critic(
         pool: see ``PoolPixels``.
         channels: see ``Trunk``.
         features: see ``Trunk``.
-        memory: size of a GRU's state between trunk and heads, for which the env needs ``memory_transforms(memory)``; 0
-            is no GRU.
-        inputs: what is read in place of pixels, by key; see ``inputs_of``.
-        critic_inputs: vectors that the critic alone reads besides, by key.
-        spread: of continuous actions in the beginning, see ``policy_head``.
-        fusion: one of ``FUSIONS``: what becomes of several images, joined as channels (``early``) or, if there are two
-            alike, compared (``correlation``, see ``CorrelationTrunk``).
+        memory: size of the state of a GRU between trunk and heads, for which the env needs
+            ``memory_transforms(memory)``; 0 for no GRU.
+        inputs: observations to read in place of pixels, by key; see ``inputs_of``.
+        critic_inputs: vectors that only the critic reads as well, by key.
+        spread: initial standard deviation of continuous actions, see ``policy_head``.
+        fusion: one of ``FUSIONS``, how several images are combined: joined as channels (``early``) or, if there are two
+            of the same shape, compared (``correlation``, see ``CorrelationTrunk``).
 
     Returns:
         Operator whose ``get_policy_operator()`` acts, and whose heads share the trunk's ``hidden``.
 
     Raises:
-        ValueError: for sizes that are no whole numbers in their ranges; for another fusion, or one that the images do
-            not suit; for a critic that is told images, what the actor reads, or anything in a network with memory.
+        ValueError: if a size is not a whole number in its range; if the fusion is unknown or does not suit the images;
+            or if the critic's inputs are images, are read by the actor, or come with a memory.
     """
     require_number("network.pool", pool, 1, whole=True)
     require_number("network.features", features, 1, whole=True)
@@ -98,7 +98,7 @@ def _reader(
     inputs: Mapping[str, Input] | None,
     fusion: str,
 ) -> tuple[list[str], list[str], nn.Module, nn.Module]:
-    """Keys that are read and made by the part without weights, this part, and the trunk behind it."""
+    """Return the keys that the weight-free part reads and writes, that part, and the trunk that follows it."""
     if fusion not in FUSIONS:
         raise ValueError(f"network.fusion: expected one of {', '.join(FUSIONS)}, got {fusion}")
     images = [one.shape for one in (inputs or {}).values() if one.encoding == "image"]

@@ -18,7 +18,7 @@ from splatrl.values import require_number
 
 
 class PPO:
-    """Collects a batch of frames and learns from it; training can be stopped and resumed after any batch.
+    """Collects batches of frames and learns from them; training can be stopped and resumed after any batch.
 
     Args:
         env: batched env with ``pixels``, ``outcome`` and ``level``, transformed or not; for a model with memory it
@@ -28,12 +28,13 @@ class PPO:
         optim: settings of the optimiser.
         frames_per_batch: frames between updates, a multiple of the env's batch size.
         total_frames: frames that the whole training may use; the last batch ends at or before this number.
-        cuda_graph: whether the steps of a rollout on a GPU are captured in a CUDA graph; None does so where renderer
-            and checker can be captured.
+        cuda_graph: whether the steps of a rollout on a GPU are captured in a CUDA graph; None does so if renderer and
+            checker can be captured.
         on_device: whether rollouts stay on the device (``DeviceCollector``); None keeps them there except on a CPU.
 
     Raises:
-        ValueError: for batch sizes that do not divide, a total below one batch, or a graph that cannot be captured.
+        ValueError: if ``frames_per_batch`` is not a multiple of the env's batch size, ``total_frames`` is less than one
+            batch, or a graph is asked for but cannot be captured.
     """
 
     def __init__(
@@ -92,10 +93,10 @@ class PPO:
         return report
 
     def collect(self) -> TensorDictBase:
-        """The next frames, [B, T]: what each robot saw, did and met.
+        """Collect the next frames, [B, T]: the observations, actions and results of each robot.
 
         Raises:
-            ValueError: for input that renderer or checker refused and noted on their device.
+            ValueError: if renderer or checker refused their input, which they note on the device.
         """
         batch = self.collector.collect()
         base = layers(self.env)[0]
@@ -104,7 +105,7 @@ class PPO:
         return batch
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything on which the rest of the training depends, as tensors and plain values."""
+        """Return all that the rest of the training depends on, as tensors and plain values."""
         base, transformed = layers(self.env)
         return {
             "device": self.device.type,
@@ -122,7 +123,7 @@ class PPO:
         """Continue from a ``state_dict()`` of the same configuration.
 
         Raises:
-            ValueError: for a state of another kind of device, whose random numbers cannot be continued here.
+            ValueError: for a state from another kind of device, whose random numbers cannot be continued here.
         """
         base, transformed = layers(self.env)
         made_on = state.get("device", "cpu")

@@ -1,4 +1,4 @@
-"""Frames that show the same, which a network needs to see only once."""
+"""Identical frames, which a network needs to evaluate only once."""
 
 from collections.abc import Sequence
 
@@ -6,21 +6,21 @@ import torch
 from torch import Tensor
 
 SAMPLE = 128
-"""So many frames tell whether a search among all is worth its time."""
+"""Number of frames that are sampled to decide whether a search among all is worth its time."""
 LEAST_SHARE = 0.1
-"""Of repeated frames, for which it is."""
+"""Minimum fraction of repeated frames in the sample for a search among all."""
 
 
 def first_alike(*seen: Tensor) -> Tensor | None:
-    """For each of N frames the first one that shows the same to the last bit.
+    """Return, for each of N frames, the first one with bitwise identical inputs.
 
-    On a lattice a robot sees one of finitely many views, and a batch of frames shows each of them several times.
+    On a lattice, a robot sees one of finitely many views, and a batch of frames holds each of them several times.
 
     Args:
-        seen: what frames show, [N, ...] each, on a CPU.
+        seen: inputs of the frames, [N, ...] each, on a CPU.
 
     Returns:
-        [N] int64, or None where hardly any of a sample are alike.
+        [N] int64, or None if hardly any frames of a sample are identical.
     """
     count = len(seen[0])
     sample = _first_alike([one[:: max(count // SAMPLE, 1)] for one in seen])

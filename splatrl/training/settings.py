@@ -1,4 +1,4 @@
-"""The settings of learning, under the keys of TorchRL's examples."""
+"""Settings of learning, with the names that TorchRL's examples use."""
 
 from dataclasses import dataclass
 
@@ -14,14 +14,14 @@ class LossSettings:
         gae_lambda: λ of generalised advantage estimation.
         clip_epsilon: how far the probability ratio may depart from 1.
         ppo_epochs: passes over each batch.
-        mini_batch_size: frames in a gradient step.
+        mini_batch_size: frames per gradient step.
         critic_coeff: weight of the value loss.
         entropy_coeff: weight of the entropy bonus at the start.
-        anneal_entropy: whether that weight falls linearly to zero at the end of training.
-        reward_scale: factor on rewards in learning, and nowhere else.
+        anneal_entropy: whether that weight falls linearly to zero by the end of training.
+        reward_scale: factor on the rewards that learning reads, and nowhere else.
 
     Raises:
-        ValueError: names the value that is out of range.
+        ValueError: if a value is out of range; the message names it.
     """
 
     gamma: float
@@ -51,11 +51,11 @@ class OptimSettings:
         lr: learning rate at the start.
         eps: Adam's epsilon.
         max_grad_norm: norm to which gradients are clipped.
-        anneal_lr: whether the rate falls linearly to zero at the end of training.
+        anneal_lr: whether the rate falls linearly to zero by the end of training.
         compile: whether the loss of a minibatch is compiled (``torch.compile``), which takes about a minute at first.
 
     Raises:
-        ValueError: names the value that is out of range.
+        ValueError: if a value is out of range; the message names it.
     """
 
     lr: float

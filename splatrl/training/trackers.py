@@ -1,4 +1,4 @@
-"""Trackers that people watch trainings with: numbers while it learns, figures and videos at its end."""
+"""Experiment trackers, which receive numbers during a training, and figures and videos at its end."""
 
 import io
 import math
@@ -15,40 +15,40 @@ from splatrl.values import flat
 
 BACKENDS = ("csv", "tensorboard", "wandb")
 WIDEST, MOST_FRAMES = 480, 240
-"""Pixels and frames of a video in TensorBoard, which shows it as a GIF."""
+"""Maximum width and height, in pixels, and number of frames of a video in TensorBoard, which shows it as a GIF."""
 PICTURES, VIDEOS = (".png", ".jpg"), (".mp4",)
 RUN_ID = "wandb.txt"
 
 
 class Tracker(Protocol):
-    """Where a training's numbers, figures and videos go besides its folder."""
+    """A destination for a training's numbers, figures and videos, besides its run folder."""
 
     def scalars(self, values: Mapping[str, float], frames: int) -> None:
-        """Note numbers after a number of frames; what is not finite is left out."""
+        """Log numbers at a frame count; values that are not finite are left out."""
 
     def files(self, paths: Iterable[Path], frames: int) -> None:
-        """Note pictures and videos by their files."""
+        """Log pictures and videos, given their files."""
 
     def close(self) -> None:
-        """Write what is not written yet."""
+        """Write what has not been written yet."""
 
 
 def make_tracker(
     backend: str, folder: Path, exp_name: str, project: str, online: bool, settings: Mapping[str, Any]
 ) -> Tracker | None:
-    """The tracker that a config names; None for csv, which the run folder has anyway.
+    """Make the tracker that a config names; None for csv, which the run folder has anyway.
 
     Args:
         backend: one of ``BACKENDS``.
         folder: the run folder, which holds what the tracker writes.
         exp_name: name of the run.
-        project: to which wandb adds it.
-        online: whether wandb sends it to its server as it comes, rather than leave it to ``wandb sync``.
+        project: wandb project to which the run is added.
+        online: whether wandb uploads the run while it goes on, rather than leaving that to ``wandb sync``.
         settings: the whole config as plain values, to be shown with the run.
 
     Raises:
-        ValueError: for any other backend, or a name that is no name of a file.
-        ImportError: names the extra that is not installed.
+        ValueError: for any other backend, or a name that cannot be the name of a file.
+        ImportError: if an extra is not installed; the message names it.
     """
     if backend not in BACKENDS:
         raise ValueError(f"logger.backend: expected one of {', '.join(BACKENDS)}, got {backend}")
@@ -64,8 +64,8 @@ class TensorBoardTracker:
     """Event files for ``tensorboard --logdir``.
 
     Args:
-        folder: where they go; those of a resumed training lie beside the first.
-        settings: shown as text.
+        folder: folder of the event files; a resumed training adds its own beside the first.
+        settings: the config, shown as text.
     """
 
     def __init__(self, folder: Path, settings: Mapping[str, Any]):
@@ -102,11 +102,11 @@ class WandbTracker:
     """A run of Weights & Biases, in the folder ``wandb`` of the run folder.
 
     Args:
-        folder: the run folder; a resumed training goes on with the run that it names.
-        name: of the run.
-        project: of the run.
-        online: whether it is sent as it comes.
-        settings: shown with the run.
+        folder: the run folder; a resumed training continues the wandb run that is noted in it.
+        name: name of the run.
+        project: project of the run.
+        online: whether the run is uploaded while it goes on.
+        settings: the config, shown with the run.
     """
 
     def __init__(self, folder: Path, name: str, project: str, online: bool, settings: Mapping[str, Any]):
@@ -146,10 +146,10 @@ class WandbTracker:
 
 
 def gif(path: Path) -> tuple[tuple[int, int], bytes]:
-    """A video as an animated GIF: width and height in pixels, and the file's bytes.
+    """Convert a video to an animated GIF, and return (width, height) in pixels and the file's bytes.
 
     Args:
-        path: a video of ours; frames beyond ``MOST_FRAMES`` are left out.
+        path: a video that this package wrote; frames beyond ``MOST_FRAMES`` are left out.
     """
     import av
 

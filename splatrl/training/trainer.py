@@ -26,31 +26,31 @@ TABLE = "progress.csv"
 
 
 class Trainer:
-    """Runs PPO for its total number of frames, and leaves a run folder from which it can be resumed.
+    """Runs PPO for its total number of frames, and leaves a run folder from which training can be resumed.
 
     Writes ``checkpoints/last.pt``, ``checkpoints/best.pt`` and ``progress.csv``, each under a temporary name first. The
     last checkpoint but one is kept as ``checkpoints/previous.pt``. An interrupt (Ctrl-C) ends the training once the
-    batch is learned from and saved; a second one ends it at once.
+    current batch has been learned from and saved; a second one ends it at once.
 
     Args:
         ppo: the learner.
         folder: the run folder.
-        test: tests the current policy without touching PyTorch's generator. It returns the success rate, and whatever
-            else tells which of two policies that succeed as often is better, most important first. The best checkpoint
-            is the best in this order, and the later one of equals.
+        test: tests the current policy without touching PyTorch's generator. It returns the success rate, followed by
+            scores that rank policies with the same success rate, most important first. The best checkpoint is the
+            highest in this order, and the latest of equals.
         test_interval: frames between tests.
         checkpoint_interval: frames between checkpoints.
-        tracker: is told every row of the history, too; None tells nobody.
+        tracker: also receives every row of the history; None for no tracker.
         made_with: plain values on which the training depends, kept in checkpoints.
-        prepare: gone through before the first batch of a training, to begin with a policy that knows something; it
-            counts the frames that it used in ``ppo.frames``, and yields the first rows of the history. One that is
-            stopped on the way begins anew.
+        prepare: run before the first batch of a training, to begin with a policy that has already learned something; it
+            counts the frames that it used in ``ppo.frames``, and yields the first rows of the history. If it is stopped
+            on the way, it begins anew.
 
     Attributes:
-        watch: called with each row of the history; it changes nothing of the training.
+        watch: callback that receives each row of the history; it must not affect the training.
 
     Raises:
-        ValueError: for an interval that is no whole number above 0.
+        ValueError: for an interval that is not a whole number above 0.
     """
 
     def __init__(
@@ -84,14 +84,14 @@ class Trainer:
     def resume(self, check: Callable[[Mapping[str, Any]], None] = lambda made_with: None) -> None:
         """Continue from the folder's last checkpoint, or start over if the run was stopped before its first one.
 
-        A checkpoint that is damaged or missing is replaced by the one before, with a warning. The table is written anew
-        from the checkpoint, and what a killed process left half written is removed.
+        A checkpoint that is damaged or missing is replaced by the one before it, with a warning. The table is written
+        anew from the checkpoint, and files that a killed process left half-written are removed.
 
         Args:
-            check: refuses the ``made_with`` of a checkpoint from which this training cannot go on.
+            check: refuses the ``made_with`` of a checkpoint from which this training cannot continue.
 
         Raises:
-            ValueError: where there are traces of a training, but no checkpoint that can be read.
+            ValueError: if there are traces of a training, but no checkpoint that can be read.
         """
         for folder in (self.folder, self.folder / "checkpoints"):
             remove_stale(folder)
@@ -114,15 +114,15 @@ class Trainer:
                 raise ValueError(f"{error}; there is none before it, so begin anew in another folder") from error
             warnings.warn(f"{error}; going on from the one before it, {previous.name}", stacklevel=3)
             state = load_checkpoint(previous)
-            save_checkpoint(last, state)  # or the next one would be kept as the one before
+            save_checkpoint(last, state)  # otherwise the next save would keep the damaged one as previous.pt
             return state
 
     def fit(self) -> None:
-        """Train until the frames are used up, with a progress bar."""
+        """Train until all frames are used up, with a progress bar."""
         batch = self.ppo.frames_per_batch
         began = time.monotonic() - self.seconds
         if self.ppo.frames == 0:
-            self.save()  # so that a run without a checkpoint is one that has not begun
+            self.save()  # so that no checkpoint means that the run has not begun
             if self.prepare is not None:
                 self._prepare(self.prepare, began)
                 self.save()
@@ -146,7 +146,7 @@ class Trainer:
                     raise KeyboardInterrupt
 
     def _prepare(self, prepare: Callable[[], Iterable[dict[str, float]]], began: float) -> None:
-        """Begin with what ``prepare`` teaches, and test it as often as the rest of a training, and at the end."""
+        """Run ``prepare``, and test the policy as often as in the rest of the training and at the end."""
         tested_at = 0
         for row in prepare():
             row |= {"frames": self.ppo.frames, "level": int(self.ppo.env.curriculum.level)}
@@ -179,7 +179,7 @@ class Trainer:
         return sum(values) / len(values) if values else math.nan
 
     def save(self) -> None:
-        """Write the last checkpoint, keeping the one before, and the table."""
+        """Write the table and the last checkpoint, keeping the one before it."""
         last = self.folder / "checkpoints" / "last.pt"
         if last.exists():
             with replacing(last.with_name("previous.pt")) as stream, last.open("rb") as source:
@@ -188,7 +188,7 @@ class Trainer:
         self._write_table()
 
     def _write_table(self) -> None:
-        """Write the history, which the checkpoint holds, as a table."""
+        """Write the history, which checkpoints also hold, as a table."""
         if not self.history:
             return
         keys = list(dict.fromkeys(key for row in self.history for key in row))
@@ -200,7 +200,7 @@ class Trainer:
             stream.write(table.getvalue().encode())
 
     def state_dict(self) -> dict[str, Any]:
-        """PPO's state, with the history, the best test and the seconds spent."""
+        """Return PPO's state, with the history, the best test and the seconds spent."""
         return {
             "ppo": self.ppo.state_dict(),
             "history": self.history,
@@ -217,7 +217,7 @@ class Trainer:
 
 @contextmanager
 def _interrupts() -> Iterator[list[int]]:
-    """Interrupts of a block as a list that grows; the second one raises ``KeyboardInterrupt`` at once."""
+    """Collect the interrupts of a block in a list; the second one raises ``KeyboardInterrupt`` at once."""
     found: list[int] = []
 
     def note(number: int, frame: Any) -> None:
@@ -227,7 +227,7 @@ def _interrupts() -> Iterator[list[int]]:
         print("\nstopping after this batch; interrupt again to stop at once", file=sys.stderr)
 
     if threading.current_thread() is not threading.main_thread():
-        yield found  # signals are for the main thread alone
+        yield found  # only the main thread can handle signals
         return
     before = signal.signal(signal.SIGINT, note)
     try:

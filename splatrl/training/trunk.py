@@ -15,7 +15,7 @@ GAIN = 2**0.5
 
 
 class PoolPixels(nn.Module):
-    """Averages uint8 images over square cells: the part of the network without weights, which runs once per frame.
+    """Averages uint8 images over square cells: the weight-free part of the network, which runs once per frame.
 
     Args:
         pool: side of a cell, pixels.
@@ -35,7 +35,7 @@ class PoolPixels(nn.Module):
         return pooled.reshape(*pixels.shape[:-3], *pooled.shape[1:])
 
     def _averages(self, images: Tensor) -> Tensor:
-        """The same by the core, without what PyTorch would write in between."""
+        """Pool images in the C++ core, without the intermediate tensors that PyTorch would write."""
         count, height, width, depth = images.shape
         pooled = torch.empty(count, height // self.side, width // self.side, depth)
         _core.pool_images(images.data_ptr(), (count, height, width, depth), self.side, pooled.data_ptr())
@@ -43,22 +43,22 @@ class PoolPixels(nn.Module):
 
 
 def _by_core(images: Tensor) -> bool:
-    """Whether the core can average images: it needs numbers in main memory, which ``vmap`` and tracers do not have."""
+    """Whether the core can pool images: it needs values in main memory, which ``vmap`` and tracers do not have."""
     traced = torch.compiler.is_compiling() or torch.jit.is_tracing() or is_functorch_wrapped_tensor(images)
     return images.dtype == torch.uint8 and images.device.type == "cpu" and not traced
 
 
 def two_convolutions(height: int, width: int, depth: int, channels: Sequence[int]) -> nn.Sequential:
-    """Two convolutions with a rectifier between them.
+    """Make two convolutions with a ReLU between them.
 
     Args:
         height: height of the image, pixels.
         width: width of the image, pixels.
         depth: channels of the image.
-        channels: output channels of each.
+        channels: output channels of each convolution.
 
     Raises:
-        ValueError: for an image that is too small for them, or other than two of them.
+        ValueError: if the image is too small for them, or ``channels`` does not hold two numbers.
     """
     if min(height, width) < 8:
         raise ValueError(f"image: expected sides of at least 8 · pool pixels, got {height} × {width} after pooling")
@@ -86,7 +86,7 @@ class Trunk(nn.Module):
         features: size of the output.
 
     Raises:
-        ValueError: for an image that is too small for the convolutions, or other than two of them.
+        ValueError: if the image is too small for the convolutions, or ``channels`` does not hold two numbers.
     """
 
     def __init__(

@@ -1,1 +1,1 @@
-"""A window into a scene: a page in the browser that shows what is there, lets things be moved, and drives robots."""
+"""The viewer: a browser page that shows a scene, lets goals and bounds be moved, and drives robots."""

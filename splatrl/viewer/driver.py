@@ -1,4 +1,4 @@
-"""One robot that a person drives, and the episodes that come of it."""
+"""A robot driven by a person, and the episodes recorded from it."""
 
 from collections.abc import Callable
 
@@ -15,12 +15,12 @@ from splatrl.envs.world import World
 
 
 class Driver:
-    """A robot in an env of its own, which takes one action at a time, with collisions and outcomes as the env has them.
+    """A single robot in its own env, driven one action at a time, with the env's collisions and outcomes.
 
     Args:
         world: scene and task.
-        seed: of starts and noise.
-        kept: called with each episode that succeeded: frames [T] as ``planner_episodes`` records them.
+        seed: seed of starts and noise.
+        kept: called with each successful episode: frames [T] in the form that ``planner_episodes`` records.
     """
 
     def __init__(self, world: World, seed: int = 0, kept: Callable[[TensorDictBase], object] = lambda frames: None):
@@ -31,12 +31,12 @@ class Driver:
 
     @torch.no_grad()
     def begin(self) -> None:
-        """Begin an episode at another start."""
+        """Begin a new episode at another start."""
         self._begin(self.env.reset())
 
     @torch.no_grad()
     def again(self) -> None:
-        """Begin the episode again, from where it began."""
+        """Restart the episode from the same start."""
         first = self._first.select("state", *self._told)
         self._begin(self.env.reset(first.clone(), set_state=True))
 
@@ -47,10 +47,10 @@ class Driver:
 
     @torch.no_grad()
     def act(self, action: Tensor) -> None:
-        """Take an action; after the end of an episode begin another one in its place.
+        """Take an action, or, if the episode has ended, begin a new one instead.
 
         Args:
-            action: one robot's.
+            action: action of a single robot, without a batch dimension.
         """
         if self.done:
             self.begin()
@@ -74,25 +74,25 @@ class Driver:
 
     @property
     def episode_return(self) -> float:
-        """Its rewards so far."""
+        """Sum of the episode's rewards so far."""
         return float(sum(float(frame["next", "reward"]) for frame in self._frames))
 
     @property
     def pixels(self) -> Tensor:
-        """What the robot sees: [H, W, 3] uint8."""
+        """The robot's current view: [H, W, 3] uint8."""
         return self.now["pixels"][0, ..., -3:].cpu()
 
     @property
     def state(self) -> Tensor:
-        """Where it is: [1, ...]."""
+        """The robot's state: [1, ...]."""
         return self.now["state"]
 
 
 class Takes:
-    """Episodes that a person showed, as demonstrations.
+    """Collects episodes that a person drove, as demonstrations.
 
     Args:
-        world: in which they are shown.
+        world: the world in which they are recorded.
     """
 
     def __init__(self, world: World):
@@ -104,14 +104,14 @@ class Takes:
         self.episodes.append(frames)
 
     def discard(self) -> bool:
-        """Drop the last one; whether there was one."""
+        """Drop the last episode and return whether there was one."""
         return bool(self.episodes) and bool(len(self.episodes.pop()))
 
     def demonstrations(self) -> Demonstrations:
-        """All that was kept.
+        """Return all kept episodes.
 
         Raises:
-            ValueError: for nothing.
+            ValueError: if there are none.
         """
         if not self.episodes:
             raise ValueError("by=keys: expected at least one episode that reached the goal, got none")

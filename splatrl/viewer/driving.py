@@ -1,4 +1,4 @@
-"""The part of the page with which a person drives a robot, and shows how a task is done."""
+"""The part of the page with which a person drives a robot and records demonstrations of a task."""
 
 import threading
 from collections.abc import Callable
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 
 
 class Driving:
-    """Buttons and keys that drive one robot; one key may wait while it still moves, and others are left out.
+    """Buttons and keys that drive one robot; while it moves, one key press is queued and further ones are dropped.
 
     Args:
-        page: to add to.
+        page: page to add the controls to.
         world: scene and task.
-        seed: of starts and noise.
-        takes: where episodes that succeed are kept; None keeps none.
+        seed: seed of starts and noise.
+        takes: collects the successful episodes; None keeps none.
         wanted: number of episodes to keep.
 
     Raises:
-        ValueError: for a task whose actions keys cannot tell.
+        ValueError: for a task whose actions cannot be expressed by keys.
     """
 
     def __init__(self, page: Page, world: World, seed: int = 0, takes: Takes | None = None, wanted: int = 0):
@@ -60,7 +60,7 @@ class Driving:
         self._show()
 
     def press(self, key: str) -> bool:
-        """Do what a key does, unless another one waits already; whether it was done."""
+        """Execute a key's function unless another key press is already queued; return whether it was executed."""
         if not self._places.acquire(blocking=False):
             return False
         try:
@@ -73,7 +73,7 @@ class Driving:
         return True
 
     def _offer(self, server: "viser.ViserServer", key: str, name: str, do: Callable[[], None]) -> None:
-        """A button, and a key that does the same."""
+        """Add a button, and a key that does the same."""
         self.keys[key] = do
 
         def pressed(_: object) -> None:
@@ -90,7 +90,7 @@ class Driving:
                 self.finished.set()
 
     def _discard(self) -> None:
-        """Drop the running episode, or the last one kept where none is running, and begin another."""
+        """Drop the running episode, or the last one kept if none is running, and begin another."""
         if self.takes is not None and (self.driver.succeeded or not self.driver.steps):
             self.takes.discard()
         self.driver.begin()
@@ -111,7 +111,7 @@ class Driving:
 
 
 def _run_script(server: "viser.ViserServer", source: str) -> None:
-    """Run JavaScript in each page; viser uses this message for its plots, and offers no other way to gamepads."""
+    """Run JavaScript in each open page; viser uses this message for plots, and has no other access to gamepads."""
     from viser import _messages
 
     server.gui._websock_interface.queue_message(_messages.RunJavascriptMessage(source=source))

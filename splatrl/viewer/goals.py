@@ -1,4 +1,4 @@
-"""What a robot is to reach, in the page: over the splats, in words, and as the image of an image goal."""
+"""The goals of an episode on the page: drawn over the splats, in words, and as the picture of an image goal."""
 
 import math
 from typing import TYPE_CHECKING, Any
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     import viser
 
 AHEAD_DEG = 5.0
-"""Angle up to which a goal is straight ahead."""
+"""Largest angle, in degrees, at which a goal counts as straight ahead."""
 
 
 class GoalsShown:
-    """The marks of an episode whose task remembers goals of its own: an arrow, or a ball where there is no direction.
+    """Marks for the goals of a task with per-episode goals: an arrow, or a ball for a goal without a direction.
 
     Args:
-        server: of the page, whose panel gets the image of an image goal.
-        name: of the node over the marks, such as ``/robot/goals``.
+        server: server of the page, whose panel also shows the picture of an image goal.
+        name: scene node that holds the marks, such as ``/robot/goals``.
         world: scene and task.
     """
 
@@ -37,7 +37,7 @@ class GoalsShown:
         self.image = server.gui.add_image(enlarged(blank), label="what is seen at the goal") if told else None
 
     def show(self, now: TensorDictBase) -> str:
-        """Show the goals of an observation of one robot, [1]; returns in words how far they are and where."""
+        """Show the goals in one robot's observation [1]; return their distances and directions in words."""
         task = self.world.task
         if not task.memory_spec:
             return ""
@@ -53,7 +53,7 @@ class GoalsShown:
         return " · ".join(whereabouts(task.motion.planar(state)[0], mark) for mark in marks)
 
     def _drawn(self, number: int, mark: Mark, marks: list[Mark], height: float) -> Any:
-        """A mark and its name over the splats."""
+        """Draw a mark and its name over the splats."""
         scene, name, corners = self.server.scene, f"{self.name}/{number}", wedge(self.world.robot)
         x, y, yaw = mark.planar.tolist()
         color, place = rgb(mark_styles(marks)[mark.name][0]), (x, y, height)
@@ -67,11 +67,11 @@ class GoalsShown:
 
 
 def whereabouts(planar: Tensor, mark: Mark) -> str:
-    """How far a mark is from a robot, and where: ``goal 1.50 m, 30° left``.
+    """Return the distance and direction of a mark from a robot, such as ``goal 1.50 m, 30° left``.
 
     Args:
         planar: [3] x and y in metres and yaw in radians of the robot.
-        mark: what to look for.
+        mark: the mark.
     """
     x, y = (mark.planar[:2] - planar[:2]).double().tolist()
     turn = math.degrees(math.remainder(math.atan2(y, x) - float(planar[2]), math.tau))

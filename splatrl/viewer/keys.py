@@ -1,4 +1,4 @@
-"""Which key does what: the actions of a motion, on a keyboard or a gamepad."""
+"""Key bindings: the actions of a motion on a keyboard or a gamepad."""
 
 import json
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ NAMES = {
     "+spin": "U",
     "-spin": "O",
 }
-"""Keys of discrete actions by name; others take the digits in their order."""
+"""Keys of discrete actions, by the action's name; actions not listed here get the digits, in order."""
 SPEEDS = {
     (1, 0): ("I", "forward"),
     (-1, 0): ("K", "back"),
@@ -29,7 +29,7 @@ SPEEDS = {
     (1, 1): ("U", "forward, left"),
     (1, -1): ("O", "forward, right"),
 }
-"""Keys of continuous actions by the signs of their linear and angular velocity."""
+"""Keys and names of continuous actions, by the signs of their linear and angular velocity."""
 AGAIN, OTHER, DISCARD = "R", "N", "X"
 
 
@@ -39,8 +39,8 @@ class Key:
 
     Attributes:
         key: a capital letter or a digit.
-        name: of the action.
-        action: one robot's, as the motion's ``action_spec`` says.
+        name: name of the action.
+        action: action of a single robot, as in the motion's ``action_spec``.
     """
 
     key: str
@@ -49,16 +49,17 @@ class Key:
 
 
 def keys_of(motion: PlannedMotion) -> list[Key]:
-    """The keys with which a robot is driven.
+    """Return the keys that drive a robot.
 
     Args:
-        motion: how it moves. Of continuous actions its ``actions()`` are taken, from which paths are made.
+        motion: the robot's motion. If its actions are continuous, the keys select from its ``actions()``, the ones that
+            paths are made of.
 
     Raises:
-        ValueError: for continuous actions other than those from which paths are made, such as those of twelve joints.
+        ValueError: if the continuous actions differ in shape from those of paths, such as those of twelve joints.
     """
     if motion.action_names:
-        actions = torch.arange(len(motion.action_names))  # paths may do without some, such as stop
+        actions = torch.arange(len(motion.action_names))  # including those that paths do not use, such as stop
         named = [(NAMES.get(name, ""), name) for name in motion.action_names]
     else:
         actions, wanted = motion.actions().cpu(), motion.action_spec.shape
@@ -75,10 +76,10 @@ def keys_of(motion: PlannedMotion) -> list[Key]:
 
 
 def input_script(motion: PlannedMotion) -> str:
-    """JavaScript by which arrows and gamepads press the keys: the stick and the cross drive, A is R, B is X.
+    """Return JavaScript that maps arrow keys and gamepads to the keys: stick and D-pad drive, A is R, B is X.
 
-    viser turns keys into messages, but arrows would move its camera, and a box that was ticked takes keys for text. It
-    is run once in each page.
+    viser turns keys into messages itself, but arrow keys would move its camera, and while a clicked checkbox has the
+    focus, keys would count as text input. The script is run once in each page.
     """
     used = [key.lower() for key in (*(key.key for key in keys_of(motion)), AGAIN, OTHER, DISCARD)]
     bends = "false" if motion.action_names else "true"

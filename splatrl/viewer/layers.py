@@ -1,4 +1,4 @@
-"""What can be laid over the splats: what is solid, where robots may begin, where a capture walked."""
+"""Geometry of the layers over the splats: solid voxels, possible starts, and the camera path of a capture."""
 
 from pathlib import Path
 
@@ -11,20 +11,20 @@ from splatrl.curriculum.planner import UNREACHABLE, Plan
 from splatrl.scenes.scene import Bounds
 
 MOST_FACES = 400_000
-"""Squares of a surface, at most; a coarser grid is shown where there would be more."""
+"""Maximum number of squares in a surface; a coarser grid is shown if there would be more."""
 SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
 EDGES = np.array([[0, 1], [2, 3], [4, 5], [6, 7], [0, 2], [1, 3], [4, 6], [5, 7], [0, 4], [1, 5], [2, 6], [3, 7]])
-"""Of a box, between its corners in binary order."""
+"""Edges of a box, as pairs of corners numbered in binary order."""
 
 Floats = NDArray[np.float32]
 
 
 def surface(voxels: Voxels, most: int = MOST_FACES) -> tuple[Floats, NDArray[np.uint32]]:
-    """The faces between solid and free voxels, as triangles.
+    """Return the faces between solid and free voxels as triangles.
 
     Args:
-        voxels: what is solid.
-        most: squares at most; voxels are doubled until there are no more.
+        voxels: the voxel grid.
+        most: maximum number of squares; the voxel size is doubled until there are no more than that.
 
     Returns:
         Vertices [4 M, 3] float32, world, metres, and triangles [2 M, 3] uint32.
@@ -42,7 +42,10 @@ def surface(voxels: Voxels, most: int = MOST_FACES) -> tuple[Floats, NDArray[np.
 
 
 def _squares(occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Corners of the squares between solid and free voxels, in voxels, counter-clockwise from outside: [M, 4, 3]."""
+    """Return the corners of the squares between solid and free voxels, [M, 4, 3], in voxel units.
+
+    They are in counter-clockwise order as seen from outside.
+    """
     padded, found = np.pad(occupied, 1), []
     for axis in range(3):
         for side, turn in ((1, SQUARE), (-1, SQUARE[::-1])):
@@ -56,7 +59,7 @@ def _squares(occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def free_places(plan: Plan) -> tuple[Floats, Floats]:
-    """Where the body fits, at its height, whatever the heading.
+    """Return the places where the body fits, at its height, for at least one heading.
 
     Returns:
         Places from which the goal can be reached (all, for a task without one), and the others: [N, 3] and [M, 3].
@@ -70,14 +73,14 @@ def free_places(plan: Plan) -> tuple[Floats, Floats]:
 
 
 def box_lines(bounds: Bounds) -> Floats:
-    """The edges of a box: [12, 2, 3], metres."""
+    """Return the edges of a box: [12, 2, 3], metres."""
     low, high = np.array(bounds, np.float32)
     bits = np.array([[number >> 2 & 1, number >> 1 & 1, number & 1] for number in range(8)], bool)
     return np.where(bits, high, low)[EDGES].astype(np.float32)
 
 
 def path_lines(folder: Path, name: str) -> Floats | None:
-    """The walk of a capture's camera: [N, 2, 3] from one image to the next, metres; None where the folder has none."""
+    """Return the camera path of a capture, image to image: [N, 2, 3], metres; None if the folder has no such file."""
     if not (folder / name).is_file():
         return None
     points = read_points(folder / name)

@@ -1,4 +1,4 @@
-"""The page itself: the splats, the layers over them, and a camera that begins inside the place."""
+"""The page itself: the splats, the layers over them, and the initial camera."""
 
 import math
 import threading
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
 
 SOLID, FREE, NO_WAY, WALKED, LIMITS = (88, 110, 150), (46, 160, 67), (227, 179, 65), (31, 111, 235), (130, 80, 223)
 AWAY, ABOVE = 0.8, 0.7
-"""How far to the side of the scene's middle the camera begins, and above, in lengths of its longer side."""
+"""Horizontal distance and height of the initial camera from the scene's centre, as multiples of its longer side."""
 AS_MANY = "as many as are quick"
 SIDES = 8
-"""Places around the scene, as far away, from which its colours are taken."""
+"""Number of viewpoints around the scene, at the same distance, from which its colours are averaged."""
 
 
 class Page:
-    """A page that shows a scene, to which panels are added.
+    """A page that shows a scene, and to which other modules add panels.
 
     Args:
-        scene: what to show.
+        scene: the scene to show.
         host: address of this machine to listen on.
-        port: of it.
+        port: port to listen on.
 
     Raises:
         ImportError: without the extra ``view``.
@@ -44,7 +44,7 @@ class Page:
 
     def __init__(self, scene: Scene, host: str = "127.0.0.1", port: int = 8080):
         self.scene = scene
-        self.turn = threading.RLock()  # held by who draws or steps: the page's callbacks come from many threads
+        self.turn = threading.RLock()  # held while drawing or stepping: callbacks run in many threads
         parts = parts_of(scene.gaussians, around(scene.bounds))
         self.server: viser.ViserServer = open_server(host, port, scene.name)
         self._aim(scene)
@@ -57,7 +57,7 @@ class Page:
 
     @property
     def address(self) -> str:
-        """What to type into the browser."""
+        """The page's URL."""
         return address(self.server)
 
     def close(self) -> None:
@@ -65,7 +65,7 @@ class Page:
         close(self.server)
 
     def show_occupancy(self, occupancy: Occupancy) -> None:
-        """Offer a layer of what is solid, which is sent when it is first asked for."""
+        """Offer a layer with the solid voxels, which is computed and sent when it is first switched on."""
 
         def add() -> Any:
             vertices, triangles = surface(occupancy)
@@ -76,7 +76,7 @@ class Page:
             self._later("solid", add)
 
     def show_free(self, plan: Plan) -> None:
-        """Offer a layer of where robots fit: green where episodes may begin, yellow where no way leads to the goal."""
+        """Offer a layer of where robots fit: green where the goal can be reached from, yellow where it cannot."""
         leads, others = free_places(plan)
         colors = np.repeat(np.array([FREE, NO_WAY], np.uint8), [len(leads), len(others)], 0)
         size = 0.25 * plan.motion.step
@@ -89,17 +89,17 @@ class Page:
         self._later("free, at the robot's height", add)
 
     def show_path(self, folder: Path) -> None:
-        """Show the walk of the camera that captured a folder, if the folder has it."""
+        """Show the path of the camera that captured a scene as a layer, if the scene's folder has one."""
         lines = path_lines(folder, PATH)
         if lines is not None and len(lines):
             self._lines("the camera's path", lines, WALKED, True)
 
     def move_bounds(self, bounds: Bounds) -> None:
-        """Draw other bounds."""
+        """Draw the bounds somewhere else."""
         self._bounds.points = box_lines(bounds)
 
     def _offer_fewer(self) -> None:
-        """Let visitors choose how many splats are drawn, where they come in more parts than one."""
+        """Let visitors choose how many splats are drawn, if there is more than one part of them."""
         counts = [f"{count:,}" for count in self.splats.counts]
         if len(counts) < 2:
             return
@@ -138,7 +138,7 @@ class Page:
             made[0].visible = box.value
 
     def _aim(self, scene: Scene) -> None:
-        """Let cameras begin above the scene, on the side where it is lowest, and look down at its middle."""
+        """Place the initial camera above the scene, on the side where it is lowest, looking down at its centre."""
         lower, upper = np.array(scene.bounds)
         middle, means = 0.5 * (lower + upper), scene.gaussians.means.cpu().numpy()
         walls = means[((means >= middle * [0, 0, 1] + lower * [1, 1, 0]) & (means <= upper)).all(1)]
@@ -151,7 +151,7 @@ class Page:
 
 
 def around(bounds: Bounds) -> Tensor:
-    """Places around a scene from which a visitor looks at it: [SIDES, 3], metres."""
+    """Return viewpoints around a scene from which a visitor may look at it: [SIDES, 3], metres."""
     lower, upper = torch.tensor(bounds)
     turn = math.tau * torch.arange(SIDES) / SIDES
     away = torch.stack([AWAY * turn.cos(), AWAY * turn.sin(), torch.full_like(turn, ABOVE)], 1)

@@ -1,17 +1,17 @@
-"""What can be dragged in a place: goal, thing, and the corners of where robots walk and of what counts."""
+"""The handles that can be dragged in a scene: goal, object, and the corners of the walking area and the bounds."""
 
 import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 CORNERS = {"walk": 2, "bounds": 3}
-"""Keys of a ``scene.yaml`` that are two corners, and how many numbers each has."""
+"""Keys of a ``scene.yaml`` that hold two corners, with the number of coordinates of each."""
 ROUND, ROUND_DEG = 3, 1
-"""Digits to which dragged metres and degrees are rounded."""
+"""Decimal digits to which dragged metres and degrees are rounded."""
 
 
 class Handle(NamedTuple):
-    """Something to drag.
+    """A handle that can be dragged.
 
     Attributes:
         name: ``goal``, ``object``, or a corner such as ``walk 0``.
@@ -25,11 +25,11 @@ class Handle(NamedTuple):
 
 
 def handles(values: Mapping[str, Any], height: float) -> list[Handle]:
-    """The handles of a place.
+    """Return the handles of a place.
 
     Args:
-        values: ``goal``, ``object``, ``walk`` and ``bounds`` as a ``scene.yaml`` says them; None is not there.
-        height: of robots, metres: where what lies in the plane is shown.
+        values: ``goal``, ``object``, ``walk`` and ``bounds`` as in a ``scene.yaml``; None for those without a value.
+        height: height of the robots, metres, at which planar handles are shown.
     """
     found = []
     if values.get("goal") is not None:
@@ -46,12 +46,12 @@ def handles(values: Mapping[str, Any], height: float) -> list[Handle]:
 
 
 def dragged(values: Mapping[str, Any], handle: Handle, step: float | None = None) -> dict[str, Any]:
-    """The values after a handle was dragged.
+    """Return the values after a handle was dragged.
 
     Args:
-        values: as for ``handles``.
-        handle: where it is now.
-        step: the corners of ``walk`` move by whole steps, metres, which lattices need; None leaves them free.
+        values: see ``handles``.
+        handle: the handle at its new position.
+        step: step size to which the corners of ``walk`` snap, metres, as lattices need; None leaves them free.
     """
     result, (key, _, number) = dict(values), handle.name.partition(" ")
     rounded = [round(value, ROUND) for value in handle.position]
@@ -71,5 +71,5 @@ def dragged(values: Mapping[str, Any], handle: Handle, step: float | None = None
 
 
 def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, Any]:
-    """The values that are others than before."""
+    """Return the values that differ from before."""
     return {key: value for key, value in after.items() if value != before.get(key)}

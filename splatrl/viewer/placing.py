@@ -1,4 +1,4 @@
-"""The part of the page in which goal, thing and bounds are dragged, looked at, and saved into ``scene.yaml``."""
+"""The part of the page in which goal, object and bounds are dragged, previewed, and saved to ``scene.yaml``."""
 
 import math
 import threading
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
     import viser
 
 THUMBNAIL = 320
-"""Pixels of what a robot sees at the goal."""
+"""Height of the preview of a robot's view at the goal, pixels."""
 LABELS = {"goal": "goal: x, y (m), yaw (°)", "object": "thing: x, y, z (m)"}
 
 
 class Placing:
-    """Handles over the splats, the numbers that they stand for, and a button that saves them.
+    """Handles over the splats, input fields with their values, and a button that saves them.
 
     Args:
-        page: to add to.
+        page: page to add the controls to.
         world: scene, robot and task.
-        values: ``goal``, ``object``, ``walk`` and ``bounds``, as a ``scene.yaml`` says them; None is not there.
-        folder: of the scene; None is a scene without one, of which nothing is saved.
-        check: refuses what does not fit together, by a ``ValueError``: given all that the ``scene.yaml`` would say.
+        values: ``goal``, ``object``, ``walk`` and ``bounds``, as in a ``scene.yaml``; None for those without a value.
+        folder: the scene's folder; None for a scene without one, which cannot be saved.
+        check: called with the whole content of the new ``scene.yaml``; raises a ``ValueError`` if it is inconsistent.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class Placing:
             self.save()
 
     def drag(self, handle: Handle) -> None:
-        """Take over where a handle was dragged to, unless that is nowhere: at the horizon."""
+        """Adopt the new position of a handle, unless it is not finite, as when dragged to the horizon."""
         if not all(map(math.isfinite, (*handle.position, handle.yaw))):
             return
         step = self.world.task.motion.step
@@ -79,7 +79,7 @@ class Placing:
         self._follow(handle.name.partition(" ")[0])
 
     def save(self) -> bool:
-        """Write what has changed into the folder's ``scene.yaml``, and say how it went; whether it went well."""
+        """Write the changes to the folder's ``scene.yaml``, report the result on the page, and return the success."""
         if self.folder is None:
             return False
         with self._lock:
@@ -97,14 +97,14 @@ class Placing:
         return True
 
     def _require_unchanged(self, folder: Path, keys: Iterable[str]) -> None:
-        """Refuse to write over what somebody else wrote since the page was opened or saved."""
+        """Refuse to overwrite changes that somebody else made since the page was opened or last saved."""
         now = read_description(folder)
         others = [f"{key}: {now.get(key)}" for key in keys if now.get(key) != self._stated.get(key)]
         if others:
             raise ValueError(f"{SCENE_FILE} has been changed meanwhile, {', '.join(others)}; open the page again")
 
     def _follow(self, key: str) -> None:
-        """Show a value that has changed, in numbers, lines and picture."""
+        """Update the input field, the lines and the status for a value that has changed."""
         value = self.values[key]
         if key in self.fields:
             setattr(self.fields[key], "value", tuple(value))  # noqa: B010 - typed as read-only
@@ -115,10 +115,10 @@ class Placing:
         self.status.content = f"not saved yet: {', '.join(changes(self.saved, self.values)) or 'nothing'}{free}"
 
     def look(self, wait: bool = True) -> None:
-        """Draw what is seen at the goal now.
+        """Update the preview of the view at the goal.
 
         Args:
-            wait: for a picture that is being drawn; without it this one is left out.
+            wait: whether to wait for a preview that is being drawn; otherwise this update is skipped.
         """
         if self._looks.acquire(blocking=wait):
             try:
@@ -132,7 +132,7 @@ class Placing:
         return rigid(turn, torch.tensor([x, y, self.height])).unsqueeze(0).to(self.world.device)
 
     def _seen(self) -> Any:
-        """What a robot's camera sees at the goal: [H, W, 3] uint8."""
+        """Render what a robot's camera sees at the goal: [H, W, 3] uint8."""
         robot = self.world.robot
         wide = max(1, round(THUMBNAIL * robot.image_width / robot.image_height))
         cameras = replace(robot, image_width=wide, image_height=THUMBNAIL).cameras(self._goal_pose())
@@ -145,7 +145,7 @@ class Placing:
 
         @field.on_update
         def typed(event: Any) -> None:
-            if event.client is None:  # it follows a handle
+            if event.client is None:  # set by the server, to follow a handle
                 return
             x, y, last = (float(value) for value in field.value)
             yaw = math.radians(last) if key == "goal" else 0.0
@@ -157,7 +157,7 @@ class Placing:
                 self.look()
 
     def _switch(self, key: str) -> None:
-        """A box that shows the corners of ``walk`` or ``bounds``, which would hide much."""
+        """Add a checkbox that shows the handles of ``walk`` or ``bounds``, hidden at first since they cover a lot."""
         box = self.page.server.gui.add_checkbox(f"move {key}", False)
 
         @box.on_update
@@ -190,7 +190,7 @@ class Placing:
         if key == "goal":
 
             @control.on_update
-            def seen(event: Any) -> None:  # in a thread of its own, so that dragging stays smooth
+            def seen(event: Any) -> None:  # in its own thread, so that dragging stays smooth
                 self.look(event.phase == "end")
 
 

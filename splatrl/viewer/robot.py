@@ -1,4 +1,4 @@
-"""A robot in the page: where it is, what it sees, and how it goes on."""
+"""A robot on the page: its position, its view, and the state of its episode."""
 
 import math
 from typing import TYPE_CHECKING
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     import viser
 
 SEEN = 320
-"""Pixels of the shorter side of what a robot sees, as the panel shows it."""
+"""Shorter side of the robot's view in the panel, pixels."""
 SMALLEST = 0.12
-"""Metres of a robot's mark, or bodies of a centimetre would not be seen."""
+"""Smallest size of a robot's mark, metres, so that even centimetre-sized bodies are visible."""
 WEDGE = np.array([[1.0, 0, 0], [-0.6, 0.55, 0], [-0.6, -0.55, 0], [-0.35, 0, 0.35]], np.float32)
 """A mark that points along +x."""
 FACES = np.array([[0, 1, 3], [1, 2, 3], [2, 0, 3], [0, 2, 1]], np.uint32)
@@ -28,41 +28,41 @@ BLUE = (31, 111, 235)
 
 
 def wedge(robot: Robot) -> NDArray[np.float32]:
-    """Corners of a robot's mark, metres: as large as its body, but not too small to be seen."""
+    """Return the corners of a robot's mark, metres: as large as its body, but never too small to be seen."""
     reach = 0.5 * max(robot.body.size[:2]) if isinstance(robot.body, Box) else robot.body.radius
     return WEDGE * max(reach, SMALLEST)
 
 
 def enlarged(pixels: Tensor, side: int = SEEN) -> NDArray[np.uint8]:
-    """An image [H, W, 3] with each pixel a square, so that its shorter side is about ``side``."""
+    """Enlarge an image [H, W, 3] by an integer factor, so that its shorter side is about ``side`` pixels."""
     times = max(1, round(side / min(pixels.shape[:2])))
     return pixels.cpu().numpy().repeat(times, 0).repeat(times, 1)
 
 
 def words(outcome: Outcome) -> str:
-    """An outcome in words."""
+    """Return an outcome in words."""
     return outcome.name.replace("_", " ").lower()
 
 
 def tone(outcome: Outcome) -> tuple[int, int, int]:
-    """The colour of an outcome, as figures and videos have it; blue while running."""
+    """Return the colour of an outcome, the same as in figures and videos; blue while running."""
     if outcome is Outcome.RUNNING:
         return BLUE
     return rgb(COLORS[outcome])
 
 
 def rgb(color: str) -> tuple[int, int, int]:
-    """A colour such as ``#e0409f`` as numbers."""
+    """Convert a colour such as ``#e0409f`` to numbers from 0 to 255."""
     red, green, blue = (int(color[at : at + 2], 16) for at in (1, 3, 5))
     return red, green, blue
 
 
 class RobotShown:
-    """A robot over the splats, with its camera's view and the way it came.
+    """A robot drawn over the splats, with its camera's view and its trail.
 
     Args:
-        server: of the page.
-        name: of its node, such as ``/robot``.
+        server: server of the page.
+        name: scene node of the robot, such as ``/robot``.
         robot: body and camera.
     """
 
@@ -78,13 +78,13 @@ class RobotShown:
         self._line: viser.LineSegmentsHandle | None = None
 
     def show(self, body_to_world: Tensor, pixels: Tensor, outcome: Outcome, begins: bool) -> None:
-        """Show where it is and what it sees now.
+        """Show the robot's pose and view.
 
         Args:
             body_to_world: [4, 4], metres.
             pixels: [H, W, 3] uint8.
-            outcome: of its episode, so far.
-            begins: whether it begins an episode here, and so a new trail.
+            outcome: outcome of the episode so far.
+            begins: whether an episode, and therefore a new trail, begins here.
         """
         cameras = self.robot.cameras(body_to_world.unsqueeze(0))
         poses = torch.stack([body_to_world, cameras.camera_to_world[0]]).cpu()
@@ -103,7 +103,7 @@ class RobotShown:
         if len(self.trail) > 1:
             points = np.array(self.trail, np.float32)
             lines = np.stack([points[:-1], points[1:]], 1)
-            moved = lines[np.abs(lines[:, 0] - lines[:, 1]).max(1) > 0]  # a line without a length has no direction
+            moved = lines[np.abs(lines[:, 0] - lines[:, 1]).max(1) > 0]  # a segment of zero length has no direction
             if len(moved):
                 name = f"{self.name}/trail"
                 self._line = self.server.scene.add_line_segments(name, moved, color, thickness=0.015)

@@ -13,20 +13,20 @@ from splatrl.viewer.page import Page
 from splatrl.viewer.robot import RobotShown, enlarged, words
 
 STARTS = 64
-"""Starts of the episodes shown, evenly spaced over the start set."""
+"""Number of starts for the episodes shown, evenly spaced over the start set."""
 HOLD = 1.0
-"""Seconds for which the end of an episode stays."""
+"""Seconds for which the end of an episode stays on screen."""
 TURN = 25
-"""By how many starts, of ``STARTS``, the next episode is further, so that all are shown and neighbours are apart."""
+"""Stride through the ``STARTS`` from one episode to the next: all get shown, and successive ones are far apart."""
 
 
 class Rollout:
-    """Episodes of a policy, one after another, in a thread of their own.
+    """Plays episodes of a policy, one after another, in a separate thread.
 
     Args:
-        page: to add to.
-        trained: policy and world, of one scene.
-        seed: of the sampling.
+        page: page to add the robot and the controls to.
+        trained: policy and world, with one scene.
+        seed: seed for sampling actions.
     """
 
     def __init__(self, page: Page, trained: TrainedPolicy, seed: int = 0):
@@ -49,11 +49,11 @@ class Rollout:
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def start(self) -> None:
-        """Begin to play."""
+        """Start playing."""
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread."""
+        """Stop the thread."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(timeout=2 * HOLD)
@@ -66,7 +66,7 @@ class Rollout:
             self._stop.wait(HOLD)
 
     def episode(self, number: int) -> Outcome:
-        """Show one episode, from a start that belongs to its number; returns how it ended, or RUNNING if stopped."""
+        """Show one episode, whose number decides its start; return its outcome, or RUNNING if it was stopped."""
         policy, motion = self.trained.policy, self.world.task.motion
         state = self.starts[[number * TURN % len(self.starts)]]
         with acting(bool(self.sampled.value), self.seed + number, self.env.device):

@@ -1,4 +1,4 @@
-"""The server of the page: viser's, on loopback unless asked, which answers no page but its own."""
+"""The page's web server: viser's, by default on loopback, which accepts connections only from its own page."""
 
 import io
 import socket
@@ -13,23 +13,23 @@ if TYPE_CHECKING:
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 POLICY_VIOLATION = 1008
-"""Code with which a websocket is closed (RFC 6455, section 7.4.1)."""
+"""Status code for closing a websocket because of a policy violation (RFC 6455, section 7.4.1)."""
 PATIENCE = 5.0
-"""Seconds for which a server that stops is waited for."""
+"""Maximum seconds to wait for a stopping server."""
 _MISSING = "the page needs viser: pip install 'splatrl[view]'"
 
 
 def open_server(host: str, port: int, label: str) -> "viser.ViserServer":
-    """Begin to serve an empty page.
+    """Start serving an empty page.
 
     Args:
-        host: address of this machine to listen on; any of ``LOOPBACK`` is seen by this machine alone.
-        port: of it; the next free one is taken, and 0 takes any.
+        host: address of this machine to listen on; those in ``LOOPBACK`` can be reached from this machine only.
+        port: port to listen on; if it is taken, the next free one is used; 0 uses any.
         label: title of the page's panel.
 
     Raises:
         ImportError: without the extra ``view``.
-        ValueError: for a host that is not of this machine, or a port out of range.
+        ValueError: for a host that is not an address of this machine, or a port out of range.
     """
     try:
         import viser
@@ -45,29 +45,30 @@ def open_server(host: str, port: int, label: str) -> "viser.ViserServer":
 
 
 def address(server: "viser.ViserServer") -> str:
-    """What to type into the browser."""
+    """Return the page's URL."""
     host = server.get_host()
     shown = {"0.0.0.0": socket.gethostname(), "::": socket.gethostname()}.get(host, host)
     return f"http://{f'[{shown}]' if ':' in shown else shown}:{server.get_port()}"
 
 
 def close(server: "viser.ViserServer") -> None:
-    """Stop serving, without a word."""
+    """Stop serving, without printing anything."""
     with redirect_stdout(io.StringIO()):
         server.stop()
         thread = server._websock_server._server_thread
         if thread is not None:
-            thread.join(timeout=PATIENCE)  # its last act is to print
+            thread.join(timeout=PATIENCE)  # it prints just before it ends
 
 
 def is_own_page(origin: str | None, host_header: str | None, host: str) -> bool:
-    """Whether a websocket comes from the page that this server gave, or from no page at all.
+    """Whether a websocket comes from a page of this server, or from a client that is not a browser.
 
-    Any site that is open in the same browser can reach a server on loopback, and a name of its own may lead there too.
+    Any site open in the same browser can connect to a server on loopback, and its own host name may resolve to it too
+    (DNS rebinding).
 
     Args:
-        origin: where the browser says that the asking page is from; None is no browser.
-        host_header: whom it asks.
+        origin: the request's Origin header, set by browsers; None for other clients.
+        host_header: the request's Host header.
         host: address on which the server listens.
     """
     if origin is None:
@@ -86,9 +87,9 @@ def _check_host(host: str) -> None:
 
 
 def _keep_to_itself(server: "viser.ViserServer", host: str) -> None:
-    """Close what comes from pages of others, and leave no way to publish the page by a tunnel.
+    """Close connections from pages of other sites, and disable viser's sharing of the page through a tunnel.
 
-    viser has no setting for either, so this reaches into it; its versions are held in ``pyproject.toml``.
+    viser has no setting for either, so this uses its internals; ``pyproject.toml`` restricts its versions.
     """
     from viser import _messages
 

@@ -1,4 +1,4 @@
-"""Gaussians for the browser: the most important ones first, so that a picture is there before all have arrived."""
+"""Gaussians for the browser: the most important ones are sent first, so that a picture appears before all arrive."""
 
 import itertools
 import threading
@@ -19,26 +19,26 @@ if TYPE_CHECKING:
     import viser
 
 FIRST = 2**15
-"""Gaussians of the first part, 1 MB; each part holds twice as many as the one before."""
+"""Number of Gaussians in the first part, 1 MB; each further part holds twice as many as the one before."""
 BYTES = 32
-"""Of a Gaussian, as viser sends it."""
+"""Bytes per Gaussian, as viser sends it."""
 ARRIVES, SLOW = 60.0, 1.0
-"""Seconds for which the picture of a part is waited for, and for which a picture may take if more are to come."""
+"""Seconds to wait for the browser to render a part, and the longest a render may take for more parts to be sent."""
 WIDER = 8
-"""Pixels by which pictures of parts are wider than the page. viser 1.1.1 projects splats as if depths were not
-reversed, and lets them hide all that stands before them, until it is asked for a picture of another shape."""
+"""Pixels by which the renders of parts are wider than the page. viser 1.1.1 projects splats as if depth were not
+reversed, so that they hide everything in front of them, until it is asked for a render of another shape."""
 LARGEST = 6e4
-"""Covariance that half precision holds, square metres."""
+"""Largest covariance that fits in half precision, square metres."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """Some of a scene's Gaussians, as viser takes them.
+    """A part of a scene's Gaussians, in the form that viser takes.
 
     Attributes:
         centers: [N, 3] float32, world, metres.
         covariances: [N, 3, 3] float16, square metres.
-        colors: [N, 3] uint8, the same from all sides.
+        colors: [N, 3] uint8, independent of the view direction.
         opacities: [N, 1] uint8.
     """
 
@@ -49,15 +49,15 @@ class Part:
 
 
 def parts_of(gaussians: Gaussians, eyes: Tensor | None = None, first: int = FIRST) -> list[Part]:
-    """Split Gaussians into parts, the most important first: by opacity times the largest area that is seen of them.
+    """Split Gaussians into parts by importance, which is opacity times the largest area they can cover.
 
-    The browser draws one colour from all sides. Of spherical harmonics above degree 0 that is the mean of what is seen
-    from ``eyes``, which is nearer to what they show from there than the harmonics of degree 0 alone.
+    The browser draws each Gaussian in one colour from all sides. For spherical harmonics above degree 0 this is the
+    mean of the colours seen from ``eyes``, which is closer to what is seen from there than degree 0 alone.
 
     Args:
-        gaussians: in the world frame.
-        eyes: [E, 3] places from which they are looked at, metres; None takes degree 0 alone.
-        first: number of Gaussians of the first part.
+        gaussians: Gaussians in the world frame.
+        eyes: [E, 3] viewpoints, metres; None takes degree 0 alone.
+        first: number of Gaussians in the first part.
     """
     g = gaussians.detach().cpu()
     area = g.scales.prod(1) / g.scales.amin(1)
@@ -76,7 +76,7 @@ def parts_of(gaussians: Gaussians, eyes: Tensor | None = None, first: int = FIRS
 
 
 def _colors(g: Gaussians, eyes: Tensor | None) -> Tensor:
-    """The mean colour of Gaussians as some places see them: [N, 3], 0 to 1 where it can be shown."""
+    """Return the mean colour of Gaussians as seen from some viewpoints: [N, 3], in [0, 1] unless out of gamut."""
     if eyes is None or g.sh.shape[1] == 1:
         return 0.5 + C0 * g.sh[:, 0]
     seen = [sh_colors(g.sh, torch.nn.functional.normalize(g.means - eye, dim=1)) for eye in eyes]
@@ -84,16 +84,16 @@ def _colors(g: Gaussians, eyes: Tensor | None) -> Tensor:
 
 
 class Splats:
-    """The splats of a page, which are sent to everyone who opens it, one part after another.
+    """The splats of a page, sent part by part to every browser that opens it.
 
-    Unless a number of parts is asked for, a browser gets more as long as it draws what it has in ``SLOW``.
+    Unless a number of parts is requested, a browser gets more as long as it renders what it has within ``SLOW``.
 
     Args:
-        server: of the page.
-        parts: of the scene.
+        server: server of the page.
+        parts: parts of the scene's Gaussians.
 
     Attributes:
-        root: the node that all of them hang on.
+        root: parent node of all parts.
     """
 
     def __init__(self, server: "viser.ViserServer", parts: list[Part]):
@@ -115,17 +115,17 @@ class Splats:
 
     @property
     def counts(self) -> list[int]:
-        """How many Gaussians are shown with one part, two and so on."""
+        """Number of Gaussians shown with one part, with two, and so on."""
         return list(itertools.accumulate(len(part.centers) for part in self._parts))
 
     def show(self, wanted: int | None) -> None:
-        """Show so many parts to everyone; None shows as many as a browser is quick with."""
+        """Show a number of parts to everyone; None shows each browser as many as it renders quickly."""
         self._wanted = wanted
         for client in self._server.get_clients().values():
             self._bring(client)
 
     def _bring(self, client: "viser.ClientHandle") -> None:
-        """Send a client what is wanted and take from it what is not."""
+        """Send a client the parts that it lacks, and remove those that are too many."""
         shown, turn = self._shown.get(client.client_id), self._turns.get(client.client_id)
         if shown is None or turn is None:
             return
@@ -144,12 +144,12 @@ class Splats:
 
 
 def _is_quick(client: "viser.ClientHandle") -> bool:
-    """Whether a browser is still there and draws what it was sent in ``SLOW``."""
+    """Whether a browser is still connected and renders what it was sent within ``SLOW``."""
     height, width = client.camera.image_height, client.camera.image_width + WIDER
     try:
-        client.get_render(height, width, timeout=ARRIVES)  # the first picture waits until all has arrived
+        client.get_render(height, width, timeout=ARRIVES)  # the first render waits until all has arrived
         began = time.monotonic()
         client.get_render(height, width, timeout=ARRIVES)
-    except (RuntimeError, TimeoutError):  # it left, or says nothing
+    except (RuntimeError, TimeoutError):  # disconnected, or no answer
         return False
     return time.monotonic() - began < SLOW

@@ -1,4 +1,4 @@
-"""The page of a training: its robots over the scene, as they were in the last batch, and how far it is."""
+"""The page of a training: its progress, and its robots over the scene, replayed from the last batch."""
 
 import threading
 import time
@@ -17,21 +17,21 @@ from splatrl.viewer.page import Page
 from splatrl.viewer.robot import BLUE, FACES, wedge
 
 ROBOTS = 256
-"""Robots shown, at most."""
+"""Maximum number of robots shown."""
 EVERY = 0.5
-"""Seconds between batches that are looked at, at least: a training of many small ones is not slowed down."""
+"""Minimum seconds between batches that are shown, so that a training with many small batches is not slowed down."""
 RATE = 10
-"""Steps a second at which a batch is played."""
+"""Playback speed of a batch, steps per second."""
 FIGURES = {"frames": ",.0f", "success": ".2f", "test_success": ".2f", "collision": ".2f", "return": ".1f"}
-"""Columns of ``progress.csv`` that the page shows, and how."""
+"""Columns of ``progress.csv`` that the page shows, with their formats."""
 
 
 class WatchedCollector:
-    """A collector whose robots are looked at; what it collects stays as it is.
+    """A collector that passes its robots' states to a view; the collected batches stay unchanged.
 
     Args:
-        collector: that of the training.
-        view: is given states [T, B, ...], of each step of a batch or of its end alone.
+        collector: the training's collector.
+        view: receives states [T, B, ...], either of every step of a batch or only of its end.
     """
 
     def __init__(self, collector: Collector, view: "TrainingView"):
@@ -39,7 +39,7 @@ class WatchedCollector:
 
     @property
     def carried(self) -> TensorDictBase:
-        """What the next batch begins with."""
+        """The TensorDict with which the next batch begins."""
         return self.collector.carried
 
     @carried.setter
@@ -47,7 +47,7 @@ class WatchedCollector:
         self.collector.carried = value
 
     def collect(self) -> TensorDictBase:
-        """The next frames, [B, T]."""
+        """Collect the next frames, [B, T]."""
         batch = self.collector.collect()
         if self.view.wants():
             states = batch.get("state", None)
@@ -56,12 +56,12 @@ class WatchedCollector:
 
 
 class TrainingView:
-    """Shows a training without changing it: it reads copies of states, and draws no random numbers.
+    """Shows a training without affecting it: the view reads copies of states and draws no random numbers.
 
     Args:
-        page: to add to.
+        page: page to add the robots to.
         world: scene and task.
-        trainer: the training, not yet begun.
+        trainer: the training, before it begins.
     """
 
     def __init__(self, page: Page, world: World, trainer: Trainer):
@@ -87,11 +87,11 @@ class TrainingView:
         self._thread.start()
 
     def wants(self) -> bool:
-        """Whether it is time to look at another batch."""
+        """Whether it is time to show another batch."""
         return time.monotonic() - self._seen >= EVERY
 
     def see(self, states: Tensor) -> None:
-        """Play the states [T, B, ...] of a batch until another one comes."""
+        """Play the states [T, B, ...] of a batch until the next one arrives."""
         self._seen = time.monotonic()
         with torch.no_grad():
             some = states[:, : self.count]
@@ -101,14 +101,14 @@ class TrainingView:
         self._fresh.set()
 
     def note(self, row: Mapping[str, float]) -> None:
-        """Show a row of the history."""
+        """Show the figures of a row of the history."""
         found = {name: row[name] for name in FIGURES if name in row}
         self.status.content = "\n".join(
             f"- {name.replace('_', ' ')} {value:{FIGURES[name]}}" for name, value in found.items()
         )
 
     def close(self) -> None:
-        """End the thread."""
+        """Stop the thread."""
         self._stop.set()
         self._fresh.set()
         self._thread.join(timeout=2.0)

@@ -1,6 +1,6 @@
-"""What a recording knows of each of its images, whatever wrote it.
+"""The common form of all recordings: what each knows about its images, whichever app wrote it.
 
-Files of recordings come from strangers: images are looked for beside them only, and nothing in them is run.
+Recordings come from untrusted sources: images are looked for only beside their files, and nothing in them is executed.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -22,27 +22,27 @@ from splatrl.images import PHOTO_SUFFIXES
 
 Floats = NDArray[np.float64]
 Depth = NDArray[np.uint16]
-"""[h, w] millimetres along the camera's axis, of any size; 0 where there is none."""
+"""[h, w] depth along the camera's axis, millimetres, of any size; 0 where there is none."""
 
 MAX_BYTES = 64 * 2**20
-"""Of a text file with the poses of all images."""
+"""Maximum size of a file that is read whole, such as a text file with the poses of all images."""
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
-"""From OpenCV's camera axes (y down, z forward) to OpenGL's and ARKit's (y up, z backward)."""
+"""Conversion between OpenCV's camera axes (y down, z forward) and OpenGL's and ARKit's (y up, z backward)."""
 ARKIT_UP = np.array([0.0, 1.0, 0.0])
-"""Away from the earth in a world that ARKit aligned with gravity."""
+"""Upward direction in a world that ARKit aligned with gravity."""
 FARTHEST = 5000
-"""Millimetres: what an iPhone's depth sensor says beyond is a guess (Polycam's data format)."""
+"""Maximum depth, millimetres: beyond it, an iPhone's depth sensor only guesses (Polycam's data format)."""
 
 
 class Picture(Protocol):
     """An image that is read only where it is wanted."""
 
     def grey(self) -> NDArray[np.uint8]:
-        """Its brightness, small: [H, W]."""
+        """Return its brightness, scaled down: [H, W]."""
         ...
 
     def image(self) -> Image.Image:
-        """The whole image, RGB, as the recording's intrinsics describe it."""
+        """Return the whole image, RGB, as the recording's intrinsics describe it."""
         ...
 
 
@@ -51,12 +51,12 @@ class Lens:
     """Intrinsics of an image of a stated size, pixels.
 
     Attributes:
-        width: of the image for which the others hold.
-        height: of it.
-        fx: focal length.
-        fy: the same, down.
+        width: width of the image that the intrinsics belong to.
+        height: height of that image.
+        fx: horizontal focal length.
+        fy: vertical focal length.
         cx: principal point, from the left edge.
-        cy: the same, from the upper edge.
+        cy: principal point, from the upper edge.
         distortion: OpenCV's k1, k2, p1, p2, k3.
     """
 
@@ -74,11 +74,11 @@ class Shot:
     """One image of a recording.
 
     Attributes:
-        seconds: when it was taken; its number where that is unknown or says nothing.
-        lens: the camera, of this image alone.
+        seconds: time at which it was taken; its index where that is unknown or says nothing.
+        lens: intrinsics of this image alone.
         camera_to_world: [4, 4], OpenCV camera axes.
-        path: of its file, where it has one of its own.
-        depth: reads what a sensor measured from the same place, for the same field of view; None without.
+        path: the image's file, where it has one of its own.
+        depth: reads what a sensor measured from the same place with the same field of view; None without a sensor.
     """
 
     seconds: float
@@ -93,14 +93,14 @@ class Recording:
     """Images with known poses.
 
     Attributes:
-        source: what it was read from.
-        shots: at least one.
-        pictures: reads some of the images, by ascending numbers of shots; yields the number with each.
-        files: whose change makes it another recording.
-        up: [3], away from the earth, in the frame of the poses; None where unknown.
+        source: the file or folder that it was read from.
+        shots: at least one image.
+        pictures: reads the images of the given shots (ascending indices), and yields each with its index.
+        files: files whose change makes it another recording.
+        up: [3], the upward direction in the frame of the poses; None where unknown.
         metric: whether that frame's unit is the metre.
-        prepared: whether somebody has chosen its images, so that all are taken, as they are where that is possible.
-        border: pixels along the edges of each image that show nothing.
+        prepared: whether its images were chosen already, so that all are taken, unchanged where possible.
+        border: width of the edge of each image that shows nothing, pixels.
     """
 
     source: Path
@@ -117,24 +117,24 @@ class FilePicture:
     """An image in a file of its own.
 
     Args:
-        path: of a PNG, a JPEG or a WebP.
-        opened: opens what to read instead, such as an entry of an archive, which the path then only names.
+        path: a PNG, a JPEG or a WebP.
+        opened: opens a stream to read instead, such as an entry of an archive; the path is then only a name.
     """
 
     def __init__(self, path: Path, opened: Callable[[], BinaryIO] | None = None) -> None:
         self.path, self.opened = path, opened
 
     def grey(self) -> NDArray[np.uint8]:
-        """Its brightness, small: [H, W]."""
+        """Return its brightness, scaled down: [H, W]."""
         return np.asarray(shrunk(self.image(), SHARPNESS_WIDTH).convert("L"))
 
     def image(self) -> Image.Image:
-        """The whole image, RGB, as the recording's intrinsics describe it."""
+        """Return the whole image, RGB, as the recording's intrinsics describe it."""
         return read_photo(self.path, self.opened() if self.opened else None, upright=False)
 
 
 def pictures_of(paths: Sequence[Path]) -> Callable[[Sequence[int]], Iterator[tuple[int, Picture]]]:
-    """Reads some of the images that are files of their own, as ``Recording.pictures``."""
+    """Return a ``Recording.pictures`` for images that are files of their own."""
     return lambda numbers: ((number, FilePicture(paths[number])) for number in numbers)
 
 
@@ -153,7 +153,7 @@ def read_text(path: Path) -> str:
 
 
 def read_json(source: object, text: str | bytes) -> Any:
-    """The values that a JSON text holds.
+    """Parse a JSON text.
 
     Raises:
         CaptureError: for anything else; names the source.
@@ -165,7 +165,7 @@ def read_json(source: object, text: str | bytes) -> Any:
 
 
 def quaternion_poses(source: object, xyzw: Floats, places: Floats) -> Floats:
-    """Poses [N, 4, 4] of quaternions [N, 4], x, y, z, w, and places [N, 3].
+    """Return poses [N, 4, 4] from quaternions [N, 4], x, y, z, w, and positions [N, 3].
 
     Raises:
         CaptureError: for numbers that are not finite, or a quaternion of length 0.
@@ -186,10 +186,10 @@ def read_depth(path: Path, confidence: Path | None = None, least: int = 0, farth
     """Read depth that a sensor measured.
 
     Args:
-        path: of a PNG of 16 bits, millimetres.
-        confidence: of a PNG of the same size; None trusts everything.
-        least: confidence below which a depth is left out.
-        farthest: millimetres beyond which it is left out; None leaves nothing out.
+        path: a PNG of 16 bits, millimetres.
+        confidence: a PNG of the same size with the confidence of each depth; None trusts all.
+        least: minimum confidence of the depths that are kept.
+        farthest: maximum depth that is kept, millimetres; None keeps all.
 
     Raises:
         CaptureError: for files that are broken, of another kind, too large, or not of one size.
@@ -207,7 +207,7 @@ def read_depth(path: Path, confidence: Path | None = None, least: int = 0, farth
 def filtered(
     source: object, depth: Depth, trust: NDArray[Any] | None, least: int, farthest: int | None = FARTHEST
 ) -> Depth:
-    """Depth without what the sensor itself does not trust; arguments as for ``read_depth``."""
+    """Return depth without what the sensor itself does not trust; arguments as for ``read_depth``."""
     if trust is not None and trust.shape != depth.shape:
         raise CaptureError(f"{source}: expected depth of the size {trust.shape} of its confidence, got {depth.shape}")
     kept = np.ones(depth.shape, bool) if trust is None else trust >= least
@@ -217,7 +217,7 @@ def filtered(
 
 
 def beside(folder: Path, name: object) -> Path:
-    """A file within a folder, and nowhere else; an ending that instant-ngp left out is found.
+    """Return a file within a folder and nowhere else, adding the suffix that instant-ngp leaves out.
 
     Raises:
         CaptureError: for a name that leads elsewhere, or to no file.

@@ -1,6 +1,6 @@
-"""A COLMAP model beside its images, as its documentation describes the files (https://colmap.github.io/format.html).
+"""A COLMAP model beside its images, in COLMAP's documented file format (https://colmap.github.io/format.html).
 
-It is read here rather than by COLMAP, which allocates what a file promises.
+The files are parsed here rather than by COLMAP, which allocates as much memory as a file claims to need.
 """
 
 import struct
@@ -16,7 +16,7 @@ from splatrl.files import natural
 
 Kept = TypeVar("Kept")
 MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
-"""By the number that stands for each in ``cameras.bin``."""
+"""Camera models, by the number that stands for each in ``cameras.bin``."""
 DISTORTION: dict[str, tuple[str, ...]] = {
     "SIMPLE_PINHOLE": (),
     "PINHOLE": (),
@@ -24,16 +24,16 @@ DISTORTION: dict[str, tuple[str, ...]] = {
     "RADIAL": ("k1", "k2"),
     "OPENCV": ("k1", "k2", "p1", "p2"),
 }
-"""Camera models that are perspective, and what the last of their parameters are."""
+"""Perspective camera models, each with the distortion coefficients that come last among its parameters."""
 
 
 def found(source: Path) -> bool:
-    """Whether a folder holds a model, itself or in ``sparse``, ``sparse/0`` or ``colmap/sparse/0``."""
+    """Return whether a folder holds a model, itself or in ``sparse``, ``sparse/0`` or ``colmap/sparse/0``."""
     return _folder(source) is not None
 
 
 def read(source: Path) -> Recording:
-    """Read a model; its images are in ``images``, or beside it.
+    """Read a model whose images are in ``images`` or beside it.
 
     Raises:
         CaptureError: where it is broken, lacks images, or has a camera that is not perspective.
@@ -63,7 +63,7 @@ def read(source: Path) -> Recording:
 
 
 class _Image(NamedTuple):
-    """An image of a model: quaternion w, x, y, z and place of world-to-camera, number of its camera, name."""
+    """An image of a model: world-to-camera pose (quaternion w, x, y, z and translation), id of its camera, name."""
 
     pose: tuple[float, ...]
     camera: int
@@ -82,7 +82,7 @@ def _read(path: Path, read: Callable[[bytes], Kept]) -> Kept:
 
 
 def _cameras(content: bytes) -> dict[int, Lens]:
-    """``cameras.bin``: number, model, width, height, parameters."""
+    """Parse ``cameras.bin``: id, model, width, height, parameters."""
     (count,), at, lenses = struct.unpack_from("<Q", content), 8, {}
     for _ in range(count):
         number, model, width, height = struct.unpack_from("<IiQQ", content, at)
@@ -94,7 +94,7 @@ def _cameras(content: bytes) -> dict[int, Lens]:
 
 
 def _images(content: bytes) -> list[_Image]:
-    """``images.bin``: number, pose, camera, name that a zero ends, and points, which are passed over."""
+    """Parse ``images.bin``: id, pose, camera id, zero-terminated name, and points, which are skipped."""
     (count,), at, images = struct.unpack_from("<Q", content), 8, []
     for _ in range(count):
         *pose, camera = struct.unpack_from("<7dI", content, at + 4)
@@ -117,14 +117,14 @@ def _cameras_text(content: bytes) -> dict[int, Lens]:
 
 def _images_text(content: bytes) -> list[_Image]:
     images = []
-    for line in _lines(content)[::2]:  # the other lines are points
+    for line in _lines(content)[::2]:  # every other line lists points
         _, *numbers, camera, name = line.split(maxsplit=9)
         images.append(_Image(tuple(map(float, numbers)), int(camera), name))
     return images
 
 
 def _lines(content: bytes) -> list[str]:
-    """The lines of a text, without comments and what follows the last."""
+    """Return the lines of a text, without comments and without blank lines at its beginning and end."""
     lines = [line for line in content.decode().split("\n") if not line.startswith("#")]
     while lines and not lines[0].strip():
         lines.pop(0)
@@ -139,7 +139,7 @@ def _folder(source: Path) -> Path | None:
 
 
 def _parameters(name: str) -> int:
-    """How many parameters a camera model has."""
+    """Return how many parameters a camera model has."""
     if name not in DISTORTION:
         raise CaptureError(f"expected a camera among {', '.join(DISTORTION)}, got {name[:40]}")
     return len(DISTORTION[name]) + (3 if name.startswith("SIMPLE") or name == "RADIAL" else 4)

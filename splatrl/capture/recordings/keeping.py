@@ -1,4 +1,4 @@
-"""The images of a recording that are used: chosen, turned upright, and cut to what one camera would have seen."""
+"""The images of a recording that are used: chosen, turned upright, and cropped to what one camera would have seen."""
 
 import hashlib
 import json
@@ -21,15 +21,15 @@ from splatrl.files import new_folder
 SHOTS, INDEX, DEPTHS = "shots", "index.json", "depth"
 VERSION = 1
 GRADED = 6
-"""Images of each stretch of a recording that are looked at to find the sharpest."""
+"""Number of images per stretch of a recording that are examined to find the sharpest."""
 SPREAD = 1.1
-"""Largest over smallest focal length of what is still one camera."""
+"""Maximum ratio of the largest to the smallest focal length of what still counts as one camera."""
 WANDER = 0.1
-"""How far its centre may move, as an image stabiliser moves it, in widths of the image."""
+"""Maximum movement of that camera's principal point, as by an image stabiliser, in widths of the image."""
 TRANSPOSED = {1: Image.Transpose.ROTATE_90, 2: Image.Transpose.ROTATE_180, 3: Image.Transpose.ROTATE_270}
-"""Pillow's names of quarter turns counter-clockwise."""
+"""Pillow's names of counter-clockwise turns, by their number of quarters."""
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""From the axes of a camera whose image was turned a quarter counter-clockwise to those it had before."""
+"""Rotation from the axes of a camera whose image was turned a quarter counter-clockwise to those it had before."""
 
 
 def keep(recording: Recording, folder: Path, count: tuple[int, int], longest: int, progress: Progress) -> Photos:
@@ -38,11 +38,11 @@ def keep(recording: Recording, folder: Path, count: tuple[int, int], longest: in
     A second call with the same files and settings reads what the first one kept.
 
     Args:
-        recording: with poses that have been checked, and without lens distortion.
-        folder: of the capture; images come into its sub-folder ``shots``, depth into ``shots/depth``.
-        count: fewest (where there are so many) and most images.
-        longest: the most pixels along the longer side.
-        progress: told about every image.
+        recording: a recording without lens distortion whose poses have been checked.
+        folder: the capture's folder; images are written to its sub-folder ``shots``, depth to ``shots/depth``.
+        count: minimum (where there are so many) and maximum number of images.
+        longest: maximum pixels along the longer side.
+        progress: called for every image.
 
     Raises:
         CaptureError: where images are of several cameras, or one cannot be read.
@@ -59,18 +59,18 @@ def keep(recording: Recording, folder: Path, count: tuple[int, int], longest: in
 
 
 def one_camera(source: object, lenses: Sequence[Lens], border: float = 0.0) -> tuple[Lens, Floats]:
-    """A camera that sees nothing but what every image shows.
+    """Return a camera that sees only what every image shows.
 
-    Images of pinhole cameras from one place differ by a scale and a shift alone. So the camera has the median centre of
-    the others, and the shortest focal length with which each image, cut and scaled, fills its view.
+    Images of pinhole cameras in one place differ only by a scale and a shift. So the camera has the median principal
+    point of the others, and the shortest focal length with which each image, cropped and scaled, fills its view.
 
     Args:
-        source: for messages.
+        source: the recording, for messages.
         lenses: N cameras, at least one, without distortion.
-        border: pixels along the edges of each image to cut off.
+        border: pixels to cut off along the edges of each image.
 
     Returns:
-        The camera; and the part of each image that is its view: [N, 4] left, upper, right and lower edge, pixels.
+        The camera; and the crop of each image that is its view: [N, 4] left, upper, right and lower edge, pixels.
 
     Raises:
         CaptureError: for images of different sizes, or cameras too different to be one.
@@ -95,7 +95,7 @@ def one_camera(source: object, lenses: Sequence[Lens], border: float = 0.0) -> t
             f"{source}: expected a camera whose centre is near the middle of {width:.0f} × {height:.0f} pixels, got "
             f"({middle[0]:.0f}, {middle[1]:.0f}): are its intrinsics those of another image size?"
         )
-    before = own[:, 2:] - border  # of what shows something
+    before = own[:, 2:] - border  # extents of the part that shows something
     behind = [width - border, height - border] - own[:, 2:]
     zoom = (own[:, :2] / focal * np.maximum(middle / before, ([width, height] - middle) / behind)).max()
     camera = Lens(width, height, float(zoom * focal[0]), float(zoom * focal[1]), float(middle[0]), float(middle[1]))
@@ -106,11 +106,11 @@ def one_camera(source: object, lenses: Sequence[Lens], border: float = 0.0) -> t
 
 
 def quarter_turns(camera_to_world: Floats, up: Floats | None) -> int:
-    """How many quarters to turn images counter-clockwise, so that most stand upright.
+    """Return how many quarters to turn images counter-clockwise so that most stand upright.
 
     Args:
         camera_to_world: [N, 4, 4], OpenCV camera axes.
-        up: [3], away from the earth; None leaves images as they are.
+        up: [3], the upward direction; None leaves images as they are.
     """
     if up is None:
         return 0
@@ -146,7 +146,7 @@ def _write(
 
 
 def _scale(source: object, image: Image.Image, camera: Lens) -> Floats:
-    """How much larger an image is than its intrinsics say, across and down: it may have been scaled since."""
+    """Return how much larger an image is than its intrinsics say, across and down: it may have been rescaled since."""
     stored = np.array(image.size) / [camera.width, camera.height]
     if abs(stored[0] / stored[1] - 1) > 0.01:
         shape = f"{camera.width:.0f} × {camera.height:.0f}"
@@ -159,7 +159,7 @@ def _size(camera: Lens, scale: float) -> tuple[int, int]:
 
 
 def _chosen(recording: Recording, count: tuple[int, int], progress: Progress) -> Iterator[tuple[int, Picture]]:
-    """The sharpest image of each stretch; all of them where they are few, or where somebody has chosen them."""
+    """Yield the sharpest image of each stretch; all images where there are few, or where they were chosen already."""
     seconds = np.array([shot.seconds for shot in recording.shots])
     if recording.prepared or len(seconds) <= count[0]:
         numbers, stretches = np.arange(len(seconds)), np.arange(len(seconds))
@@ -179,14 +179,14 @@ def _chosen(recording: Recording, count: tuple[int, int], progress: Progress) ->
 
 
 def _cut(image: Image.Image, box: Floats, size: tuple[int, int], turns: int) -> Image.Image:
-    """The part of an image that the one camera sees, at its size, turned."""
+    """Crop an image to what the one camera sees, resize it, and turn it."""
     box = np.clip(box, 0.0, np.tile(image.size, 2))
     seen = image.resize(size, Image.Resampling.BICUBIC, tuple(box.tolist()))
     return seen if turns == 0 else seen.transpose(TRANSPOSED[turns])
 
 
 def _cut_depth(depth: Depth, box: Floats, camera: Lens, turns: int) -> Depth:
-    """The part of measured depth that the one camera sees, at the sensor's size, turned; no two depths are mixed."""
+    """Crop measured depth to what the one camera sees, at the sensor's size, and turn it; never interpolate depths."""
     left, upper, right, lower = box / [camera.width, camera.height, camera.width, camera.height]
     places = []
     for start, end, size in ((upper, lower, depth.shape[0]), (left, right, depth.shape[1])):
@@ -202,7 +202,7 @@ def _turned(camera_to_world: Floats, turns: int) -> Floats:
 
 
 def _intrinsics(camera: Lens, size: tuple[int, int], turns: int) -> tuple[list[int], list[list[float]]]:
-    """Size and K of the images that were written."""
+    """Return the size and K of the images that are written."""
     across, down = size[0] / camera.width, size[1] / camera.height
     fx, fy, cx, cy = camera.fx * across, camera.fy * down, camera.cx * across, camera.cy * down
     width, height = size
@@ -212,7 +212,7 @@ def _intrinsics(camera: Lens, size: tuple[int, int], turns: int) -> tuple[list[i
 
 
 class _DepthFiles:
-    """Depth as it is written; images of none where a shot has none, and no folder where no shot has any."""
+    """Writes depth images: blank ones for shots without depth, and no folder where no shot has any."""
 
     def __init__(self, folder: Path, source: object) -> None:
         self.folder, self.source = folder, source
@@ -231,7 +231,7 @@ class _DepthFiles:
         Image.fromarray(np.ascontiguousarray(depth)).save(self.folder / f"{name}.png")
 
     def finish(self) -> bool:
-        """Whether there is any."""
+        """Write the blank depth images; return whether there is any depth."""
         if self.size is None:
             return False
         for name in self.missing:
@@ -265,6 +265,6 @@ def _index(kept: Path) -> dict[str, Any]:
 
 
 def _digest(recording: Recording, settings: list[Any]) -> str:
-    """Fingerprint of all that the kept images depend on."""
+    """Return a fingerprint of everything that the kept images depend on."""
     stamps = [[str(path), path.stat().st_size, path.stat().st_mtime_ns] for path in recording.files]
     return hashlib.blake2b(json.dumps([settings, stamps]).encode(), digest_size=16).hexdigest()

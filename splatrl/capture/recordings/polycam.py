@@ -1,7 +1,8 @@
-"""Raw data of Polycam: a folder ``keyframes`` with images, cameras, and what the depth sensor saw.
+"""Raw data of Polycam: a folder ``keyframes`` with images, cameras, and what the depth sensor measured.
 
-Documented in https://github.com/PolyCam/polyform: ``t_ij`` is row i and column j of camera-to-world, ARKit's axes and
-its gravity (+y up), metres; depth is in millimetres, confidence 0, 127 or 255, both of the sensor's own size.
+Documented in https://github.com/PolyCam/polyform: ``t_ij`` is row i and column j of camera-to-world, in ARKit's axes
+and aligned with gravity (+y up), metres; depth is in millimetres, confidence is 0, 127 or 255, and both have the
+sensor's own size.
 """
 
 from functools import partial
@@ -25,16 +26,16 @@ from splatrl.files import natural
 from splatrl.images import PHOTO_SUFFIXES
 
 MEDIUM = 127
-"""Confidence; what is below is quite unreliable, as Polycam says."""
+"""Minimum confidence of the depths that are kept; Polycam calls anything below it quite unreliable."""
 BORDER = 15.0
-"""Pixels that may be black along the edges of corrected images, as nerfstudio crops them."""
+"""Pixels along the edges of corrected images that may be black, and that nerfstudio crops as well."""
 CORRECTED = ("corrected_images", "corrected_cameras")
 PLAIN = ("images", "cameras")
-"""Where loop closure did not run: images with their slight distortion, and ARKit's own poses."""
+"""Folders to read where loop closure did not run: images with their slight distortion, and ARKit's own poses."""
 
 
 def found(source: Path) -> bool:
-    """Whether a folder is such an export."""
+    """Return whether a folder is such an export."""
     return any((source / "keyframes" / cameras).is_dir() for cameras in ("cameras", "corrected_cameras"))
 
 

@@ -1,4 +1,4 @@
-"""Reads whatever recording a path leads to: one module for each kind."""
+"""Reads whatever recording a path leads to, with one module per kind."""
 
 from pathlib import Path
 
@@ -14,11 +14,11 @@ from splatrl.capture.recordings.keeping import keep
 from splatrl.capture.undistort import undistorted
 
 KINDS = (polycam, stray_scanner, record3d, transforms, colmap)
-"""Modules with ``found`` and ``read``; the first that finds something reads it."""
+"""Modules with ``found`` and ``read``; the first whose ``found`` accepts a path reads it."""
 
 
 def is_recording(source: Path) -> bool:
-    """Whether a path leads to a recording that knows its poses.
+    """Return whether a path leads to a recording that knows its poses.
 
     Args:
         source: a file or a folder.
@@ -29,27 +29,28 @@ def is_recording(source: Path) -> bool:
 def read_recording(
     source: Path, folder: Path, count: tuple[int, int] = (120, 200), longest: int = 960, progress: Progress = silent
 ) -> Photos:
-    """Read images with known poses, without lens distortion, all of one camera.
+    """Read images with known poses, without lens distortion, all from one camera.
 
-    Images that somebody has chosen and prepared (``transforms.json``, a COLMAP model) stay as they are where they are
-    of one camera and have no depth beside them. All others are chosen as those of a video are, turned upright, and cut
-    to what one camera would have seen, since an autofocus changes the focal length by a few permille.
+    Images that were chosen and prepared already (``transforms.json``, a COLMAP model) stay as they are where they are
+    from one camera and either come without depth or have lens distortion, which is taken out while the depth is
+    ignored. All others are chosen as from a video, turned upright, and cropped to what one camera would have seen,
+    since an autofocus changes the focal length by a few per mille.
 
     Args:
         source: ``transforms.json`` or its folder; a folder with a COLMAP model in it, in ``sparse`` or ``sparse/0``,
             and ``images``; a folder of Polycam's raw data or of Stray Scanner; Record3D's ``.r3d`` or its folder.
-        folder: of the capture; images come into its sub-folder ``shots``, or ``recorded`` where only distortion had to
-            be taken out.
-        count: fewest (where there are so many) and most images that are chosen.
-        longest: the most pixels along the longer side of those.
-        progress: told about every image.
+        folder: the capture's folder; images are written to its sub-folder ``shots``, or ``recorded`` where only
+            distortion had to be taken out.
+        count: minimum (where there are so many) and maximum number of images that are chosen.
+        longest: maximum pixels along the longer side of those.
+        progress: called for every image.
 
     Returns:
         Images in the order in which they were taken, with K and camera_to_world, and what else the recording knows.
 
     Raises:
         CaptureError: where it is no such recording, is broken, or is not of one camera.
-        ImportError: without the extra ``capture`` where it is needed.
+        ImportError: where the extra ``capture`` is needed but missing.
     """
     kind = next((kind for kind in KINDS if kind.found(source)), None)
     if kind is None:
@@ -70,10 +71,10 @@ def read_recording(
 
 
 def check_recording(recording: Recording) -> None:
-    """Refuse poses that are not rigid, and lenses that make no sense.
+    """Refuse poses that are not rigid, and intrinsics that make no sense.
 
     Raises:
-        CaptureError: that names the recording.
+        CaptureError: names the recording.
     """
     poses = np.array([shot.camera_to_world for shot in recording.shots]).reshape(-1, 4, 4)
     turns = poses[:, :3, :3]
@@ -97,7 +98,7 @@ def check_recording(recording: Recording) -> None:
 def _as_they_are(recording: Recording, folder: Path, progress: Progress) -> Photos:
     lens, paths = recording.shots[0].lens, [shot.path for shot in recording.shots if shot.path is not None]
     width, height = read_photo(paths[0]).size
-    across, down = width / lens.width, height / lens.height  # images may have been scaled since
+    across, down = width / lens.width, height / lens.height  # images may have been rescaled since
     if abs(across / down - 1) > 0.01:
         raise CaptureError(
             f"{recording.source}: expected images shaped as {lens.width:.0f} × {lens.height:.0f}, got "

@@ -2,9 +2,10 @@
 
 As its author describes it (https://github.com/marek-simonik/record3d, issues 7, 33, 64, 81 and 93): ``metadata`` is
 JSON; poses are qx, qy, qz, qw, x, y, z, metres, camera-to-world with OpenGL's axes of the image as it is stored; K is
-column by column; ``rgbd`` holds an image, depth (LZFSE of float32 metres, NaN where there is none) and confidence
-(LZFSE of bytes, 0, 1 or 2) for each frame. The world is ARKit's (+y up), except in early versions of the app, which
-began at the first camera's own axes. Folders of the export as EXR (``rgb`` and ``depth``) come without their depth.
+stored column by column; ``rgbd`` holds an image, depth (float32 metres, NaN where there is none, compressed with LZFSE)
+and confidence (bytes, 0, 1 or 2, compressed with LZFSE) for each frame. The world is ARKit's (+y up), except in early
+versions of the app, where it has the first camera's own axes. Folders of the EXR export (``rgb`` and ``depth``) are
+read without their depth.
 """
 
 import io
@@ -39,17 +40,17 @@ from splatrl.capture.recordings.base import (
 METADATA = ("metadata", "metadata.json")
 IMAGE = re.compile(r"(rgbd|rgb)/([0-9]{1,9})\.jpg")
 MEDIUM = 1
-"""Confidence; what is below is left out."""
+"""Minimum confidence of the depths that are kept."""
 MAX_DEPTH = 2**22
-"""Pixels of depth, which a few bytes may unpack to; sensors of phones have a tenth of it."""
+"""Maximum pixels of a depth image, since a few bytes may unpack to any number; phones' sensors have a tenth of it."""
 USUAL_DEPTH = (256, 192)
-"""Height and width of the depth sensor, which early versions of the app do not state."""
+"""Height and width of the depth images, which early versions of the app do not state."""
 DAMAGED = (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, KeyError, OSError, ValueError)
-"""What reading from a folder or a damaged archive raises."""
+"""Exceptions that reading from a folder or a damaged archive raises."""
 
 
 def found(source: Path) -> bool:
-    """Whether a path leads to such a recording."""
+    """Return whether a path leads to such a recording."""
     if source.is_file():
         return source.suffix.lower() == ".r3d"
     pictures = any((source / name).is_dir() for name in ("rgbd", "rgb"))
@@ -59,9 +60,10 @@ def found(source: Path) -> bool:
 def read(source: Path) -> Recording:
     """Read a recording.
 
+    Only reading the depth of a shot needs the extra ``capture``.
+
     Raises:
         CaptureError: where it is broken.
-        ImportError: without the extra ``capture``, which reads the depth.
     """
     files = Files(source)
     name = next((name for name in METADATA if name in files.names), METADATA[0])
@@ -96,7 +98,7 @@ class Files:
         source: the folder, or the archive.
 
     Attributes:
-        names: of the files.
+        names: names of the files.
         stamped: files whose change makes it another recording.
     """
 
@@ -117,7 +119,7 @@ class Files:
         self.names = set(self._archive.namelist())
 
     def open(self, name: str) -> io.BytesIO:
-        """The content of a file, read as by ``read``, as a stream."""
+        """Return the content of a file as a stream; raises as ``read`` does."""
         return io.BytesIO(self.read(name))
 
     def read(self, name: str) -> bytes:
@@ -145,7 +147,7 @@ def _pictures(files: Files, names: list[str], wanted: Sequence[int]) -> Iterator
 
 
 def _poses(where: str, metadata: Any) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """Poses [N, 4, 4] with OpenGL's camera axes, and which way is up in their frame."""
+    """Return poses [N, 4, 4] with OpenGL's camera axes, and the upward direction in their frame, None where unknown."""
     given = np.array(metadata["poses"], np.float64).reshape(-1, 7)
     poses = quaternion_poses(where, given[:, :4], given[:, 4:])
     if len(poses) and _unturned(poses[0]):
@@ -158,7 +160,7 @@ def _poses(where: str, metadata: Any) -> tuple[NDArray[np.float64], NDArray[np.f
 
 
 def _unturned(pose: NDArray[np.float64]) -> bool:
-    """Whether a camera has the axes of the world, to a tenth of a degree: no hand holds a phone so by chance."""
+    """Return whether a camera has the world's axes, to a tenth of a degree: no phone is held like that by chance."""
     return bool(np.abs(pose[:3, :3] - np.eye(3)).max() < 2e-3)
 
 
@@ -187,9 +189,9 @@ def read_depth_of(files: Files, name: str, trust: str | None, size: tuple[int, i
     """Read the depth of one image.
 
     Args:
-        files: of the recording.
-        name: of the depth.
-        trust: of the confidence; None trusts everything.
+        files: files of the recording.
+        name: name of the depth file.
+        trust: name of the confidence file; None trusts everything.
         size: height and width of both.
 
     Raises:
@@ -206,7 +208,7 @@ def read_depth_of(files: Files, name: str, trust: str | None, size: tuple[int, i
 
 
 def _unpacked(files: Files, name: str, size: int) -> bytes:
-    """What LZFSE packed; never more than one byte beyond the expected size is unpacked."""
+    """Unpack a file compressed with LZFSE, but never more than one byte beyond the expected size."""
     codecs = needed("imagecodecs")
     try:
         unpacked: bytes = codecs.lzfse_decode(files.read(name), out=size + 1)

@@ -1,8 +1,8 @@
-"""Recordings of Stray Scanner: a video, a row of odometry for each frame, and what the depth sensor saw.
+"""Recordings of Stray Scanner: a video, a row of odometry for each frame, and what the depth sensor measured.
 
 Documented in https://github.com/strayrobots/scanner (docs/format.md): metres, quaternions x, y, z, w; depth in
-millimetres, confidence 0, 1 or 2. The world is ARKit's (+y up); the app has already turned the camera's axes to
-OpenCV's, and the intrinsics are those of the frames as they are stored, whatever way up a player shows them.
+millimetres, confidence 0, 1 or 2. The world is ARKit's (+y up); the app has already converted the camera's axes to
+OpenCV's, and the intrinsics are those of the frames as they are stored, whichever way up a player shows them.
 """
 
 import csv
@@ -36,14 +36,14 @@ if TYPE_CHECKING:
 
 VIDEO, ODOMETRY, CAMERA = "rgb.mp4", "odometry.csv", "camera_matrix.csv"
 MEDIUM = 1
-"""Confidence; what is below is left out."""
+"""Minimum confidence of the depths that are kept."""
 NEEDED = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
 INTRINSICS = ("fx", "fy", "cx", "cy")
-"""Of each frame; older versions of the app have them in ``camera_matrix.csv`` alone."""
+"""Columns with each frame's intrinsics; older versions of the app write them to ``camera_matrix.csv`` alone."""
 
 
 def found(source: Path) -> bool:
-    """Whether a folder is such a recording."""
+    """Return whether a folder is such a recording."""
     return (source / ODOMETRY).is_file() and (source / VIDEO).is_file()
 
 
@@ -82,18 +82,18 @@ class FramePicture:
     """A frame of a video as it is stored.
 
     Args:
-        frame: as decoded.
+        frame: the decoded frame.
     """
 
     def __init__(self, frame: "VideoFrame") -> None:
         self.frame = frame
 
     def grey(self) -> NDArray[np.uint8]:
-        """Its brightness, small: [H, W]."""
+        """Return its brightness, scaled down: [H, W]."""
         return videos.grey(self.frame, SHARPNESS_WIDTH)
 
     def image(self) -> Image.Image:
-        """The whole frame, RGB."""
+        """Return the whole frame, RGB."""
         return self.frame.to_image()
 
 
@@ -105,7 +105,7 @@ def _pictures(video: Path, numbers: NDArray[np.int64], wanted: Sequence[int]) ->
 
 
 def _columns(path: Path) -> dict[str, Floats]:
-    """The columns of a table by name; NaN where a value is missing, or a whole column that is not ``NEEDED``."""
+    """Return the columns of a table by name; missing values, and missing columns that are not ``NEEDED``, are NaN."""
     rows = [row for row in csv.reader(io.StringIO(read_text(path)), skipinitialspace=True) if row]
     names = [name.strip() for name in rows[0]] if rows else []
     missing = [name for name in NEEDED if name not in names]

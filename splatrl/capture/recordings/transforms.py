@@ -27,7 +27,7 @@ MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 
 
 def found(source: Path) -> bool:
-    """Whether a path leads to such a file: the file itself, or its folder."""
+    """Return whether a path leads to such a file: the file itself, or its folder."""
     path = _file(source)
     return path.suffix == ".json" and path.is_file()
 
@@ -36,7 +36,7 @@ def read(source: Path) -> Recording:
     """Read ``transforms.json``.
 
     Depth (``depth_file_path``) is in millimetres, and so nerfstudio's poses are in metres where there is any; depth
-    that COLMAP estimated has no scale, and is left alone. Where ``orientation_override`` is ``none``, as for Polycam's
+    that COLMAP estimated has no scale and is ignored. Where ``orientation_override`` is ``none``, as for Polycam's
     recordings, +z is up.
 
     Raises:
@@ -72,7 +72,7 @@ def _depth(folder: Path, frame: dict[str, Any]) -> Callable[[], Depth] | None:
 
 
 def _lens(frame: dict[str, Any], data: dict[str, Any]) -> Lens:
-    """Of one frame: its own values or else those of all frames."""
+    """Return the intrinsics of one frame: its own values, or else those shared by all frames."""
     model = str(frame.get("camera_model", data.get("camera_model", "OPENCV")))
     if model not in MODELS:
         raise ValueError(f"camera_model: expected a perspective one, got {model[:40]!r}")

@@ -1,4 +1,4 @@
-"""What robots see: the scene and whatever is drawn into it."""
+"""Drawing what robots see: the scene and whatever is composited into it."""
 
 from splatrl.envs.drawing.base import Drawing, SceneDrawing, View
 from splatrl.envs.drawing.billboard import overlay

@@ -1,4 +1,4 @@
-"""A red apple drawn by formulas, so it has any resolution and needs no download."""
+"""A procedurally drawn red apple, available at any resolution without a download."""
 
 import functools
 
@@ -13,17 +13,17 @@ SAMPLES = 2
 
 @functools.cache
 def apple(side: int = 256) -> NDArray[np.uint8]:
-    """Draw a red apple with a stem and a leaf, once for all envs; the fruit is as wide as the picture.
+    """Draw a red apple with a stem and a leaf; the fruit is as wide as the picture.
 
     Args:
         side: width and height of the picture in pixels.
 
     Returns:
-        [side, side, 4] uint8, RGBA, straight alpha, sRGB; not to be written to.
+        [side, side, 4] uint8, RGBA, straight alpha, sRGB; cached and shared by all envs, so treat it as read-only.
     """
     count = SAMPLES * side
     axis = (np.arange(count) + 0.5) / count
-    x, y = np.meshgrid(2 * axis - 1, 2 * axis - 1)  # to the right and down, -1 to 1 across the picture
+    x, y = np.meshgrid(2 * axis - 1, 2 * axis - 1)  # right and down, from -1 to 1 across the picture
     premultiplied = np.zeros((count, count, 4))
     for color, cover in (_stem(x, y), _body(x, y), _leaf(x, y)):
         layer = np.concatenate([color, np.ones_like(color[..., :1])], -1) * cover[..., None]
@@ -35,10 +35,10 @@ def apple(side: int = 256) -> NDArray[np.uint8]:
 
 
 def _body(x: Array, y: Array) -> tuple[Array, Array]:
-    """The fruit: round, wider at the top, with a hollow at the stem, lit from the upper left."""
+    """Return colour and coverage of the fruit: round, wider at the top, hollow at the stem, lit from the upper left."""
     down = (y - 0.13) / 0.86
     across = x / (0.99 - 0.07 * np.clip(down + 0.25, 0, None) ** 2)
-    dip = 0.20 * np.exp(-((x / 0.26) ** 2)) - 0.05 * np.exp(-((x / 0.16) ** 2))  # the hollow of the stem
+    dip = 0.20 * np.exp(-((x / 0.26) ** 2)) - 0.05 * np.exp(-((x / 0.16) ** 2))  # hollow around the stem
     foot = 0.06 * np.exp(-((x / 0.20) ** 2))
     squeezed = np.where(down < 0, down / (1 - dip), down / (1 - foot))
     radius = np.hypot(across, squeezed)
@@ -54,7 +54,7 @@ def _body(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _stem(x: Array, y: Array) -> tuple[Array, Array]:
-    """A short brown stem that leans to the right."""
+    """Return colour and coverage of a short brown stem that leans to the right."""
     up = (-0.52 - y) / 0.44
     middle = 0.03 + 0.13 * up**2
     inside = (np.abs(x - middle) < 0.040 + 0.020 * up**2) & (up > 0) & (up < 1)
@@ -63,7 +63,7 @@ def _stem(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _leaf(x: Array, y: Array) -> tuple[Array, Array]:
-    """A small leaf to the right of the stem."""
+    """Return colour and coverage of a small leaf to the right of the stem."""
     angle = -0.45
     along = ((x - 0.10) * np.cos(angle) + (y + 0.74) * np.sin(angle)) / 0.44
     beside = (-(x - 0.10) * np.sin(angle) + (y + 0.74) * np.cos(angle)) / 0.44

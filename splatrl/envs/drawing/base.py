@@ -15,12 +15,12 @@ NO_MEMORY: Mapping[str, Tensor] = {}
 
 
 class View(NamedTuple):
-    """What B cameras see.
+    """Views of B cameras.
 
     Attributes:
         pixels: [B, H, W, 3] uint8.
-        shown: further observations about each image, by key, as ``Drawing.specs`` describes them.
-        depth: [B, H, W] float32, metres along the optical axis, infinite where nothing is seen; None unless asked for.
+        shown: further observations about each image, by key, as described by ``Drawing.specs``.
+        depth: [B, H, W] float32, metres along the optical axis, infinite where nothing is seen; None unless requested.
     """
 
     pixels: Tensor
@@ -29,7 +29,7 @@ class View(NamedTuple):
 
 
 class Drawing(Protocol):
-    """Draws what robots see: the scene, what the task places in it, and whatever the drawing itself adds.
+    """Draws what robots see: the scene, the task's objects in it, and anything that the drawing itself adds.
 
     Attributes:
         renderer: renders the scene.
@@ -39,7 +39,7 @@ class Drawing(Protocol):
 
     @property
     def specs(self) -> Mapping[str, TensorSpec]:
-        """Specs of one robot's observations besides the pixels, by key."""
+        """Specs of one robot's observations other than the pixels, by key."""
         ...
 
     def draw(
@@ -54,16 +54,16 @@ class Drawing(Protocol):
 
         Args:
             cameras: B views.
-            memory: what the task remembers about each robot, [B, ...] by key, such as the position of its ``target``.
-            parts: placed models of each robot's world; None is the scene alone.
+            memory: the task's memory of each robot, [B, ...] by key, such as the position of its ``target``.
+            parts: placed models in each robot's world; None draws the scene alone.
             only: [B] bool, which views to draw; the others are zero. None draws all.
-            depth: whether to give the depth as well.
+            depth: whether to return the depth as well.
         """
         ...
 
 
 class SceneDrawing:
-    """Draws the scene and the task's parts, and nothing else.
+    """Draws the scene and the task's parts, nothing else.
 
     Args:
         renderer: renders the scene.
@@ -74,7 +74,7 @@ class SceneDrawing:
 
     @property
     def specs(self) -> Mapping[str, TensorSpec]:
-        """There are no observations besides the pixels."""
+        """Empty: there are no observations other than the pixels."""
         return {}
 
     def draw(
@@ -93,9 +93,9 @@ class SceneDrawing:
 
 
 HAZE = 0.5
-"""A pixel with less alpha than this counts as empty."""
+"""Pixels whose alpha is below this count as empty."""
 
 
 def solid_depth(depth: Tensor, alpha: Tensor) -> Tensor:
-    """The depth of what is seen, infinite where a pixel is nearly empty: [B, H, W] each."""
+    """Return depth with nearly empty pixels (alpha below ``HAZE``) set to infinity: [B, H, W] each."""
     return torch.where(alpha < HAZE, torch.inf, depth)

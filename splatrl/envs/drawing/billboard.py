@@ -1,4 +1,4 @@
-"""Draws a sprite at a place in the world over rendered images."""
+"""Compositing a sprite, placed in the world, over rendered images."""
 
 from math import prod
 from typing import NamedTuple
@@ -9,16 +9,16 @@ from torch import Tensor
 from splatrl.envs.drawing.sprite import TAPS, Sprite
 
 ALPHA_STEPS = 65536
-"""Alpha is summed as an integer count of this many steps, so that the order of summation does not matter."""
+"""Alpha is summed as integer multiples of 1/65536, so that the order of summation does not affect the result."""
 
 
 class _Taps(NamedTuple):
-    """The texels that the pixels along one axis read.
+    """The texels that pixels read along one axis.
 
     Attributes:
-        first: [B, N] int64, the first of ``TAPS`` texels.
-        weights: [B, N, TAPS] float32.
-        inside: [B, N] bool, whether the pixel reads any texel.
+        first: [B, N] int64, the first of the ``TAPS`` texels of each pixel.
+        weights: [B, N, TAPS] float32, weight of each texel.
+        inside: [B, N] bool, whether the pixel overlaps the sprite at all.
     """
 
     first: Tensor
@@ -37,27 +37,27 @@ def overlay(
     near: float = 0.05,
     only: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """Draw a sprite at a place in the world, hidden where something is nearer.
+    """Draw a sprite at a position in the world, occluded by anything nearer.
 
     The sprite is a billboard parallel to the image plane and upright in the image, so all of it lies at the depth of
-    its centre along the optical axis. Its colour in a pixel is the mean over the pixel's area, or over a texel's where
-    that is larger (a magnified sprite is interpolated linearly); a sprite smaller than a pixel fades with its area.
-    What is drawn in one image does not depend on the others.
+    its centre along the optical axis. Its colour in a pixel is the mean over the pixel's area, or over one texel's area
+    where that is larger (a magnified sprite is interpolated linearly); a sprite smaller than a pixel fades in
+    proportion to its area. Each image is drawn independently of the rest of the batch.
 
     Args:
-        pixels: [..., H, W, 3] uint8.
-        depth: [..., H, W] float32, metres along the optical axis of what is in the image; 0 is infinitely far.
+        pixels: [..., H, W, 3] uint8, the rendered images.
+        depth: [..., H, W] float32, depth of the images along the optical axis, metres; 0 means infinitely far.
         camera_to_world: [..., 4, 4] float32, metres, OpenCV camera axes.
         K: [3, 3] float32 intrinsics in pixels.
-        target: [..., 3] or [3] float32, the centre of the sprite, world, metres.
-        sprite: what to draw.
+        target: [..., 3] or [3] float32, centre of the sprite, world, metres.
+        sprite: the sprite to draw.
         size: width of the sprite, metres.
-        near: a sprite nearer than this along the optical axis, or behind the camera, is not drawn, metres.
+        near: near plane, metres: a sprite closer than this along the optical axis, or behind the camera, is not drawn.
         only: [...] bool, which images to draw over; None draws over all.
 
     Returns:
-        The images [..., H, W, 3] uint8, and the share of each that the sprite covers [..., 1] float32: the mean of its
-        alpha over the pixels.
+        The images [..., H, W, 3] uint8, and the fraction of each that the sprite covers [..., 1] float32: the mean of
+        its alpha over the pixels.
     """
     *batch, height, width, _ = pixels.shape
     count = prod(batch)
@@ -68,7 +68,7 @@ def overlay(
     distance = distance.clamp_min(near)
     wide, high = K[0, 0] * size / distance, K[1, 1] * size * sprite.aspect / distance  # pixels, [B]
     level = _level(sprite, wide, high)
-    least = (level == 0).float()  # least texels a pixel covers: 1 at the finest level, which may be magnified, else 0
+    least = (level == 0).float()  # minimum texels per pixel: 1 at the finest level, which may be magnified, else 0
     across = _taps(column - wide / 2, wide, width, sprite.widths[level], least)
     down = _taps(row - high / 2, high, height, sprite.heights[level], least)
     inside = ((down.inside & shown.unsqueeze(1)).unsqueeze(2) & across.inside.unsqueeze(1)).flatten()  # [B H W]
@@ -87,16 +87,16 @@ def overlay(
 
 
 def _points(inside: Tensor) -> Tensor:
-    """Indices of the pixels to draw: those in the sprite's rectangle, or all on a GPU, where counting would block."""
+    """Return the indices of pixels to draw: the sprite's rectangle, or all on a GPU, where ``nonzero`` would block."""
     if inside.device.type == "cpu":
         return inside.nonzero().squeeze(1)
     return torch.arange(len(inside), device=inside.device)
 
 
 def _project(camera_to_world: Tensor, K: Tensor, target: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Column, row and depth of places, [B] each; column and row are meaningless where depth is not positive.
+    """Project points to column, row and depth, [B] each; column and row are meaningless unless the depth is positive.
 
-    Written as sums of products, because the rounding of a matrix product may depend on the size of the batch.
+    Written as sums of products, because the rounding of a matrix product may depend on the batch size.
     """
     offset = (target - camera_to_world[:, :3, 3]).unsqueeze(2) * camera_to_world[:, :3, :3]
     x, y, z = (offset[:, 0] + offset[:, 1] + offset[:, 2]).unbind(1)
@@ -105,20 +105,20 @@ def _project(camera_to_world: Tensor, K: Tensor, target: Tensor) -> tuple[Tensor
 
 
 def _level(sprite: Sprite, wide: Tensor, high: Tensor) -> Tensor:
-    """The level at which a pixel covers one to two texels along the axis where it covers more: [B] int64."""
+    """Choose the mip level at which a pixel covers one to two texels along its more minified axis: [B] int64."""
     ratio = torch.maximum(sprite.widths[0] / wide, sprite.heights[0] / high)
     return (torch.frexp(ratio).exponent.long() - 1).clamp(0, len(sprite.starts) - 1)  # exact, unlike log2
 
 
 def _taps(begin: Tensor, extent: Tensor, pixels: int, texels: Tensor, least: Tensor) -> _Taps:
-    """Which texels each pixel along an axis covers, and how much of each.
+    """Find the texels that each pixel covers along an axis, and their weights.
 
     Args:
-        begin: [B] where the sprite begins, pixels.
+        begin: [B] position at which the sprite begins, pixels.
         extent: [B] length of the sprite, pixels.
-        pixels: number of pixels of the image along the axis.
-        texels: [B] number of texels of the sprite's level along the axis.
-        least: [B] least number of texels that a pixel reads, even if it covers fewer.
+        pixels: size of the image along the axis, pixels.
+        texels: [B] size of the sprite's mip level along the axis, texels.
+        least: [B] minimum number of texels that a pixel reads, even if it covers fewer.
     """
     scale = (texels / extent).unsqueeze(1)  # texels per pixel
     centers = torch.arange(pixels, device=begin.device) + 0.5 - begin.unsqueeze(1)
@@ -135,7 +135,7 @@ def _taps(begin: Tensor, extent: Tensor, pixels: int, texels: Tensor, least: Ten
 def _sample(
     sprite: Sprite, level: Tensor, image: Tensor, down: _Taps, row: Tensor, across: _Taps, column: Tensor
 ) -> Tensor:
-    """Premultiplied colours of N pixels of some images: [N, 4]."""
+    """Sample the premultiplied sprite colours of N pixels, each in its own image: [N, 4]."""
     stride = sprite.widths.clamp_min(TAPS)[level].index_select(0, image)
     line = image * down.first.shape[1] + row
     pile = image * across.first.shape[1] + column

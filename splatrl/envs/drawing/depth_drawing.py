@@ -1,4 +1,4 @@
-"""Shows how far away everything in an image is, for transforms that need to know, such as weather."""
+"""A drawing that also returns the depth of each image, for transforms that need it, such as weather."""
 
 from collections.abc import Mapping
 
@@ -12,22 +12,22 @@ from splatrl.renderers.parts import Parts
 from splatrl.values import require_number
 
 VIEW_DEPTH = "view_depth"
-"""Key of the depth of each image."""
+"""Observation key of each image's depth."""
 
 
 class DepthDrawing:
-    """Draws as another drawing does, and shows the depth of each image too.
+    """Wraps another drawing and adds the depth of each image to its observations.
 
-    Besides what that returns, there is ``view_depth`` [B, H, W] float32: metres along the optical axis, infinite where
-    nothing is seen. A sprite has the depth of what is behind it.
+    The added observation is ``view_depth`` [B, H, W] float32: metres along the optical axis, infinite where nothing is
+    seen. A sprite has the depth of what is behind it.
 
     Args:
-        drawing: draws.
-        height: of the images, pixels.
-        width: of the images, pixels.
+        drawing: the wrapped drawing.
+        height: height of the images, pixels.
+        width: width of the images, pixels.
 
     Raises:
-        ValueError: for a size that is no whole number from 1.
+        ValueError: for a height or width that is not a whole number of at least 1.
     """
 
     def __init__(self, drawing: Drawing, height: int, width: int):
@@ -37,7 +37,7 @@ class DepthDrawing:
 
     @property
     def renderer(self) -> Renderer:
-        """That of the drawing."""
+        """The wrapped drawing's renderer."""
         return self.drawing.renderer
 
     @renderer.setter
@@ -46,7 +46,7 @@ class DepthDrawing:
 
     @property
     def specs(self) -> Mapping[str, TensorSpec]:
-        """Those of the drawing, and ``view_depth``."""
+        """Specs of the wrapped drawing, and ``view_depth``."""
         return {**self.drawing.specs, VIEW_DEPTH: Unbounded(shape=self.size)}
 
     def draw(

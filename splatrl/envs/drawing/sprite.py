@@ -1,4 +1,4 @@
-"""A picture with alpha, prepared for drawing at any size."""
+"""Sprites: pictures with alpha, stored as mipmaps so that they can be drawn at any size."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,18 +13,18 @@ from splatrl.envs.drawing.apple_picture import apple
 from splatrl.files import refusing
 
 TAPS = 3
-"""Texels that a pixel reads along an axis; smaller levels are padded to this many with empty texels."""
+"""Texels that a pixel reads along each axis; smaller mip levels are padded to this size with empty texels."""
 LARGEST = 4096
-"""Most pixels along the longest side of a picture file."""
+"""Maximum length of a picture file's longest side, pixels."""
 FINEST = 512
-"""Most texels along the longest side of a sprite."""
+"""Maximum length of a sprite's longest side, texels."""
 
 
 @dataclass(frozen=True)
 class Sprite:
-    """Premultiplied colours at every resolution, each half that of the one before (Williams, Pyramidal Parametrics).
+    """A mipmap of premultiplied colours, each level half the size of the one before (Williams, Pyramidal Parametrics).
 
-    Sides are powers of two, so a texel of one level is exactly the mean of those that it covers in the level before.
+    Sides are powers of two, so a texel is exactly the mean of the texels that it covers in the level before.
 
     Attributes:
         texels: [T, 4] float32, all levels, row by row: red, green and blue times alpha in [0, 255], alpha in [0, 1].
@@ -48,7 +48,7 @@ class Sprite:
             picture: [H, W, 4] uint8, RGBA, straight alpha.
 
         Raises:
-            ValueError: for anything else, or an empty picture.
+            ValueError: for any other shape or dtype, or an empty picture.
         """
         if picture.ndim != 3 or picture.shape[2] != 4 or picture.dtype != torch.uint8 or not picture.numel():
             raise ValueError(f"sprite: expected [H, W, 4] uint8, got {list(picture.shape)} {picture.dtype}")
@@ -72,7 +72,7 @@ class Sprite:
         )
 
     def to(self, device: torch.device | str) -> "Sprite":
-        """The same sprite on a device."""
+        """Return a copy of the sprite on a device."""
         return replace(
             self,
             texels=self.texels.to(device),
@@ -83,12 +83,12 @@ class Sprite:
 
 
 def _power_of_two(side: int) -> int:
-    """The nearest power of two, at most ``FINEST``."""
+    """Round to the nearest power of two (in log scale), at most ``FINEST``."""
     return min(FINEST, 2 ** round(np.log2(side)))
 
 
 def load_sprite(name: str | Path) -> Sprite:
-    """Load a sprite by its name or from a file.
+    """Load a sprite by name or from a file.
 
     Args:
         name: ``"apple"``, or the path of a PNG with alpha.

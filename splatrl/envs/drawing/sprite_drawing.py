@@ -1,4 +1,4 @@
-"""Draws an object that is not in the scene, as a picture at a place in it."""
+"""Drawing an object that is not part of the scene, as a sprite at a position in it."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,17 +17,17 @@ from splatrl.renderers.parts import Parts
 
 
 class SpriteDrawing:
-    """Draws the scene and a picture at a place in the world, hidden where the scene is nearer (``overlay``).
+    """Draws the scene and a sprite at a position in the world, occluded by nearer parts of the scene (``overlay``).
 
-    Besides the pixels it returns ``sprite_share`` [B, 1] float32, the share of the image that the sprite covers: 0
+    Besides the pixels it returns ``sprite_share`` [B, 1] float32, the fraction of the image that the sprite covers: 0
     where none of it is seen.
 
     Args:
         renderer: renders the scene.
         sprite: ``"apple"``, the path of a PNG with alpha, or a ``Sprite``.
-        size: width of the picture, metres.
-        position: x, y and z of its centre, world, metres; None takes ``target`` from the task's memory.
-        near: a sprite nearer than this along the optical axis is not drawn, metres.
+        size: width of the sprite, metres.
+        position: x, y and z of its centre, world, metres; None uses ``target`` from the task's memory.
+        near: near plane, metres: a sprite closer than this along the optical axis is not drawn.
 
     Raises:
         ValueError: for a ``size`` or ``near`` that is not positive and finite, a ``position`` that is not three finite
@@ -55,7 +55,7 @@ class SpriteDrawing:
 
     @property
     def specs(self) -> Mapping[str, TensorSpec]:
-        """``sprite_share``."""
+        """Spec of ``sprite_share``."""
         return {"sprite_share": Bounded(0.0, 1.0, shape=(1,), dtype=torch.float32)}
 
     def draw(
@@ -69,7 +69,7 @@ class SpriteDrawing:
         """Draw the views of cameras; see ``Drawing``.
 
         Raises:
-            ValueError: if neither ``position`` nor the task says where the sprite is.
+            ValueError: if neither ``position`` nor the task gives the sprite's position.
         """
         rgb, metres, alpha = self.renderer.render(cameras, parts, only)
         sprite, position = self._on(rgb.device)
@@ -82,7 +82,7 @@ class SpriteDrawing:
         return View(pixels, {"sprite_share": share}, solid_depth(metres, alpha) if depth else None)
 
     def _on(self, device: torch.device) -> tuple[Sprite, Tensor | None]:
-        """Sprite and position on a device, copied there once and kept, since a captured graph keeps reading them."""
+        """Return sprite and position on a device; the copies are cached, since a captured graph keeps reading them."""
         if device not in self._copies:
             position = None if self.position is None else self.position.to(device)
             self._copies[device] = self.sprite.to(device), position

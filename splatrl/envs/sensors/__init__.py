@@ -1,4 +1,4 @@
-"""Sensors: what robots observe besides their picture."""
+"""Sensors: what robots observe in addition to their camera image."""
 
 from splatrl.envs.sensors.base import Moment, PlainSensor, Sensor
 from splatrl.envs.sensors.contact import Contact

@@ -1,4 +1,4 @@
-"""What a robot senses besides its picture: the interface of every sensor."""
+"""The interface of every sensor other than the robot's camera."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol
@@ -12,21 +12,22 @@ from splatrl.motions.base import Motion
 
 
 class Moment(NamedTuple):
-    """B robots at a moment, as sensors read them.
+    """A snapshot of B robots, from which sensors compute their readings.
 
     Attributes:
         planar: [B, 3] float64, x and y in metres and yaw in radians.
         body_to_world: [B, 4, 4] float32, metres.
-        free_fraction: [B] float32, how much of the last move was free.
+        free_fraction: [B] float32, fraction of the last move that was free.
         memory: what task and sensors remember about each robot, [B, ...] by key.
-        depth: [B, H, W] float32, metres along the optical axis, infinite where nothing is seen; None where no sensor
-            asks for it.
-        checker: what is solid.
-        look: draws what cameras of bodies at other poses [B, 4, 4] see, [B, H, W, 3] uint8, for rows that begin.
-        state: [B, ...] the motion's states.
+        depth: [B, H, W] float32, metres along the optical axis, infinite where nothing is seen; None if no sensor needs
+            it.
+        checker: collision checker of the scene.
+        look: draws the robots' views from other body poses [B, 4, 4]: [B, H, W, 3] uint8. In a reset only the rows that
+            begin an episode are drawn.
+        state: [B, ...] states of the motion.
         motion: how the robots move.
-        sensed: [B, S, s] float64, what sensors of the physics said in each substep of the last move; None where
-            episodes begin, and without physics.
+        sensed: [B, S, s] float64, MuJoCo's sensor data in each substep of the last move; None where episodes begin, and
+            without physics.
     """
 
     planar: Tensor
@@ -42,40 +43,40 @@ class Moment(NamedTuple):
 
 
 class Sensor(Protocol):
-    """Gives an observation of each robot, under the key by which it stands in the config.
+    """Produces an observation of each robot, under the sensor's key in the config.
 
     Attributes:
-        needs_depth: whether ``Moment.depth`` has to be drawn for it.
+        needs_depth: whether the sensor needs ``Moment.depth``.
     """
 
     needs_depth: bool
 
     def spec(self, robot: Robot) -> TensorSpec:
-        """Spec of one robot's observation."""
+        """Return the spec of one robot's observation."""
         ...
 
     def memory_spec(self, robot: Robot) -> Mapping[str, TensorSpec]:
-        """Spec of what is remembered about one robot's episode, by key; it travels in the TensorDict."""
+        """Return the specs of what is remembered about one robot's episode, by key; it travels in the TensorDict."""
         ...
 
     def begin(self, moment: Moment) -> Mapping[str, Tensor]:
-        """What is remembered from now on of robots whose episodes begin, with the keys of ``memory_spec``."""
+        """Return what to remember about robots whose episodes begin, with the keys of ``memory_spec``."""
         ...
 
     def read(self, moment: Moment) -> Tensor:
-        """The observations of robots: [B, ...]."""
+        """Return the observations of all robots: [B, ...]."""
         ...
 
 
 class PlainSensor:
-    """A sensor that remembers nothing and needs no depth; subclasses override that."""
+    """A sensor that remembers nothing and needs no depth, unless a subclass overrides that."""
 
     needs_depth = False
 
     def memory_spec(self, robot: Robot) -> Mapping[str, TensorSpec]:
-        """Nothing is remembered."""
+        """Return an empty mapping: nothing is remembered."""
         return {}
 
     def begin(self, moment: Moment) -> Mapping[str, Tensor]:
-        """Nothing is remembered."""
+        """Return an empty mapping: nothing is remembered."""
         return {}

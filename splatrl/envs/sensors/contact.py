@@ -1,4 +1,4 @@
-"""A bumper."""
+"""A contact sensor, like a bumper."""
 
 import torch
 from torch import Tensor
@@ -12,9 +12,9 @@ class Contact(PlainSensor):
     """Whether the last move touched something: [B, 1] bool, false where an episode begins."""
 
     def spec(self, robot: Robot) -> TensorSpec:
-        """Yes or no."""
+        """Return the spec of a flag, [1] bool."""
         return Categorical(2, shape=(1,), dtype=torch.bool)
 
     def read(self, moment: Moment) -> Tensor:
-        """Whether a part of the move was not free."""
+        """Return whether any part of the last move was blocked."""
         return moment.free_fraction.unsqueeze(1) < 1.0

@@ -10,14 +10,15 @@ from splatrl.values import require_number
 
 
 class Depth(PlainSensor):
-    """Depth of each pixel of the robot's own view, [B, H, W, 1] float32, as Habitat's ``depth``.
+    """Depth of each pixel of the robot's own view, [B, H, W, 1] float32, like Habitat's ``depth``.
 
-    Metres along the optical axis, clipped to the range of the camera and, if ``normalize``, scaled so that the range is
-    [0, 1] (Habitat's ``min_depth``, ``max_depth`` and ``normalize_depth``). Where nothing is seen it is the farthest.
+    Depth is in metres along the optical axis, clipped to the camera's range and, if ``normalize`` is set, scaled so
+    that the range becomes [0, 1] (Habitat's ``min_depth``, ``max_depth`` and ``normalize_depth``). Where nothing is
+    seen, it takes the farthest value.
 
     Args:
-        nearest: of the camera's range, metres.
-        farthest: of the camera's range, metres.
+        nearest: lower end of the camera's range, metres.
+        farthest: upper end of the camera's range, metres.
         normalize: whether to scale the range to [0, 1].
 
     Raises:
@@ -34,12 +35,12 @@ class Depth(PlainSensor):
         self.nearest, self.farthest, self.normalize = nearest, farthest, normalize
 
     def spec(self, robot: Robot) -> TensorSpec:
-        """One channel of the robot's image."""
+        """Return the spec of a one-channel image of the camera's size."""
         low, high = (0.0, 1.0) if self.normalize else (self.nearest, self.farthest)
         return Bounded(low, high, shape=(robot.image_height, robot.image_width, 1), dtype=torch.float32)
 
     def read(self, moment: Moment) -> Tensor:
-        """Depth of each pixel."""
+        """Return the depth of each pixel."""
         assert moment.depth is not None, "the env draws depth where a sensor needs it"
         depth = moment.depth.clamp(self.nearest, self.farthest)
         if self.normalize:

@@ -1,4 +1,4 @@
-"""What a robot is told of its goal."""
+"""Sensors that describe the goal: its distance and direction, or an image taken there."""
 
 from collections.abc import Mapping
 
@@ -13,10 +13,10 @@ from splatrl.geometry import axis_rotations, rigid
 
 
 def goal_of(moment: Moment) -> Tensor:
-    """The goals that the task remembers: [B, 3] float64, x and y in metres and yaw in radians.
+    """Return the goals that the task remembers: [B, 3] float64, x and y in metres and yaw in radians.
 
     Raises:
-        ValueError: for a task that has none.
+        ValueError: for a task without goals.
     """
     if "goal" not in moment.memory:
         raise ValueError("sensors: expected a task with a goal of each episode, such as task=pointnav, got one without")
@@ -24,46 +24,46 @@ def goal_of(moment: Moment) -> Tensor:
 
 
 class PointGoal(PlainSensor):
-    """Distance and direction of the goal from where the robot is: [B, 2] float32, rho in metres and phi in [-π, π].
+    """Distance and direction from the robot to the goal: [B, 2] float32, rho in metres and phi in [-π, π].
 
-    Habitat's ``pointgoal_with_gps_compass`` in two polar dimensions: rho is the straight distance, and phi the azimuth
-    from where the robot looks, to the left positive (``IntegratedPointGoalGPSAndCompassSensor`` of habitat-lab's
-    ``tasks/nav/nav.py``).
+    This is Habitat's ``pointgoal_with_gps_compass`` in 2D polar coordinates: rho is the straight-line distance, and phi
+    the azimuth relative to the robot's heading, positive to the left (``IntegratedPointGoalGPSAndCompassSensor`` in
+    habitat-lab's ``tasks/nav/nav.py``).
     """
 
     def spec(self, robot: Robot) -> TensorSpec:
-        """A length and an angle."""
+        """Return the spec of a length and an angle."""
         return Unbounded(shape=(2,), dtype=torch.float32)
 
     def read(self, moment: Moment) -> Tensor:
-        """Rho and phi."""
+        """Return rho and phi."""
         away = goal_of(moment)[:, :2] - moment.planar[:, :2]
         phi = wrapped(torch.atan2(away[:, 1], away[:, 0]) - moment.planar[:, 2])
         return torch.stack([away.norm(dim=1), phi], 1).float()
 
 
 class ImageGoal(PlainSensor):
-    """What the robot's camera would see at the goal, [B, H, W, 3] uint8, drawn once for an episode.
+    """View that the robot's camera would have at the goal, [B, H, W, 3] uint8, rendered once per episode.
 
-    Habitat's ``imagegoal``; the goal's yaw is drawn with the goal.
+    This is Habitat's ``imagegoal``; the goal's yaw is drawn at random together with the goal.
     """
 
     KEY = "imagegoal"
 
     def spec(self, robot: Robot) -> TensorSpec:
-        """An image of the robot's camera."""
+        """Return the spec of an image of the camera's size."""
         return Bounded(0, 255, shape=(robot.image_height, robot.image_width, 3), dtype=torch.uint8)
 
     def memory_spec(self, robot: Robot) -> Mapping[str, TensorSpec]:
-        """The image itself is remembered."""
+        """Return the spec of the image, which is remembered itself."""
         return {self.KEY: self.spec(robot)}
 
     def begin(self, moment: Moment) -> Mapping[str, Tensor]:
-        """Draw the image."""
+        """Render the view at the goal."""
         goal = goal_of(moment).float()
         place = torch.cat([goal[:, :2], moment.body_to_world[:, 2:3, 3]], 1)
         return {self.KEY: moment.look(rigid(axis_rotations(2, goal[:, 2]), place))}
 
     def read(self, moment: Moment) -> Tensor:
-        """The image of this episode."""
+        """Return the episode's goal image."""
         return moment.memory[self.KEY].clone()

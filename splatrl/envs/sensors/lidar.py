@@ -1,4 +1,4 @@
-"""A lidar."""
+"""A planar lidar."""
 
 import math
 
@@ -12,16 +12,17 @@ from splatrl.values import require_number
 
 
 class Lidar(PlainSensor):
-    """A planar scan from the body's centre: [B, beams] float32 metres, ``reach`` where nothing is met.
+    """A planar scan from the body's centre: [B, beams] float32 metres, ``reach`` where nothing is hit.
 
-    Beams go counter-clockwise, as in ROS's ``sensor_msgs/LaserScan``: the first looks half the field to the right of
-    the body's +x. A field of 360° has no beam twice.
+    Beams are ordered counter-clockwise, as in ROS's ``sensor_msgs/LaserScan``: the first points half the field of view
+    to the right of the body's +x. A 360° field does not repeat its first beam.
 
     Args:
-        beams: number of them.
-        field_deg: angle between the first and the last, degrees; of a whole turn, that over which they are spread.
-        reach: range, metres.
-        elevation_deg: angle of all beams above the body's plane, degrees.
+        beams: number of beams.
+        field_deg: field of view, degrees: the angle between the first and the last beam, or 360 to spread the beams
+            evenly over a full turn.
+        reach: maximum range, metres.
+        elevation_deg: angle of all beams above the body's horizontal plane, degrees.
 
     Raises:
         ValueError: for a number out of range.
@@ -40,13 +41,13 @@ class Lidar(PlainSensor):
         self._beams = {torch.device("cpu"): torch.cat([level, torch.full((beams, 1), math.sin(up))], 1).float()}
 
     def spec(self, robot: Robot) -> TensorSpec:
-        """A range for each beam."""
+        """Return the spec of one range per beam."""
         count = len(self._beams[torch.device("cpu")])
         return Bounded(0.0, self.reach, shape=(count,), dtype=torch.float32)
 
     def read(self, moment: Moment) -> Tensor:
-        """The ranges."""
+        """Return the ranges."""
         device = moment.body_to_world.device
-        if device not in self._beams:  # copied there once, since each copy would block the host
+        if device not in self._beams:  # cached, since each copy would block the host
             self._beams[device] = self._beams[torch.device("cpu")].to(device)
         return moment.checker.ranges(moment.body_to_world, self._beams[device], self.reach)

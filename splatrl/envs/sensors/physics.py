@@ -1,4 +1,4 @@
-"""What a robot with physics senses of its own body."""
+"""Sensors of the robot's own body and motion, for robots with physics."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -19,20 +19,20 @@ from splatrl.physics.robots import mjcf_path
 
 
 class Measured(PlainSensor):
-    """What sensors of the robot's own MJCF say, one after the other: [B, n] float32, in MuJoCo's units.
+    """Concatenated readings of sensors in the robot's own MJCF: [B, n] float32, in MuJoCo's units.
 
-    An accelerometer and a gyro are an IMU; touch sensors in feet are contacts. What is said is the mean over the
-    substeps of the last move; where an episode begins, what is sensed with actuators at rest. It is remembered under
-    its key, so that a reset to a state with it gives it again.
+    For example, an accelerometer and a gyro form an IMU, and touch sensors in the feet report contacts. A reading is
+    the mean over the substeps of the last move; at the start of an episode it is what is measured with the actuators at
+    rest. It is remembered under the sensor's key, so a reset to a state given with it reproduces the reading.
 
     Args:
-        key: by which it stands in the config.
-        path: of the robot's MJCF, or the name of one of splatrl's own.
-        names: of sensors, in their order.
-        scale: factor on all numbers.
+        key: the sensor's key in the config.
+        path: path of the robot's MJCF, or the name of one of splatrl's own robots.
+        names: names of the MJCF sensors, in order.
+        scale: factor applied to all values.
 
     Raises:
-        ValueError: for a sensor that the robot lacks; names those that it has.
+        ValueError: for a sensor that the robot does not have; names those that it has.
     """
 
     def __init__(self, key: str, path: str, names: Sequence[str], scale: float = 1.0):
@@ -46,20 +46,20 @@ class Measured(PlainSensor):
         self.size = sum(int(model.sensor(name).dim[0]) for name in self.names)
 
     def spec(self, robot: Robot) -> TensorSpec:
-        """Some numbers."""
+        """Return the spec of one number for each component of the sensors."""
         return Unbounded(shape=(self.size,), dtype=torch.float32)
 
     def memory_spec(self, robot: Robot) -> Mapping[str, TensorSpec]:
-        """What was said last."""
+        """Return the spec of the last reading."""
         return {self.key: self.spec(robot)}
 
     def begin(self, moment: Moment) -> Mapping[str, Tensor]:
-        """What is said at rest."""
+        """Return the reading with the actuators at rest."""
         motion = with_physics(moment)
         return {self.key: self._said(motion, motion.sensed(moment.state).unsqueeze(1))}
 
     def read(self, moment: Moment) -> Tensor:
-        """What the sensors say."""
+        """Return the mean over the last move, or the remembered reading where an episode begins."""
         if moment.sensed is None:
             return moment.memory[self.key].clone()
         return self._said(with_physics(moment), moment.sensed)
@@ -68,19 +68,19 @@ class Measured(PlainSensor):
         columns = [motion.physics.sensor(f"{ROBOT}{name}") for name in self.names]
         each = torch.cat([sensed[..., one] for one in columns if one is not None], 2)
         total = each[:, 0]
-        for substep in range(1, each.shape[1]):  # in this order whatever the batch
+        for substep in range(1, each.shape[1]):  # fixed order, independent of the batch
             total = total + each[:, substep]
         return (self.scale * total / each.shape[1]).float()
 
 
 class Joints(PlainSensor):
-    """Positions and then velocities of the robot's hinges and slides: [B, 2 J] float32, radians or metres, per second.
+    """Positions, then velocities, of the hinge and slide joints: [B, 2 J] float32, radians or metres, and per second.
 
-    Positions are those from where the robot stands at first.
+    Positions are relative to the robot's home pose.
 
     Args:
-        path: of the robot's MJCF, or the name of one of splatrl's own.
-        rate: factor on velocities, which are larger than positions.
+        path: path of the robot's MJCF, or the name of one of splatrl's own robots.
+        rate: factor applied to velocities, whose values are larger than those of positions.
     """
 
     def __init__(self, path: str, rate: float = 0.05):
@@ -91,11 +91,11 @@ class Joints(PlainSensor):
         self.rates = torch.tensor([int(model.jnt_dofadr[joint]) for joint in chosen], dtype=torch.int64)
 
     def spec(self, robot: Robot) -> TensorSpec:
-        """Two numbers a joint."""
+        """Return the spec of two numbers per joint."""
         return Unbounded(shape=(2 * len(self.places),), dtype=torch.float32)
 
     def read(self, moment: Moment) -> Tensor:
-        """Positions and velocities."""
+        """Return positions and scaled velocities."""
         motion, state = with_physics(moment), moment.state
         places = FIRST + self.places.to(state.device)
         rates = FIRST + motion.physics.model.nq + self.rates.to(state.device)
@@ -103,47 +103,48 @@ class Joints(PlainSensor):
 
 
 class Velocity(PlainSensor):
-    """How fast the body moves, which a robot cannot feel; for critics: [B, 6] float32, metres and radians per second.
+    """Linear and angular velocity of the body, for critics: [B, 6] float32, metres and radians per second.
 
-    Of the robot's first body, in its own frame: ahead, left and up, then about these axes.
+    A real robot cannot measure it directly. It is the velocity of the robot's first body in its own frame: ahead, left
+    and up, then about these axes.
     """
 
     def spec(self, robot: Robot) -> TensorSpec:
-        """Six numbers."""
+        """Return the spec of six numbers."""
         return Unbounded(shape=(6,), dtype=torch.float32)
 
     def read(self, moment: Moment) -> Tensor:
-        """The velocity."""
+        """Return the velocity."""
         return with_physics(moment).velocity(moment.state).float()
 
 
 class EgoMotion(PlainSensor):
-    """How the body moves and tilts, as an inertial unit and visual odometry estimate it: [B, 9] float32.
+    """Velocity and tilt of the body, as an IMU with visual odometry would estimate them: [B, 9] float32.
 
-    What ``Velocity`` says, and then the direction that is up in the world, both in the body's own frame. Where it is
-    and where it heads are not among them.
+    The six values of ``Velocity`` are followed by the world's up direction, all in the body's own frame. Position and
+    heading are not included.
     """
 
     def spec(self, robot: Robot) -> TensorSpec:
-        """Nine numbers."""
+        """Return the spec of nine numbers."""
         return Unbounded(shape=(9,), dtype=torch.float32)
 
     def read(self, moment: Moment) -> Tensor:
-        """The velocity, and what is up."""
+        """Return the velocity and the up direction."""
         motion, turn = with_physics(moment), moment.state[:, FIRST + 3 : FIRST + 7]
         up = quats_to_rotations(turn)[:, 2]
         return torch.cat([motion.velocity(moment.state), up], 1).float()
 
 
 class Felt(PlainSensor):
-    """What a robot on legs feels without looking: [B, 46] float32, see ``LegsMotion.felt``."""
+    """Proprioception of a legged robot: [B, 46] float32, see ``LegsMotion.felt``."""
 
     def spec(self, robot: Robot) -> TensorSpec:
-        """46 numbers."""
+        """Return the spec of 46 numbers."""
         return Unbounded(shape=(FELT,), dtype=torch.float32)
 
     def read(self, moment: Moment) -> Tensor:
-        """What is felt."""
+        """Return the proprioception."""
         motion: Any = moment.motion
         if not isinstance(motion, LegsMotion):
             raise ValueError(f"sensors: expected a robot on legs, got {type(motion).__name__}")
@@ -151,10 +152,10 @@ class Felt(PlainSensor):
 
 
 def with_physics(moment: Moment) -> PhysicsMotion:
-    """The motion of robots with physics.
+    """Return the motion of robots with physics.
 
     Raises:
-        ValueError: for others.
+        ValueError: for robots without physics.
     """
     if not isinstance(moment.motion, PhysicsMotion):
         raise ValueError(

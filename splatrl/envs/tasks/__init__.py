@@ -1,4 +1,4 @@
-"""Tasks: what a robot is rewarded for."""
+"""Tasks: what robots are rewarded for, and when episodes end."""
 
 from splatrl.envs.tasks.apple import Apple
 from splatrl.envs.tasks.base import Mark, Memory, Outcome, Step, Task, TaskModule, Verdict

@@ -1,4 +1,4 @@
-"""The apple task: find an object that stands in the scene as a sprite."""
+"""The apple task: find an object that is placed in the scene as a sprite."""
 
 import math
 from collections.abc import Sequence
@@ -12,24 +12,24 @@ from splatrl.envs.tasks.rewards import PUBLISHED, OutcomeTask, Rewards
 from splatrl.motions import ForwardMotion
 
 BRIGHT, PURE = 102, 1.6
-"""A pixel is clearly red when R ≥ 0.4 (102 of 255) and R is at least 1.6 times G and 1.6 times B."""
+"""A pixel is clearly red if R ≥ 0.4 (102 of 255) and R is at least 1.6 times G and 1.6 times B."""
 
 
 class Apple(OutcomeTask):
     """Walk up to an apple until it fills the view.
 
-    Experiment III of "Robotic Learning in your Backyard". The apple is a sprite at a fixed place, which the env's
-    drawing puts into the image (``SpriteDrawing``); that image decides whether the apple is seen.
+    Experiment III of "Robotic Learning in your Backyard". The apple is a sprite at a fixed position, which the env's
+    drawing composites into the image (``SpriteDrawing``); that image decides whether the apple is seen.
 
     Observation: ``pixels`` [B, H, W, 3] uint8, the ego view with the apple in it.
     Action: [B] int64, one of forward, back, left, right (``ForwardMotion``).
-    Reward: [B, 1] float32; −0.2 a step, or instead +50 at the goal, −10 on a collision, −10 out of bounds.
+    Reward: [B, 1] float32; −0.2 per step, replaced by +50 at the goal, −10 on a collision, −10 out of bounds.
     Termination: collision, out of bounds, or goal: within ``reach`` steps of the apple, with enough red in view.
     Truncation: after ``max_steps`` steps.
-    State: [B, 3] float32, x and y in metres and yaw in radians; ``target`` [B, 3] float32 is where the apple is.
+    State: [B, 3] float32, x and y in metres and yaw in radians; ``target`` [B, 3] float32, position of the apple.
 
-    Enough red means a minimum share of clearly red pixels. The published test, a mean red channel above 0.55, already
-    holds in a bright room without an apple; ``mean_red`` selects it. Collision is off by default, as published.
+    Enough red means a minimum fraction of clearly red pixels. The published test, a mean red channel above 0.55, is
+    already met in a bright room without an apple; ``mean_red`` selects it. Collision is off by default, as published.
 
     Example:
         >>> import splatrl
@@ -40,20 +40,20 @@ class Apple(OutcomeTask):
     Args:
         motion: how the robots move.
         place: position of the apple, world, metres.
-        reach: distance along the ground at which the apple counts as found, steps.
-        red_share: share of the pixels that must be clearly red, in (0, 1].
-        mean_red: if given, the mean red channel that is enough, in (0, 1], in place of ``red_share``.
-        facing_deg: used only in planning, which has no image: the apple counts as seen where its bearing is at most
-            this far from the middle of the view, degrees.
+        reach: maximum distance along the ground at which the apple counts as found, steps.
+        red_share: minimum fraction of pixels that must be clearly red, in (0, 1].
+        mean_red: threshold on the mean red channel, in (0, 1], used in place of ``red_share`` if given.
+        facing_deg: used only in planning, which has no image: the apple counts as seen if its bearing is at most this
+            far from the centre of the view, degrees.
         rewards: reward of each outcome.
         max_steps: an episode is truncated after this many steps.
 
     Raises:
-        ValueError: for a place that is not three finite numbers, or shares out of range.
+        ValueError: for a place that is not three finite numbers, or a red threshold out of range.
     """
 
     motion: ForwardMotion
-    place: Tensor  # [3] float32; of several scenes [S, 3]
+    place: Tensor  # [3] float32; with several scenes [S, 3]
     of_scene = ("place",)
 
     def __init__(
@@ -81,7 +81,7 @@ class Apple(OutcomeTask):
 
     @property
     def memory_spec(self) -> dict[str, TensorSpec]:
-        """``target`` [3] float32, where the apple is, world, metres."""
+        """Spec of ``target`` [3] float32, position of the apple, world, metres."""
         return {"target": Unbounded(shape=(3,), dtype=torch.float32)}
 
     def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
@@ -89,7 +89,7 @@ class Apple(OutcomeTask):
         return {"target": self.place.expand(len(state), 3).clone()}
 
     def reached(self, state: Tensor) -> Tensor:
-        """Whether robots are near the apple and face it, for planning, which has no image: [B, 3] -> [B] bool."""
+        """Return whether robots are near the apple and face it; planning has no image to use: [B, 3] -> [B] bool."""
         planar = self.motion.planar(state)
         away = self.place[..., :2].double() - planar[:, :2]
         bearing = torch.atan2(away[:, 1], away[:, 0]) - planar[:, 2]
@@ -97,17 +97,17 @@ class Apple(OutcomeTask):
         return self._near(state, self.place) & faces
 
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
-        """Judge a step by where the robot is and by what it sees; see ``Task.judge``."""
+        """Judge a step by the robot's position and its view; see ``Task.judge``."""
         outcome = self._outcome(step, self.seen(step.move.state, step.memory["target"], step.pixels)).unsqueeze(1)
         return Verdict(self.outcome_rewards[outcome], outcome != Outcome.RUNNING, outcome, step.memory)
 
     def seen(self, state: Tensor, target: Tensor, pixels: Tensor) -> Tensor:
-        """Whether robots are near the apple and see enough red.
+        """Return whether robots are near the apple and see enough red.
 
         Args:
-            state: [B, 3].
+            state: [B, 3] states of the motion.
             target: [B, 3] position of the apple, world, metres.
-            pixels: [B, H, W, 3] uint8, with the apple in them.
+            pixels: [B, H, W, 3] uint8, views that include the apple.
 
         Returns:
             [B] bool.
@@ -115,7 +115,7 @@ class Apple(OutcomeTask):
         return self._near(state, target) & self._red(pixels)
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:
-        """The apple, where it is; see ``Task.marks``."""
+        """Return a mark at the apple's position; see ``Task.marks``."""
         x, y, _ = (self.place if memory is None else memory["target"]).tolist()
         return [Mark("apple", torch.tensor([x, y, math.nan], dtype=torch.float64))]
 
@@ -124,7 +124,7 @@ class Apple(OutcomeTask):
         return away.norm(dim=1) <= self.reach * (1 + 1e-4)
 
     def _red(self, pixels: Tensor) -> Tensor:
-        """Whether images are red enough: [B, H, W, 3] uint8 -> [B] bool."""
+        """Return whether images are red enough: [B, H, W, 3] uint8 -> [B] bool."""
         red, green, blue = pixels.flatten(1, 2).float().unbind(-1)
         if self.mean_red is not None:
             return red.mean(1) > 255 * self.mean_red

@@ -18,17 +18,17 @@ from splatrl.values import require_number
 
 Module = TypeVar("Module", bound="TaskModule")
 Memory = Mapping[str, Tensor]
-"""What a task remembers of each robot, by key: [B, ...] tensors that travel in the TensorDict."""
+"""A task's memory of each robot, by key: [B, ...] tensors that travel in the TensorDict."""
 NOTHING: Memory = {}
 
 
 @dataclass(frozen=True)
 class Anywhere:
-    """Draws a state for each robot from the whole start set, whatever the level: [B, ...].
+    """Draws a state for each robot from the whole start set, regardless of the curriculum's level: [B, ...].
 
     Attributes:
-        states: draws them.
-        generator: the env's own, for what else a task draws.
+        states: draws the states.
+        generator: the env's generator, for anything else that a task draws.
     """
 
     states: Callable[[], Tensor]
@@ -48,18 +48,18 @@ class Outcome(IntEnum):
     OUT_OF_BOUNDS = 3
     TIMEOUT = 4
     STOPPED = 5
-    """The robot said that it was at its goal, and was not."""
+    """The robot signalled that it was at its goal, but was not."""
 
 
 class Step(NamedTuple):
-    """One step of each robot, after it was carried out and rendered.
+    """One step of each robot, already carried out and rendered.
 
     Attributes:
-        before: [B, ...] states before it.
-        action: [B, ...] what the robots did.
-        move: what the motion made of the action, including the states after it.
-        memory: what the task remembered before it.
-        pixels: [B, H, W, 3] uint8, what the robots see after it.
+        before: [B, ...] states before the step.
+        action: [B, ...] actions of the robots.
+        move: the motion's result, including the states after the step.
+        memory: the task's memory before the step.
+        pixels: [B, H, W, 3] uint8, the robots' views after the step.
     """
 
     before: Tensor
@@ -76,7 +76,7 @@ class Verdict(NamedTuple):
         reward: [B, 1] float32.
         terminated: [B, 1] bool.
         outcome: [B, 1] int64, an ``Outcome``; never TIMEOUT, which only the env sets.
-        memory: what the task remembers from now on, with the keys of ``Task.memory_spec``.
+        memory: the task's memory after the step, with the keys of ``Task.memory_spec``.
     """
 
     reward: Tensor
@@ -87,11 +87,11 @@ class Verdict(NamedTuple):
 
 @dataclass(frozen=True)
 class Mark:
-    """Something that a map shows.
+    """A mark to be shown on a map.
 
     Attributes:
-        name: its entry in the legend.
-        planar: [3] float64, x and y in metres and yaw in radians; the yaw is NaN where there is no direction.
+        name: entry in the legend.
+        planar: [3] float64, x and y in metres and yaw in radians; the yaw is NaN for a mark without direction.
     """
 
     name: str
@@ -99,18 +99,20 @@ class Mark:
 
 
 class Task(Protocol):
-    """What robots are rewarded for, how they move, and when an episode ends.
+    """Defines what robots are rewarded for, how they move, and when an episode ends.
 
     A task judges each step once, after the robots' views are rendered, so that the image may decide whether a goal is
-    reached. It may remember something about each robot, have one goal, several or none, and place things in the
-    picture. ``TaskModule`` has defaults for everything but the reward.
+    reached. It may remember something about each robot, have one goal, several or none, and place objects in the
+    scene. ``TaskModule`` has defaults for everything but the reward.
 
     Attributes:
         motion: how the robots move.
         max_steps: an episode is truncated after this many steps.
-        goals_for_success: None for a task whose episodes end at their goal, and so succeed; a number for one whose
-            episodes go on, and succeed with at least so many goals. Curricula and tests go by it.
-        chooses_episodes: whether starts belong to goals of their own, so that tests take those of ``ChoosingTask``.
+        goals_for_success: None for a task whose episodes end at their goal and thereby succeed; a number for a task
+            whose episodes continue, and succeed once they have reached at least that many goals. Curricula and
+            evaluations use it.
+        chooses_episodes: whether each start has a goal of its own, so that evaluations use the episodes of
+            ``ChoosingTask``.
     """
 
     motion: PlannedMotion
@@ -120,24 +122,24 @@ class Task(Protocol):
 
     @property
     def models(self) -> Sequence[Gaussians]:
-        """What the renderer must be able to draw besides the scene, in the order that ``parts`` counts them, from 1."""
+        """Models that the renderer draws besides the scene, in the order in which ``parts`` numbers them, from 1."""
         ...
 
     def start(self, state: Tensor, anywhere: Anywhere) -> Tensor:
-        """States [B, ...] in which episodes begin, with what the task places in the states that were drawn."""
+        """Return the states [B, ...] in which episodes begin: those drawn, with the task's objects placed in them."""
         ...
 
     @property
     def memory_spec(self) -> Mapping[str, TensorSpec]:
-        """Spec of what is remembered about one robot, by key; empty for a task that remembers nothing."""
+        """Specs of what is remembered about one robot, by key; empty for a task that remembers nothing."""
         ...
 
     def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
-        """What is remembered when episodes begin.
+        """Return what is remembered when episodes begin.
 
         Args:
             state: [B, ...] states in which they begin.
-            anywhere: draws states, for things that are placed at random.
+            anywhere: draws states, for objects that are placed at random.
         """
         ...
 
@@ -145,62 +147,62 @@ class Task(Protocol):
         """Judge one step.
 
         Args:
-            step: what happened, and what is seen now.
-            anywhere: draws states, for things that are placed at random.
+            step: the actions, their results, and the robots' views afterwards.
+            anywhere: draws states, for objects that are placed at random.
         """
         ...
 
     def reached(self, state: Tensor) -> Tensor | None:
-        """Whether states are at a goal, judged by the state alone: [B, ...] -> [B] bool; None without goal states.
+        """Return whether states are at a goal, judged by state alone: [B, ...] -> [B] bool; None if there are no goals.
 
         Paths are planned to these states, and starts are ordered by their distance to them.
         """
         ...
 
     def parts(self, state: Tensor, memory: Memory) -> Parts | None:
-        """What each robot's world consists of: [B, M] placed models; None is the unmoved scene alone."""
+        """Return the placed models that make up each robot's world, [B, M]; None stands for the scene alone."""
         ...
 
     def teach(self, state: Tensor, memory: Memory) -> Tensor | None:
-        """The actions [B, ...] of one who knows the state, for DAgger; None where the planner is to be asked.
+        """Return the actions [B, ...] of a teacher that knows the state, for DAgger; None defers to the planner.
 
         Args:
-            state: [B, ...].
+            state: [B, ...] states of the motion.
             memory: what is remembered about each robot.
         """
         ...
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:
-        """What a map shows of the task.
+        """Return the marks that a map shows for the task.
 
         Args:
-            memory: what is remembered about one robot at one step, without a batch dimension; None asks for what every
-                episode has in common.
+            memory: what is remembered about one robot at one step, without a batch dimension; None asks for the marks
+                that all episodes have in common.
         """
         ...
 
     def at(self, scene: Tensor) -> "Task":
-        """The task for rows in some of several scenes, if it was ``stacked`` from theirs: [B] int64."""
+        """Return the task for rows in given scenes, [B] int64, if it was ``stacked`` from one task per scene."""
         ...
 
     def to(self, device: torch.device | str) -> "Task":
-        """The task with its tensors, and those of its motion, on a device."""
+        """Move the tensors of the task and its motion to a device, and return the task."""
         ...
 
 
 class ChoosingTask(Protocol):
-    """A task that ``chooses_episodes``."""
+    """A task that ``chooses_episodes`` for evaluation."""
 
     def episodes(self, starts: Tensor, count: int, seed: int) -> dict[str, Tensor]:
-        """Episodes for tests in one scene, drawn by a seed.
+        """Draw test episodes in one scene from a seed.
 
         Args:
             starts: [S, ...] states in which episodes may begin.
-            count: number of episodes.
-            seed: of what is drawn.
+            count: number of episodes, N.
+            seed: seed of everything that is drawn.
 
         Returns:
-            ``state`` [N, ...], and what the task remembers where each begins, by key.
+            ``state`` [N, ...], and the task's memory at the start of each episode, by key.
         """
         ...
 
@@ -208,14 +210,14 @@ class ChoosingTask(Protocol):
 class TaskModule(torch.nn.Module):
     """A task that by default remembers nothing, places nothing and has no goal states; subclasses override that.
 
-    A robot with physics is drawn with its things, and begins with physics of its episode's own.
+    A robot with physics is drawn together with its objects, and each of its episodes draws its own physics parameters.
 
     Args:
         motion: how the robots move; if it is a module, it moves to a device with the task.
         max_steps: an episode is truncated after this many steps.
 
     Raises:
-        ValueError: for a limit below one step.
+        ValueError: for ``max_steps`` below 1.
     """
 
     motion: PlannedMotion
@@ -228,39 +230,39 @@ class TaskModule(torch.nn.Module):
         self.motion, self.max_steps = motion, max_steps
 
     def at(self: Module, scene: Tensor) -> Module:
-        """The task for rows in some scenes; see ``Task.at`` and ``splatrl.several``."""
+        """Return the task for rows in given scenes; see ``Task.at`` and ``splatrl.several``."""
         return rows_of(self, scene)
 
     @property
     def models(self) -> Sequence[Gaussians]:
-        """The robot's links and things, if it has physics; otherwise nothing."""
+        """Models of the robot's links and its objects, if it has physics; otherwise empty."""
         return self.motion.models if isinstance(self.motion, PhysicsMotion) else []
 
     def start(self, state: Tensor, anywhere: Anywhere) -> Tensor:
-        """The states that were drawn; a robot with physics obeys one of its models."""
+        """Return the states as drawn; a robot with physics is assigned one of its physics models at random."""
         return self.motion.varied(state, anywhere.generator) if isinstance(self.motion, PhysicsMotion) else state
 
     @property
     def memory_spec(self) -> Mapping[str, TensorSpec]:
-        """Nothing is remembered."""
+        """Empty: nothing is remembered."""
         return {}
 
     def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
-        """Nothing is remembered."""
+        """Return an empty memory."""
         return NOTHING
 
     def reached(self, state: Tensor) -> Tensor | None:
-        """There are no goal states."""
+        """Return None: there are no goal states."""
         return None
 
     def parts(self, state: Tensor, memory: Memory) -> Parts | None:
-        """The scene alone, or with the links and things of a robot with physics."""
+        """Return the links and objects of a robot with physics; otherwise None, for the scene alone."""
         return self.motion.parts(state) if isinstance(self.motion, PhysicsMotion) else None
 
     def teach(self, state: Tensor, memory: Memory) -> Tensor | None:
-        """The planner is to be asked."""
+        """Return None: the planner is the teacher."""
         return None
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:
-        """Nothing to show."""
+        """Return no marks."""
         return []

@@ -1,4 +1,4 @@
-"""What tasks share whose robots pass the places of a course in order."""
+"""Base class of tasks in which robots pass the places of a course in order."""
 
 import math
 from abc import abstractmethod
@@ -21,13 +21,13 @@ from splatrl.values import require_number
 
 @dataclass(frozen=True)
 class CourseRewards(FiniteRewards):
-    """The reward of a step, which adds up.
+    """Terms of the reward, which are summed in each step.
 
     Attributes:
-        progress: for each metre by which the robot came nearer to the next place; one that was passed is reached.
-        passed: for a place that was passed.
+        progress: per metre by which the robot came nearer to the next place; passing it counts as reaching its centre.
+        passed: for passing a place.
         crash: for touching anything, or leaving the bounds.
-        slack: of every step.
+        slack: added in every step.
 
     Raises:
         ValueError: for a reward that is not a finite number.
@@ -40,27 +40,27 @@ class CourseRewards(FiniteRewards):
 
 
 class Course(TaskModule):
-    """Pass all places of a course in order without touching anything; a course is drawn in the scene by its number.
+    """Pass all places of a course in order without touching anything; courses are generated in the scene from a seed.
 
-    Subclasses say what courses are like, how robots begin, and what passes a place.
+    Subclasses define what courses look like, how robots begin, and when a place counts as passed.
 
     Reward: [B, 1] float32, see ``CourseRewards``.
-    Termination: at the last place, which is a success; where anything is touched; where the robot leaves the bounds.
+    Termination: at the last place, which is a success; when anything is touched; when the robot leaves the bounds.
     Truncation: after ``max_steps`` steps.
-    State: [B, n] float64, the physics' (``PhysicsMotion``), whose first number is that of the course. Memory:
-        ``passed`` [B, 1] int64, how many places were passed; ``next_place`` [B, 4] float32, x, y and z in metres and
-        yaw in radians of the next one, world, the last one after it was passed, for sensors and for those who train a
-        critic on it.
+    State: [B, n] float64, the physics' (``PhysicsMotion``), whose first value is the number of the course. Memory:
+        ``passed`` [B, 1] int64, number of places passed; ``next_place`` [B, 4] float32, pose of the next place in the
+        world frame (the last place, once that is passed), x, y and z in metres and yaw in radians, for sensors and for
+        training a critic on it.
 
-    Training takes the first ``courses``, tests those after them.
+    Training uses the first ``courses`` of them, evaluation the ``test_courses`` that follow.
 
     Args:
         motion: how the robot moves.
-        course: what courses are like.
+        course: settings from which courses are generated.
         rewards: see ``CourseRewards``.
-        courses: number of courses of training.
-        test_courses: number of courses of tests.
-        seed: of the courses.
+        courses: number of training courses.
+        test_courses: number of test courses.
+        seed: seed of the courses.
         max_steps: an episode is truncated after this many steps.
 
     Raises:
@@ -68,9 +68,9 @@ class Course(TaskModule):
     """
 
     name: ClassVar[str]
-    """Of a place, on maps."""
+    """Name of a place on maps."""
     jitter: ClassVar[tuple[float, float, float, float]]
-    """Largest distance of a start from that of its course along x, y and z, metres, and of its yaw, radians."""
+    """Maximum random offset from the start of the course along x, y and z, metres, and in yaw, radians."""
     chooses_episodes = True
     motion: PhysicsMotion
     places: Tensor  # [N, 1 + P, 4] float64, start and places of each course: x, y, z and yaw
@@ -97,10 +97,10 @@ class Course(TaskModule):
         self.register_buffer("places", torch.zeros(0, 0, 4, dtype=torch.float64), persistent=False)
 
     def settle(self) -> None:
-        """Draw the courses, after the motion was put into a scene, and give each a model of its own.
+        """Generate the courses, and a physics model for each; the motion must already be placed in a scene.
 
         Raises:
-            ValueError: where there is no room for a course.
+            ValueError: if there is no room for a course.
         """
         motion, many = self.motion, self.courses + self.test_courses
         bounds, ceiling = (motion.twin.lower.tolist(), motion.twin.upper.tolist()), motion.ceiling or math.inf
@@ -113,23 +113,23 @@ class Course(TaskModule):
 
     @property
     def memory_spec(self) -> Mapping[str, TensorSpec]:
-        """See the class."""
+        """Specs of the memory; see the class."""
         return {
             "passed": Unbounded(shape=(1,), dtype=torch.int64),
             "next_place": Unbounded(shape=(4,), dtype=torch.float32),
         }
 
     def start(self, state: Tensor, anywhere: Anywhere) -> Tensor:
-        """Begin courses of training; see ``Task.start``."""
+        """Begin at random training courses; see ``Task.start``."""
         rows = torch.randint(self.courses, (len(state),), generator=anywhere.generator, device=state.device)
         return self._begun(rows, anywhere.generator)
 
     def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
-        """No place was passed; see ``Task.begin``."""
+        """Return a memory in which no place has been passed; see ``Task.begin``."""
         return self._memory(state, torch.zeros(len(state), dtype=torch.int64, device=state.device))
 
     def episodes(self, starts: Tensor, count: int, seed: int) -> dict[str, Tensor]:
-        """Starts of the courses of tests, in turn; see ``ChoosingTask``."""
+        """Return starts that cycle through the test courses; see ``ChoosingTask``."""
         generator = torch.Generator().manual_seed(seed)
         state = self._begun(self.courses + torch.arange(count) % self.test_courses, generator)
         return {"state": state, **self.begin(state, Anywhere(lambda: state, generator))}
@@ -152,40 +152,40 @@ class Course(TaskModule):
         return Verdict(reward.unsqueeze(1), terminated.unsqueeze(1), outcome.unsqueeze(1), memory)
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:
-        """The next place; see ``Task.marks``."""
+        """Return a mark at the next place; see ``Task.marks``."""
         return [] if memory is None else [Mark(self.name, memory["next_place"][[0, 1, 3]].double().cpu())]
 
     def _furnish(self, model: Any, places: Tensor) -> None:
-        """Put what stands at places [P, 4] into the physics of their course, an ``MjModel``; by default nothing."""
+        """Add the objects at places [P, 4] to the physics of their course, an ``MjModel``; by default there is none."""
 
     def _crashed(self, state: Tensor) -> Tensor:
-        """Whether robots crashed though they touched nothing: [B, n] -> [B] bool."""
+        """Return whether robots crashed without touching anything: [B, n] -> [B] bool."""
         return torch.zeros(len(state), dtype=torch.bool, device=state.device)
 
     @abstractmethod
     def _outside(self, state: Tensor) -> Tensor:
-        """Whether robots left the bounds: [B, n] -> [B] bool."""
+        """Return whether robots left the bounds: [B, n] -> [B] bool."""
 
     @abstractmethod
     def _position(self, state: Tensor) -> Tensor:
-        """Where robots are, as far as places are: [B, n] -> [B, 2 or 3] float64."""
+        """Return positions of robots in the dimensions in which places are compared: [B, n] -> [B, 2 or 3] float64."""
 
     @abstractmethod
     def _passes(self, was: Tensor, now: Tensor, place: Tensor) -> Tensor:
-        """Whether straight ways pass places: [B, 2 or 3], [B, 2 or 3], [B, 4] -> [B] bool."""
+        """Return whether straight moves pass places: [B, 2 or 3], [B, 2 or 3], [B, 4] -> [B] bool."""
 
     def _begun(self, rows: Tensor, generator: torch.Generator) -> Tensor:
-        """States at rest near the starts of some courses: [B] -> [B, n]."""
+        """Draw states at rest near the starts of given courses: [B] -> [B, n]."""
         start = self.places[rows, 0]
         off = 2.0 * torch.rand(len(rows), 4, generator=generator, device=start.device, dtype=torch.float64) - 1.0
         return self.motion.with_model(self._placed(start + off * off.new_tensor(self.jitter)), rows)
 
     def _placed(self, start: Tensor) -> Tensor:
-        """States at rest: [B, 4] x, y, z and yaw -> [B, n]."""
+        """Return states at rest at given poses: [B, 4] x, y, z and yaw -> [B, n]."""
         return self.motion.placed(start[:, [0, 1, 3]])
 
     def _place(self, state: Tensor, passed: Tensor) -> Tensor:
-        """The next place of each state, the last one after it was passed; -1 is the start: [B, 4] float64."""
+        """Return the place after ``passed`` others, at most the last one; -1 gives the start: [B, 4] float64."""
         return self.places[self.motion.model_of(state), 1 + passed.clamp(-1, self.course.length - 1)]
 
     def _memory(self, state: Tensor, passed: Tensor) -> Memory:

@@ -1,4 +1,4 @@
-"""The drive task: continuous control of a mobile robot to the pose that sees the object."""
+"""The drive task: steer a mobile robot with continuous control to the pose from which the object is seen."""
 
 from splatrl.envs.tasks.pose_goal import PoseGoal
 
@@ -9,10 +9,10 @@ class Drive(PoseGoal):
     Observation: ``pixels`` [B, H, W, 3] uint8, the ego view.
     Action: [B, 2] float32, linear velocity in metres per second and angular velocity in radians per second, within the
         limits of ``DriveMotion``, held for its time step.
-    Reward: [B, 1] float32; −0.2 a step, or instead +50 at the goal, −10 on a collision, −10 out of bounds.
-    Termination: collision, out of bounds or goal, in this order of precedence. The goal is reached where |dx| and |dy|
-        are at most what the robot drives in a time step at full speed, and |dyaw| is at most what it turns in one. A
-        blocked robot stays where it was.
+    Reward: [B, 1] float32; −0.2 per step, replaced by +50 at the goal, −10 on a collision, −10 out of bounds.
+    Termination: collision, out of bounds or goal, in this order of precedence. The goal is reached if |dx| and |dy| are
+        at most the distance that the robot drives in a time step at full speed, and |dyaw| is at most the angle that it
+        turns in one. A blocked robot stays where it was.
     Truncation: after ``max_steps`` steps.
     State: [B, 3] float32, x and y in metres and yaw in radians.
 

@@ -18,18 +18,18 @@ from splatrl.spherical_harmonics import C0
 from splatrl.values import require_rgb
 
 LOW = 0.08
-"""Height above the ground below which a quadrotor has crashed, metres."""
+"""Height above the ground below which a quadrotor counts as crashed, metres."""
 
 
 class Gates(Course):
-    """Fly through all gates of a track in order, as FalconGym's quadrotor does, seen by its camera.
+    """Fly through all gates of a track in order, guided by the on-board camera, like FalconGym's quadrotor.
 
-    The gates stand in the scene, in the picture and as boxes to bump into. The next one is lit. A gate is passed when
-    the straight line of the quadrotor's centre over a step crosses its opening along its yaw; others count nothing. The
-    ceiling is one of the bounds. ``Course`` says the rest.
+    The gates stand in the scene: they appear in the image and are obstacles for collision. The next gate is lit. It is
+    passed when the straight line that the quadrotor's centre moves along in a step crosses its opening in the direction
+    of its yaw; crossing other gates has no effect. The ceiling is one of the bounds. ``Course`` describes the rest.
 
     Observation: ``pixels`` [B, H, W, 3] uint8, the ego view.
-    Action: the motion's: of ``quadrotor`` [B, 4] float32, thrust in weights of its own and three body rates, rad/s.
+    Action: the motion's; for ``quadrotor`` [B, 4] float32, thrust in units of its weight and three body rates, rad/s.
 
     Example:
         >>> import splatrl
@@ -38,18 +38,18 @@ class Gates(Course):
         [0, 0, 0, 0, 0, 0]
 
     Args:
-        motion: how the robot moves; its one thing is a gate, of which it gets as many as a track has.
+        motion: how the robot moves; its only thing is a gate, which is repeated for every gate of a track.
         rewards: see ``CourseRewards``.
-        course: what tracks are like.
-        courses: number of tracks of training.
-        test_courses: number of tracks of tests.
-        seed: of the tracks.
+        course: settings from which tracks are generated.
+        courses: number of training tracks.
+        test_courses: number of test tracks.
+        seed: seed of the tracks.
         lit: colour of the next gate, red, green and blue in [0, 1].
         max_steps: an episode is truncated after this many steps.
 
     Raises:
-        ValueError: for a motion without physics, without a ceiling, or with other things than one gate, or a number out
-            of range.
+        ValueError: for a motion without physics, without a ceiling, or with anything other than one thing, or a number
+            out of range.
     """
 
     name = "gate"
@@ -80,7 +80,7 @@ class Gates(Course):
 
     @property
     def models(self) -> list[Gaussians]:
-        """The robot's links, a gate, and a gate that is lit."""
+        """Models of the robot's links, a gate, and a lit gate."""
         own, gate = self.motion.models[: -self.course.gates], self.motion.models[-1]
         lit = gate.clone()
         shade = (gate.sh[:, :1] * C0 + 0.5).mean(2, keepdim=True)
@@ -88,13 +88,13 @@ class Gates(Course):
         return [*own, gate, lit]
 
     def teach(self, state: Tensor, memory: Memory) -> Tensor:
-        """What a pilot that knows the state would do: [B, n] -> [B, 4]; see ``fly_through``."""
+        """Return the actions of a pilot that knows the state: [B, n] -> [B, 4]; see ``fly_through``."""
         velocity = FIRST + int(self.motion.physics.model.nq)
         flying = Flying(self._position(state), state[:, FIRST + 3 : FIRST + 7], state[:, velocity : velocity + 3])
         return fly_through(flying, self._place(state, memory["passed"].squeeze(1)), self.motion.limits)
 
     def parts(self, state: Tensor, memory: Memory) -> Parts:
-        """The scene, the robot and the gates of its track, the next one lit; see ``Task.parts``."""
+        """Place the scene, the robot and the gates of its track, the next one lit; see ``Task.parts``."""
         moving, gates, own = self.motion.parts(state), self.course.gates, len(self.motion.models) - self.course.gates
         x, y, z, yaw = self.places.to(state.device)[self.motion.model_of(state), 1:].unbind(2)
         poses = rigid(axis_rotations(2, yaw), torch.stack([x, y, z], 2)).float()
@@ -112,7 +112,7 @@ class Gates(Course):
             model.body_quat[body] = math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)
 
     def _height(self, state: Tensor) -> Tensor:
-        """Of the quadrotor's centre above the ground, metres: [B, n] -> [B]."""
+        """Return the height of the quadrotor's centre above the ground, metres: [B, n] -> [B]."""
         x_y, z = self._position(state).split([2, 1], 1)
         return z.squeeze(1) - self.motion.terrain.height(x_y)
 

@@ -1,4 +1,4 @@
-"""The grid task: walk a lattice to the pose that sees the object."""
+"""The grid task: walk on a lattice to the pose from which the object is seen."""
 
 from splatrl.envs.tasks.pose_goal import PoseGoal
 
@@ -10,14 +10,14 @@ class Grid(PoseGoal):
 
     Observation: ``pixels`` [B, H, W, 3] uint8, the ego view.
     Action: [B] int64, one of +x, −x, +y, −y, +spin, −spin (``LatticeMotion``).
-    Reward: [B, 1] float32; −0.2 a step, or instead +50 at the goal, −10 on a collision, −10 out of bounds.
-    Termination: collision, out of bounds or goal, in this order of precedence. The goal is reached where |dx| ≤ one
-        step, |dy| ≤ one step and |dyaw| ≤ one angle step, each judged separately. A blocked robot stays at its previous
+    Reward: [B, 1] float32; −0.2 per step, replaced by +50 at the goal, −10 on a collision, −10 out of bounds.
+    Termination: collision, out of bounds or goal, in this order of precedence. The goal is reached if |dx| ≤ one step,
+        |dy| ≤ one step and |dyaw| ≤ one angle step, each judged separately. A blocked robot stays at its previous
         lattice pose.
     Truncation: after ``max_steps`` steps.
     State: [B, 3] int64, lattice indices of x, y and heading.
 
-    The published code lets a robot at the edge move outwards only once, and compares Euler angles without wrapping
+    The published code lets a robot at the edge move outwards, but only once, and compares Euler angles without wrapping
     them; here the bounds are inclusive and angles wrap.
 
     Example:

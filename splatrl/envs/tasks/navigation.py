@@ -1,4 +1,4 @@
-"""The navigation tasks of Habitat's users: reach a goal of each episode's own, and say so."""
+"""Habitat-style navigation tasks: reach the goal of the episode and signal arrival by stopping."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -19,18 +19,18 @@ from splatrl.values import require_number
 
 TRIES = 50
 LOST = 16
-"""Steps after which what an image told of the goal's place is worth no more, for the teacher of ``ImageNav``."""
+"""Steps after which ``ImageNav``'s teacher considers its last look in the direction of the goal image outdated."""
 ROUNDING = 1e-3
-"""Of headings, radians."""
+"""Tolerance for the rounding of headings, radians."""
 
 
 @dataclass(frozen=True)
 class NavigationRewards(FiniteRewards):
-    """The reward of a step, as in habitat-baselines' ``NavRLEnv`` (Savva et al. 2019): progress + slack + success.
+    """Terms of the reward, as in habitat-baselines' ``NavRLEnv`` (Savva et al. 2019): progress + slack + success.
 
     Attributes:
-        progress: for each metre by which the goal has come nearer on the shortest way.
-        slack: of every step.
+        progress: per metre by which the geodesic distance to the goal decreased.
+        slack: added in every step.
         success: for stopping at the goal.
 
     Raises:
@@ -45,35 +45,36 @@ class NavigationRewards(FiniteRewards):
 class NavigationTask(TaskModule):
     """Go to a goal that is drawn with each start, and stop there.
 
-    Action: the motion's, of which some are stop: the first one of ``NavigateMotion``; with ``DriveMotion`` both
-        velocities within a tenth of their limits, as Habitat's ``VelocityAction`` takes them.
-    Reward: [B, 1] float32; the metres by which the shortest way to the goal became shorter, less a slack, and more for
-        a stop at the goal (``NavigationRewards``).
-    Termination: at a stop. It is a success where the shortest way to the goal is below ``success_distance``. A robot
-        that touches something, or would leave the bounds, stays or slides as its motion says, and goes on.
+    Action: the motion's, some of which mean stop: the first action of ``NavigateMotion``; with ``DriveMotion``, both
+        velocities within a tenth of their limits, as in Habitat's ``VelocityAction``.
+    Reward: [B, 1] float32; the decrease in geodesic distance to the goal, metres, minus a slack penalty, plus a bonus
+        for stopping at the goal (``NavigationRewards``).
+    Termination: at a stop, which is a success if the geodesic distance to the goal is below ``success_distance``. A
+        robot that touches something, or would leave the bounds, stays or slides as its motion defines, and the episode
+        continues.
     Truncation: after ``max_steps`` steps.
     State: [B, 3] float32, x and y in metres and yaw in radians. Memory: ``goal`` [B, 3] float32, likewise; ``goal_row``
-        [B, 1] int64, its number; ``distance_to_goal``, ``start_distance`` and ``path_length`` [B, 1] float32, metres;
-        ``collisions`` [B, 1] int64.
+        [B, 1] int64, the goal's number; ``distance_to_goal``, ``start_distance`` and ``path_length`` [B, 1] float32,
+        metres; ``collisions`` [B, 1] int64.
 
-    Distances are those of the shortest way on which the body fits (``Geodesics``). The goals of a scene are a seeded
-    set of places that are connected to each other, some for training and others for tests; any start may have any of
-    them that is neither too near nor too far.
+    Distances are geodesic: lengths of the shortest path on which the body fits (``Geodesics``). The goals of a scene
+    are a seeded set of mutually connected places, some for training and others for tests; any start may be paired with
+    any of them that is neither too near nor too far.
 
     Args:
         motion: how the robots move.
         rewards: see ``NavigationRewards``.
-        success_distance: of the shortest way, metres.
-        nearest: shortest way from a start to its goal, metres.
-        farthest: longest way, metres.
-        goals: number of goals for training in each scene.
-        test_goals: number of those for tests.
-        cell: of the grid on which ways are found, metres.
-        seed: of the goals.
+        success_distance: geodesic distance to the goal below which a stop succeeds, metres.
+        nearest: minimum geodesic distance from a start to its goal, metres.
+        farthest: maximum geodesic distance from a start to its goal, metres.
+        goals: number of training goals in each scene.
+        test_goals: number of test goals in each scene.
+        cell: cell size of the grid on which paths are found, metres.
+        seed: seed of the goals.
         max_steps: an episode is truncated after this many steps.
 
     Raises:
-        ValueError: for a motion without stop or off the plane, or a number out of range.
+        ValueError: for a motion without a stop action or off the plane, or a number out of range.
     """
 
     chooses_episodes = True
@@ -111,14 +112,14 @@ class NavigationTask(TaskModule):
         self.geodesics: Geodesics
 
     def settle(self, checker: Checker, fits: Callable[[Tensor], Tensor] | None = None) -> None:
-        """Find the goals of a scene and the ways to them; the task is not complete before.
+        """Choose the goals of a scene and compute distances to them; the task cannot be used before.
 
         Args:
-            checker: tells where the robot fits.
-            fits: body_to_world [N, 4, 4] -> [N] bool, where robots may be besides; None is everywhere.
+            checker: finds where the robot fits.
+            fits: body_to_world [N, 4, 4] -> [N] bool, an additional condition on robot poses; None allows all.
 
         Raises:
-            ValueError: where the robot fits nowhere, or no way to a goal is as long as the shortest that is asked.
+            ValueError: if the robot fits nowhere, or every path to a goal is shorter than ``nearest``.
         """
         self.geodesics = Geodesics.drawn(ground(self.motion, checker, self.cell, fits), *self.goal_counts, self.seed)
         longest = self.geodesics.longest
@@ -129,7 +130,7 @@ class NavigationTask(TaskModule):
 
     @property
     def memory_spec(self) -> Mapping[str, TensorSpec]:
-        """See the class."""
+        """Specs of the memory; see the class."""
         number = Unbounded(shape=(1,), dtype=torch.float32)
         count = Unbounded(shape=(1,), dtype=torch.int64)
         measures = {key: number.clone() for key in ("distance_to_goal", "start_distance", "path_length")}
@@ -144,12 +145,12 @@ class NavigationTask(TaskModule):
         return self.episode(state, row, yaw)
 
     def episode(self, state: Tensor, row: Tensor, yaw: Tensor) -> dict[str, Tensor]:
-        """What is remembered where episodes with given goals begin.
+        """Return what is remembered at the start of episodes with given goals.
 
         Args:
-            state: [B, 3] starts.
-            row: [B] int64, rows of ``geodesics``.
-            yaw: [B, 1] float32 of the goals, radians.
+            state: [B, 3] start states.
+            row: [B] int64, rows of the goals in ``geodesics``.
+            yaw: [B, 1] float32, yaw of the goals, radians.
         """
         far = self.geodesics.distance(self._place(state), row).unsqueeze(1)
         return {
@@ -162,18 +163,18 @@ class NavigationTask(TaskModule):
         }
 
     def episodes(self, starts: Tensor, count: int, seed: int) -> dict[str, Tensor]:
-        """Starts and goals for tests in one scene, drawn by a seed; a scene of several is chosen by ``at``.
+        """Draw test starts and goals in one scene from a seed; with several scenes, select one with ``at``.
 
         Args:
             starts: [S, 3] states in which episodes may begin.
-            count: number of episodes.
-            seed: of what is drawn.
+            count: number of episodes, N.
+            seed: seed of everything that is drawn.
 
         Returns:
-            ``state`` [N, 3], and what ``episode`` gives for each.
+            ``state`` [N, 3], and the result of ``episode`` for each.
 
         Raises:
-            ValueError: where no start and goal are as far from each other as asked.
+            ValueError: if too few starts and goals are found whose distance is in the requested range.
         """
         generator = torch.Generator().manual_seed(seed)
         found: list[dict[str, Tensor]] = []
@@ -214,24 +215,24 @@ class NavigationTask(TaskModule):
         return Verdict(reward, stops, outcome, {**memory, **measured})
 
     def teach(self, state: Tensor, memory: Memory) -> Tensor:
-        """What one does who knows the shortest way; see ``lead``."""
+        """Return the actions of a teacher that knows the shortest path; see ``lead``."""
         return self.motion.toward(*self._led(state, memory))
 
     def _led(self, state: Tensor, memory: Memory) -> tuple[Tensor, Tensor]:
-        """Angle from the heading to the shortest way, radians, and whether the goal is near enough: [B] each."""
+        """Return the angle from the heading to the shortest path, radians, and whether to stop here: [B] each."""
         row, motion = memory["goal_row"].squeeze(1), self.motion
         turn, arrived = lead(self.geodesics, motion.planar(state).float(), row, motion.reach, motion.angle_between)
         far = self.geodesics.distance(self._place(state), row)
         return turn, (far < self.success_distance) & (arrived | (far < 0.5 * self.success_distance))
 
     def beeline(self, state: Tensor, memory: Memory) -> Tensor:
-        """What one does who knows distance and direction of the goal and nothing else; see ``teach``."""
+        """Return the actions of an agent that knows only the goal's distance and direction; compare ``teach``."""
         away = memory["goal"][:, :2] - self._place(state)
         turn = wrapped(torch.atan2(away[:, 1], away[:, 0]) - self.motion.planar(state)[:, 2].float())
         return self.motion.toward(turn, away.norm(dim=1) < self.success_distance)
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:
-        """The goal of an episode; see ``Task.marks``."""
+        """Return a mark at the episode's goal; see ``Task.marks``."""
         return [] if memory is None else [Mark("goal", memory["goal"].double())]
 
     def _place(self, state: Tensor) -> Tensor:
@@ -239,10 +240,10 @@ class NavigationTask(TaskModule):
 
 
 class PointNav(NavigationTask):
-    """Point-goal navigation (Anderson et al. 2018): the goal is told by its distance and direction.
+    """Point-goal navigation (Anderson et al. 2018): the goal is given by its distance and direction.
 
-    Observation: ``pointgoal_with_gps_compass`` [B, 2] float32, rho in metres and phi in radians, and what else
-        ``sensors`` gives. A stop within 0.2 m is a success, as in the Habitat Challenge of 2019.
+    Observation: ``pointgoal_with_gps_compass`` [B, 2] float32, rho in metres and phi in radians, and whatever else
+        ``sensors`` returns. A stop within 0.2 m is a success, as in the Habitat Challenge of 2019.
     Everything else: see ``NavigationTask``.
 
     Example:
@@ -254,11 +255,11 @@ class PointNav(NavigationTask):
 
 
 class ImageNav(NavigationTask):
-    """Image-goal navigation (Zhu et al. 2017): the goal is told by what the camera sees there.
+    """Image-goal navigation (Zhu et al. 2017): the goal is given by the camera's view from there.
 
-    Observation: ``imagegoal`` [B, H, W, 3] uint8, ``pixels``, and what else ``sensors`` gives. A stop within 1 m is a
-        success, as in Mezghani et al. 2022.
-    Memory: also ``unseen`` [B, 1] int64, steps since the robot last looked the way that the goal's camera looks.
+    Observation: ``imagegoal`` [B, H, W, 3] uint8, ``pixels``, and whatever else ``sensors`` returns. A stop within 1 m
+        is a success, as in Mezghani et al. 2022.
+    Memory: also ``unseen`` [B, 1] int64, steps since the robot last faced in the direction of the goal image.
     Everything else: see ``NavigationTask``.
 
     Example:
@@ -270,11 +271,11 @@ class ImageNav(NavigationTask):
 
     @property
     def memory_spec(self) -> Mapping[str, TensorSpec]:
-        """See the class."""
+        """Specs of the memory; see the class."""
         return {**super().memory_spec, "unseen": Unbounded(shape=(1,), dtype=torch.int64)}
 
     def episode(self, state: Tensor, row: Tensor, yaw: Tensor) -> dict[str, Tensor]:
-        """What is remembered where episodes with given goals begin; see ``NavigationTask.episode``."""
+        """Return what is remembered at the start of episodes with given goals; see ``NavigationTask.episode``."""
         begun = super().episode(state, row, yaw)
         return begun | {"unseen": self._unseen(state, begun, torch.full_like(begun["goal_row"], LOST))}
 
@@ -285,10 +286,11 @@ class ImageNav(NavigationTask):
         return verdict._replace(memory={**verdict.memory, "unseen": unseen})
 
     def teach(self, state: Tensor, memory: Memory) -> Tensor:
-        """What one does who has to see where the goal is: only what a policy can tell from images is worth imitating.
+        """Return the actions of a teacher that has to look for the goal, so that a policy can imitate it from images.
 
-        A robot that has not looked the way of the goal's image for ``LOST`` steps turns left until it does, as it can
-        then compare the two. From there it takes the shortest way, and before it stops it looks that way once more.
+        A robot that has not faced in the direction of the goal image for ``LOST`` steps turns left until it does, since
+        only then can it compare the two views. It then takes the shortest path, and faces that way again before it
+        stops.
         """
         turn, near = self._led(state, memory)
         aside, lost = self._aside(state, memory), memory["unseen"].squeeze(1) >= LOST
@@ -296,13 +298,13 @@ class ImageNav(NavigationTask):
         return self.motion.toward(turn, near & ~lost & self._alike(aside))
 
     def _unseen(self, state: Tensor, memory: Memory, before: Tensor) -> Tensor:
-        """Steps since robots looked the way of their goal's image, from those before: [B, 1] int64."""
+        """Update the steps since robots last faced in the direction of the goal image: [B, 1] int64."""
         return torch.where(self._alike(self._aside(state, memory)).unsqueeze(1), 0, before + 1)
 
     def _aside(self, state: Tensor, memory: Memory) -> Tensor:
-        """Angle from robots' headings to those of their goals: [B] float32 radians in [-π, π]."""
+        """Return the angle from each robot's heading to its goal's yaw: [B] float32 radians in [-π, π]."""
         return wrapped(memory["goal"][:, 2] - self.motion.planar(state)[:, 2].float())
 
     def _alike(self, aside: Tensor) -> Tensor:
-        """Whether headings at an angle to the goal's are as close to it as turns allow: [B] -> [B] bool."""
+        """Return whether the angle to the goal's yaw is as small as discrete turns allow: [B] -> [B] bool."""
         return aside.abs() <= 0.5 * self.motion.angle_between + ROUNDING

@@ -1,4 +1,4 @@
-"""The circle, polar plane and hemisphere tasks: move around an object to the side from which it is to be seen."""
+"""The circle, polar plane and hemisphere tasks: move around an object to a given viewpoint."""
 
 import math
 from collections.abc import Sequence
@@ -15,21 +15,21 @@ UNIT = Rewards(step=0.0, goal=1.0, collision=-1.0, out_of_bounds=-1.0)
 
 
 class Orbit(OutcomeTask):
-    """Reach an azimuth, a distance and an elevation about an origin that the camera always looks at.
+    """Reach a given azimuth, distance and elevation around an origin that the camera always looks at.
 
-    The ranges of the motion give three tasks of the published code: on a circle only the azimuth varies, on a polar
-    plane the distance does too, and on a hemisphere also the elevation.
+    The motion's ranges yield the three tasks of the published code: on a circle only the azimuth varies, on a polar
+    plane also the distance, and on a hemisphere the elevation as well.
 
     Observation: ``pixels`` [B, H, W, 3] uint8, the ego view.
     Action: [B] int64, + or − one step of azimuth, elevation or distance, for those that vary (``OrbitMotion``).
-    Reward: [B, 1] float32; 0 a step, or instead +1 at the goal, −1 on a collision, −1 out of range.
-    Termination: collision, out of range or goal, in this order of precedence. The goal is reached where azimuth,
-        distance and elevation are each within one step.
+    Reward: [B, 1] float32; 0 per step, replaced by +1 at the goal, −1 on a collision, −1 out of range.
+    Termination: collision, out of range or goal, in this order of precedence. The goal is reached if azimuth, distance
+        and elevation are each at most one step away from it.
     Truncation: after ``max_steps`` steps.
     State: [B, 3] int64, lattice indices of azimuth, distance and elevation.
 
-    The published code demands less than one step, gives −0.2 a step (``rewards.step``), and clamps the elevation to its
-    limits, where here such a step ends the episode.
+    The published code requires less than one step, gives −0.2 per step (``rewards.step``), and clamps the elevation to
+    its limits, whereas here such a step ends the episode.
 
     Example:
         >>> import splatrl
@@ -48,7 +48,7 @@ class Orbit(OutcomeTask):
 
     motion: OrbitMotion
     goal: Tensor  # [3] float64: x, y and yaw of the goal pose
-    goal_sphere: Tensor  # [3] float64: its azimuth, distance and elevation
+    goal_sphere: Tensor  # [3] float64: azimuth, distance and elevation of the goal
     of_scene = ("goal",)
 
     def __init__(
@@ -75,12 +75,12 @@ class Orbit(OutcomeTask):
         self.register_buffer("goal", goal, persistent=False)
 
     def reached(self, state: Tensor) -> Tensor:
-        """Whether azimuth, distance and elevation are each within one step of the goal's: [B, 3] -> [B] bool."""
+        """Return whether azimuth, distance and elevation are each within one step of the goal: [B, 3] -> [B] bool."""
         offset = (self.motion.sphere(state) - self.goal_sphere).abs()
         turn = offset[:, 0] % math.tau
         offset[:, 0] = torch.minimum(turn, math.tau - turn)
         return (offset <= self.motion.steps * (1 + SLACK)).all(1)
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:
-        """The goal pose, seen from above; see ``Task.marks``."""
+        """Return a mark at the goal pose, seen from above; see ``Task.marks``."""
         return [Mark("goal pose", self.goal)]

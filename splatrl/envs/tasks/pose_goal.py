@@ -1,4 +1,4 @@
-"""Tasks whose goal is a pose on the ground: grid, fps, poster and drive, which differ in how the robot moves."""
+"""Base class of tasks whose goal is a pose on the ground: grid, fps, poster and drive, which differ in their motion."""
 
 import math
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from splatrl.envs.tasks.rewards import PUBLISHED, OutcomeTask, Rewards
 from splatrl.motions.base import PlannedMotion
 
 SLACK = 1e-4
-"""Tolerance for rounding at the inclusive bounds of the goal, as a share of a step."""
+"""Tolerance for rounding at the inclusive bounds of the goal, as a fraction of a step."""
 
 
 class PoseGoal(OutcomeTask):
@@ -19,12 +19,12 @@ class PoseGoal(OutcomeTask):
 
     Args:
         motion: how the robots move.
-        goal: x and y in metres and yaw in degrees of the goal pose, which is the pose that *sees* the object.
+        goal: x and y in metres and yaw in degrees of the goal pose, from which the object is *seen*.
         rewards: reward of each outcome.
         max_steps: an episode is truncated after this many steps.
 
     Raises:
-        ValueError: for a goal that is not three finite numbers, or a limit below one step.
+        ValueError: for a goal that is not three finite numbers, or ``max_steps`` below 1.
     """
 
     goal: Tensor  # [3] float64
@@ -48,12 +48,12 @@ class PoseGoal(OutcomeTask):
         self.register_buffer("goal", torch.tensor([x, y, math.radians(yaw_deg)], dtype=torch.float64), persistent=False)
 
     def reached(self, state: Tensor) -> Tensor:
-        """Whether states are within one step and one angle step of the goal: [B, ...] -> [B] bool."""
+        """Return whether states are within one step and one angle step of the goal: [B, ...] -> [B] bool."""
         offset = (self.motion.planar(state) - self.goal).abs_()
         turn = offset[:, 2].remainder_(math.tau)
         torch.minimum(turn, math.tau - turn, out=turn)
         return (offset <= self.tolerance).all(1)
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:
-        """The goal pose; see ``Task.marks``."""
+        """Return a mark at the goal pose; see ``Task.marks``."""
         return [Mark("goal pose", self.goal)]

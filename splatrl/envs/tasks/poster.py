@@ -1,4 +1,4 @@
-"""The poster task: the fps task as the published example sets it up, in any indoor scene."""
+"""The poster task: the fps task with the published example's goal format, for any indoor scene."""
 
 import math
 from collections.abc import Sequence
@@ -12,8 +12,9 @@ class Poster(Fps):
     """Walk to the pose in front of a poster; an ``Fps`` task whose goal is written as six numbers.
 
     The published example gives the goal as x, y, z, roll, pitch and yaw of an OpenGL camera, which looks along +y when
-    its yaw is 0 and is level when its roll is 90°. So the robot's yaw is the published one plus 90°. z and roll only
-    restate the robot's height and its level camera; they are accepted so that the example's line can be pasted.
+    its yaw is 0 and is level when its roll is 90°. Hence the robot's yaw is the published one plus 90°. z and roll only
+    restate the robot's height and its level camera, and pitch is ignored, too; all six are accepted so that the
+    example's line can be pasted.
 
     Observation, action, reward, termination, truncation and state are those of ``Fps``.
 

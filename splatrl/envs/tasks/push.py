@@ -1,4 +1,4 @@
-"""The push task: a robot with a body pushes a ball to a marked place."""
+"""The push task: a robot with physics pushes a ball to a marked place."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -23,36 +23,36 @@ from splatrl.scenes.gaussians import Gaussians
 from splatrl.values import require_number, require_rgb
 
 CELL = 0.05
-"""Distance between the places where a ball or a mark can be, metres."""
+"""Spacing of the grid of possible places for a ball or a mark, metres."""
 TRIES = 128
-"""Places drawn for each ball and mark, of which the first that fits is taken."""
+"""Candidate places drawn for each ball and mark; the first that fits is used."""
 NEAR = 0.35
-"""Distance to the ball within which coming nearer is not rewarded: there is room to go round it, metres."""
+"""Distance to the ball below which coming nearer is not rewarded, so that there is room to go round it, metres."""
 AROUND = 0.25
-"""What half a way round the ball is worth, as metres of approach."""
+"""Metres of approach that a quarter turn round the ball, towards the side away from the mark, is worth."""
 FAR = 9.0
-"""Metres: no need to know more precisely."""
+"""Upper limit of the clearance map, metres; larger clearances need not be distinguished."""
 WIDTH = 0.25
-"""Distance from what is solid at which robots can pass, metres."""
+"""Minimum distance from obstacles at which robots can pass, metres."""
 SIGHT = 12
-"""Points of a line that are looked up to see whether anything stands in the way."""
+"""Number of sample points on a line when testing whether it is clear of obstacles."""
 CHUNK = 1024
-"""Robots whose places are compared at a time."""
+"""Robots per batch in ``connected``; bounds memory."""
 LIFT = 0.02
-"""How far a mark lies above the ground, metres: ground is grass, too."""
+"""Height of a mark above the ground, metres, since the ground may be grass."""
 
 
 @dataclass(frozen=True)
 class PushRewards(FiniteRewards):
-    """The reward of a step, which adds up.
+    """Terms of the reward, which are summed in each step.
 
     Attributes:
-        progress: for each metre by which the ball came nearer to the mark.
-        approach: for each metre by which the robot came nearer to where it can push the ball towards the mark.
-        touch: of a step in which the robot touches something else.
-        slack: of every step.
-        success: for the ball at the mark.
-        lost: for leaving the place, or for a ball that did.
+        progress: per metre by which the ball came nearer to the mark.
+        approach: per metre by which the robot came nearer to where it can push the ball towards the mark.
+        touch: for a step in which the robot touches anything that it is not meant to push.
+        slack: added in every step.
+        success: for the ball reaching the mark.
+        lost: if the robot or the ball leaves the area.
 
     Raises:
         ValueError: for a reward that is not a finite number.
@@ -67,20 +67,21 @@ class PushRewards(FiniteRewards):
 
 
 class Push(TaskModule):
-    """Push a ball onto a mark on the ground, as NeRF2Real's humanoid does (Byravan et al. 2023), on wheels.
+    """Push a ball onto a mark on the ground, like NeRF2Real's humanoid (Byravan et al. 2023), but on wheels.
 
-    Observation: ``pixels`` [B, H, W, 3] uint8, the ego view; ball and mark are in it, hidden by what is nearer.
-    Action: the motion's: of ``wheels`` linear and angular velocity, [B, 2] float32, metres and radians per second.
-    Reward: [B, 1] float32, see ``PushRewards``. The approach is measured by the distance to the ball, where it is more
-        than 0.35 m, and by how far the robot is from the side away from the mark.
-    Termination: where the ball's centre is within ``success_distance`` of the mark's, which is a success; or where
-        robot or ball leave the bounds by more than ``leeway``. A robot that touches something goes on.
+    Observation: ``pixels`` [B, H, W, 3] uint8, the ego view, with ball and mark in it, occluded by nearer surfaces.
+    Action: the motion's; for ``wheels`` linear and angular velocity, [B, 2] float32, metres and radians per second.
+    Reward: [B, 1] float32, see ``PushRewards``. The approach is measured by the distance to the ball in excess of
+        0.35 m, and by how far round the ball the robot is from the side away from the mark.
+    Termination: when the ball's centre is within ``success_distance`` of the mark's, which is a success; or when robot
+        or ball leave the bounds by more than ``leeway``. A robot that touches something continues.
     Truncation: after ``max_steps`` steps.
     State: [B, n] float64, the physics' (``PhysicsMotion``). Memory: ``mark`` [B, 3] float32, world, metres; ``ball``
-        [B, 3] float32, where the ball is, for sensors and for those who train a critic on it.
+        [B, 3] float32, position of the ball, for sensors and for training a critic on it.
 
-    A mark is a disc, and a ball above it that is seen from far and over the one that is pushed; neither touches
-    anything. Ball and mark are drawn for each episode, on the ground, where the robot can go round them.
+    A mark is a disc with a hovering ball above it, which can be seen from afar and over the ball being pushed; neither
+    collides with anything. Ball and mark are placed at random in each episode, on the ground, where the robot can go
+    round them.
 
     Example:
         >>> import splatrl
@@ -89,21 +90,21 @@ class Push(TaskModule):
         torch.Size([4, 3, 3])
 
     Args:
-        motion: how the robot moves; its things have the ball among them.
+        motion: how the robot moves; its things must include the ball.
         ball: name of the thing that is pushed.
         rewards: see ``PushRewards``.
-        success_distance: between the centres of ball and mark, metres.
-        nearest: distance between ball and mark in the beginning, at least, metres.
-        farthest: at most, metres.
-        apart: distance between robot and ball in the beginning, at least, metres.
-        ahead_deg: the ball begins within this angle of where the robot looks, in either direction; degrees.
-        turn_deg: angle at the ball, at most, between the way on from the robot and the way to the mark; 180 puts marks
-            anywhere, also behind the robot, which then has to drive round the ball.
-        clearance: between a ball or mark and what is solid, at least, metres.
-        mark_radius: of what is drawn, metres.
-        mark_rgb: its colour.
-        mark_height: of the ball that hovers above the mark, metres.
-        leeway: see above, metres.
+        success_distance: distance between the centres of ball and mark that counts as success, metres.
+        nearest: minimum initial distance between ball and mark, metres.
+        farthest: maximum initial distance between ball and mark, metres.
+        apart: minimum initial distance between robot and ball, metres.
+        ahead_deg: maximum initial angle between the robot's heading and the ball, in either direction, degrees.
+        turn_deg: maximum angle at the ball between straight on from the robot and the direction to the mark, degrees;
+            180 allows marks anywhere, even behind the robot, which then has to drive round the ball.
+        clearance: minimum distance between a ball or mark and obstacles, metres.
+        mark_radius: radius of the drawn mark, metres.
+        mark_rgb: colour of the mark, red, green and blue in [0, 1].
+        mark_height: height of the ball that hovers above the mark, metres.
+        leeway: distance beyond the bounds at which robot or ball count as lost, metres.
         max_steps: an episode is truncated after this many steps.
 
     Raises:
@@ -112,9 +113,9 @@ class Push(TaskModule):
 
     chooses_episodes = True
     motion: PhysicsMotion
-    places: Tensor  # [P, 2] float64, where a ball or mark can be
-    way: Tensor  # [X, Y] bool, the cells in which robots can be
-    clear: Tensor  # [X', Y'] float64, metres to what is solid or to where a robot is lost, over bounds and leeway
+    places: Tensor  # [P, 2] float64, possible places of a ball or mark
+    way: Tensor  # [X, Y] bool, cells that robots can occupy
+    clear: Tensor  # [X', Y'] float64, metres to obstacles or to where a robot is lost, over bounds and leeway
 
     def __init__(
         self,
@@ -156,17 +157,17 @@ class Push(TaskModule):
         self.turn = math.cos(math.radians(turn_deg)) - 1e-9
         require_rgb("task.mark_rgb", mark_rgb)
         self.leeway, self.drawn = leeway, Models([beacon(mark_radius, mark_rgb, mark_height)])
-        self.rest = float(motion.home[self.ball][2])  # of the ball's centre above the ground
+        self.rest = float(motion.home[self.ball][2])  # height of the ball's centre above the ground
         self.register_buffer("places", torch.zeros(0, 2, dtype=torch.float64), persistent=False)
         self.register_buffer("way", torch.zeros(0, 0, dtype=torch.bool), persistent=False)
         self.register_buffer("clear", torch.zeros(0, 0, dtype=torch.float64), persistent=False)
         self.settle()
 
     def settle(self) -> None:
-        """Find where a ball or mark can be, after the motion was put into a scene.
+        """Find the possible places of balls and marks; the motion must already be placed in a scene.
 
         Raises:
-            ValueError: where there are not two places as far from each other as asked.
+            ValueError: if the places extend over less than ``nearest``.
         """
         lower, upper = self.motion.twin.lower.double(), self.motion.twin.upper.double()
         grid = _grid(lower, upper, 1e-9)
@@ -191,7 +192,7 @@ class Push(TaskModule):
         self.clear = clear.to(self.places.device)
 
     def connected(self, planar: Tensor) -> Tensor:
-        """Whether robots can go round balls from where they stand, and one can lie ahead: [N, 3] -> [N] bool."""
+        """Return whether robots are on connected free ground and a ball can lie ahead of them: [N, 3] -> [N] bool."""
         some, found = self.places[:: 1 + len(self.places) // TRIES], self._free(planar[:, :2])
         for rows in found.nonzero().squeeze(1).split(CHUNK):
             robot, ball = self._ahead(some.unsqueeze(0), planar[rows]).nonzero(as_tuple=True)
@@ -200,25 +201,25 @@ class Push(TaskModule):
         return found
 
     def _free(self, places: Tensor) -> Tensor:
-        """Whether robots can be at places: [..., 2] float64 -> [...] bool."""
+        """Return whether robots can be at places: [..., 2] float64 -> [...] bool."""
         last = torch.tensor(self.way.shape, device=places.device) - 1
         cell = ((places - self.motion.twin.lower.double()) / CELL).round().long().clamp_min(0).minimum(last)
         return self.way[cell[..., 0], cell[..., 1]]
 
     def _open(self, start: Tensor, end: Tensor) -> Tensor:
-        """Whether nothing stands between places: [B, K, 2], [B, K, 2], broadcast -> [B, K] bool."""
+        """Return whether the line between places is clear: [B, K, 2], [B, K, 2], broadcast -> [B, K] bool."""
         share = torch.linspace(0.0, 1.0, SIGHT, dtype=torch.float64, device=end.device)[:, None]
         return self._free(start.unsqueeze(2) + share * (end - start).unsqueeze(2)).all(2)
 
     def _onward(self, robot: Tensor, ball: Tensor, mark: Tensor) -> tuple[Tensor, Tensor]:
-        """Whether a mark could belong to a ball, and the cosine of the turn there: [B, K, 2] each, broadcast."""
+        """Return whether a mark suits a ball, and the cosine of the turn at the ball: [B, K, 2] each, broadcast."""
         way, came = mark - ball, ball - robot
         far = way.norm(dim=2)
         cosine = (way * came).sum(2) / (far * came.norm(dim=2)).clamp_min(1e-9)
         return (far >= self.nearest) & (far <= self.farthest) & self._open(ball, mark), cosine
 
     def _ahead(self, places: Tensor, planar: Tensor) -> Tensor:
-        """Whether a ball could begin at places [B, K, 2] of robots [B, 3]: [B, K] bool."""
+        """Return whether a ball could begin at places [B, K, 2], given robots [B, 3]: [B, K] bool."""
         away = places - planar[:, None, :2]
         turn = torch.atan2(away[..., 1], away[..., 0]) - planar[:, 2:]
         off = (turn - math.tau * (turn / math.tau).round()).abs()
@@ -226,16 +227,16 @@ class Push(TaskModule):
 
     @property
     def models(self) -> list[Gaussians]:
-        """The robot's links, the ball and the mark."""
+        """Models of the robot's links, its things (the ball among them) and the mark."""
         return [*self.motion.models, *self.drawn]
 
     def start(self, state: Tensor, anywhere: Anywhere) -> Tensor:
-        """Place the ball; see ``Task.start``."""
+        """Place the ball at random; see ``Task.start``."""
         return self._with_ball(self.motion.varied(state, anywhere.generator), anywhere.generator)
 
     @property
     def memory_spec(self) -> Mapping[str, TensorSpec]:
-        """See the class."""
+        """Specs of the memory; see the class."""
         place = Unbounded(shape=(3,), dtype=torch.float32)
         return {"mark": place, "ball": place.clone()}
 
@@ -248,7 +249,7 @@ class Push(TaskModule):
         return {"mark": self._on_ground(place, LIFT).float(), "ball": ball.float()}
 
     def episodes(self, starts: Tensor, count: int, seed: int) -> dict[str, Tensor]:
-        """Starts, balls and marks for tests; see ``ChoosingTask``."""
+        """Draw starts, balls and marks for tests; see ``ChoosingTask``."""
         generator = torch.Generator().manual_seed(seed)
         state = starts[torch.randint(len(starts), (count,), generator=generator)]
         anywhere = Anywhere(lambda: state, generator)
@@ -272,7 +273,10 @@ class Push(TaskModule):
         return Verdict(reward.float().unsqueeze(1), (reached | lost).unsqueeze(1), outcome.unsqueeze(1), memory)
 
     def teach(self, state: Tensor, memory: Memory) -> Tensor | None:
-        """What one does who knows where everything is, if the robot takes velocities; see ``push_teacher``."""
+        """Return the actions of a teacher that knows where everything is; None for a robot not driven by velocities.
+
+        See ``push_teacher``.
+        """
         if not self.motion.driven:
             return None
         mark = memory["mark"][:, :2].to(state)
@@ -281,7 +285,7 @@ class Push(TaskModule):
         return action.clamp(low, high)
 
     def _room(self, places: Tensor) -> Tensor:
-        """Distance of places from what is solid and from where a robot is lost: [N, 2] -> [N] metres, interpolated."""
+        """Interpolate the distance from places to obstacles and to where a robot is lost: [N, 2] -> [N] metres."""
         last = torch.tensor(self.clear.shape, device=places.device) - 1
         at = (places - (self.motion.twin.lower.double() - self.leeway)) / CELL
         at = at.clamp_min(0.0).minimum(last.to(at) - 1e-6)
@@ -291,7 +295,7 @@ class Push(TaskModule):
         return (1.0 - share[..., 0]) * rows[0] + share[..., 0] * rows[1]
 
     def parts(self, state: Tensor, memory: Memory) -> Parts:
-        """The scene, the robot, the ball and the mark; see ``Task.parts``."""
+        """Place the scene, the robot, the ball and the mark; see ``Task.parts``."""
         moving = self.motion.parts(state)
         mark = memory["mark"]
         normal = self.motion.terrain.plane[:3].to(mark.device)
@@ -302,7 +306,7 @@ class Push(TaskModule):
         return Parts(torch.cat([moving.model, number], 1), torch.cat([moving.model_to_world, pose], 1))
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:
-        """Ball and mark of an episode; see ``Task.marks``."""
+        """Return marks at an episode's ball and mark; see ``Task.marks``."""
         if memory is None:
             return []
         return [Mark(name, _placeless(memory[name])) for name in ("mark", "ball")]
@@ -311,7 +315,7 @@ class Push(TaskModule):
         return state[:, self.ball][:, :3]
 
     def _to_go(self, state: Tensor, ball: Tensor, mark: Tensor) -> Tensor:
-        """How far robots are from where they can push: metres, with the way round the ball; [B] float64."""
+        """Return how far robots are from where they can push, metres, including the way round the ball: [B] float64."""
         robot = self.motion.planar(state)[:, :2]
         away, along = robot - ball[:, :2], mark[:, :2] - ball[:, :2]
         far = away.norm(dim=1)
@@ -323,7 +327,7 @@ class Push(TaskModule):
         return ((places[:, :2] < lower) | (places[:, :2] > upper)).any(1)
 
     def _with_ball(self, state: Tensor, generator: torch.Generator) -> Tensor:
-        """States with the ball at a place that is drawn: [B, n] -> [B, n]."""
+        """Return states with the ball at a random place: [B, n] -> [B, n]."""
         robot = self.motion.planar(state)
         drawn, marks = (self._drawn(len(state), generator) for _ in range(2))
         place = robot[:, None, :2]
@@ -336,17 +340,17 @@ class Push(TaskModule):
         return state
 
     def _drawn(self, count: int, generator: torch.Generator) -> Tensor:
-        """Places for each of some robots: [B, TRIES, 2] float64."""
+        """Draw candidate places for each robot: [B, TRIES, 2] float64."""
         rows = torch.randint(len(self.places), (count, TRIES), generator=generator, device=self.places.device)
         return self.places[rows]
 
     def _on_ground(self, places: Tensor, lift: float) -> Tensor:
-        """Places [B, 2] at a height above the ground: [B, 3] float64."""
+        """Lift places [B, 2] to a height above the ground: [B, 3] float64."""
         z = self.motion.terrain.height(places) + lift / self.motion.terrain.plane[2].item()
         return torch.cat([places, z.unsqueeze(1)], 1)
 
     def _away(self, places: Tensor) -> Tensor:
-        """Distance of places on the ground from the boxes that a robot can meet: [N, 2] -> [N] metres."""
+        """Return the distance from places on the ground to the nearest of the terrain's boxes: [N, 2] -> [N] metres."""
         nearest = torch.full_like(places[:, 0], torch.inf)
         for row in self.motion.terrain.boxes.to(places):
             outside = ((places - row[:2]).abs() - row[3:5]).clamp_min(0.0)
@@ -355,24 +359,30 @@ class Push(TaskModule):
 
 
 def _apart(ball: Tensor, mark: Tensor) -> Tensor:
-    """Horizontal distance: [B, 3], [B, 3] -> [B] metres."""
+    """Return the horizontal distance between ball and mark: [B, 3], [B, 3] -> [B] metres."""
     return (ball[:, :2] - mark[:, :2]).norm(dim=1)
 
 
 def _first(drawn: Tensor, fits: Tensor, worth: Tensor) -> Tensor:
-    """For each row the first place that fits, or the worthiest where none does: [B, K, 2], [B, K], [B, K] -> [B, 2]."""
+    """Select each row's first place that fits, or the one of highest worth if none does.
+
+    Maps [B, K, 2] places, [B, K] bool and [B, K] worths to [B, 2].
+    """
     order = torch.arange(fits.shape[1], 0, -1, device=fits.device)
     best = torch.where(fits, 1e6 + order, worth).argmax(1)
     return drawn[torch.arange(len(drawn), device=drawn.device), best]
 
 
 def _placeless(place: Tensor) -> Tensor:
-    """x and y of a place and no direction: [3] -> [3] float64."""
+    """Return x and y of a place, and NaN for the direction: [3] -> [3] float64."""
     return torch.cat([place[:2].double().cpu(), torch.tensor([math.nan], dtype=torch.float64)])
 
 
 def _grid(lower: Tensor, upper: Tensor, beyond: float) -> Tensor:
-    """Places ``CELL`` apart, up to less than so many metres beyond the bounds: [2], [2] -> [X, Y, 2] float64."""
+    """Return a grid of places ``CELL`` apart, ending less than ``beyond`` metres past the upper bounds.
+
+    Maps [2] and [2] to [X, Y, 2] float64.
+    """
     corners = zip(lower.tolist(), upper.tolist(), strict=True)
     axes = [torch.arange(low, high + beyond, CELL, dtype=torch.float64) for low, high in corners]
     return torch.stack(torch.meshgrid(*axes, indexing="ij"), -1)

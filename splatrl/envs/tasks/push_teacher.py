@@ -1,10 +1,10 @@
-"""A teacher for the push task: where robot, ball and mark are, it knows how to drive.
+"""A scripted teacher for the push task, which knows the positions of robot, ball and mark.
 
-It drives to the side of the ball away from the mark, by the cheapest of some ways of two straight legs, which cost more
-where they come near to the ball or to what is solid. There it drives at the ball until it rests in the bumper, and
-steers it to the mark. A teacher is asked for actions in states that a policy visits (DAgger), so it remembers nothing.
-Where a camera ahead shows neither ball nor mark and it has to turn, it turns to the left, although it knows better:
-nobody who has to look could learn which way is shorter.
+It drives to the side of the ball away from the mark along the cheapest of several paths of two straight legs; legs cost
+more where they pass close to the ball or to obstacles. From there it drives at the ball until the ball rests in the
+bumper, and steers it to the mark. The teacher is queried in states that a policy visits (DAgger), so it has no memory.
+If the camera shows neither ball nor mark and a turn is needed, it turns left even where a right turn is shorter, since
+a policy that relies on the camera could not learn which way is shorter.
 """
 
 import math
@@ -18,37 +18,37 @@ from splatrl.envs.sensors.odometry import wrapped
 BACK = 0.45
 """Distance from the ball at which the robot begins to push, metres."""
 BEHIND = 0.5
-"""Angle at the ball within which a robot counts as behind it, radians."""
+"""Maximum angle at the ball, from straight behind it, at which a robot counts as behind it, radians."""
 HELD = (0.1, 0.31, 0.08)
-"""Where a ball rests in the bumper: nearest and farthest ahead of the robot, and aside, metres."""
+"""Region in which a ball rests in the bumper: minimum and maximum distance ahead of the robot, and aside, metres."""
 SIDEWAYS = 1.4
-"""Angle between the robot and the way to the mark from which it lets the ball go to drive round it, radians."""
+"""Angle from the heading to the ball-to-mark direction beyond which it backs off to drive round the ball, radians."""
 EYE, SEEN = -0.06, (1.4, 1.15)
-"""Metres by which the camera is ahead of the robot; angles from where it looks within which it sees ball and mark."""
+"""Camera position ahead of the robot's centre, metres; maximum angles at which it sees ball and mark, radians."""
 TURN = 0.7
-"""Angle to its way beyond which it has to turn, radians."""
+"""Angle between heading and desired direction beyond which the robot has to turn, radians."""
 SPEED, PUSHING, BACKWARDS = 0.45, 0.3, -0.2
-"""Metres per second."""
+"""Speeds when driving freely, pushing and backing up, metres per second."""
 ROOM, BALL_ROOM = 0.3, 0.34
-"""Distances from what is solid and from the ball within which a way costs more, metres."""
+"""Distances from obstacles and from the ball below which a path costs more, metres."""
 DEAR = 30.0
-"""Metres that a metre costs where there is no room at all."""
+"""Additional cost per metre of path where there is no room at all, metres."""
 RINGS = (0.5, 0.3, 0.6, 1.0)
-"""Radii of the circles on which ways may bend, the first about the ball and the others about the robot, metres."""
+"""Radii of the circles on which paths may bend, the first around the ball and the others around the robot, metres."""
 BENDS, SAMPLES = 16, 8
-"""Bends on each circle, and points of a leg that are looked up."""
+"""Candidate bends on each circle, and sample points on each leg."""
 
 Room = Callable[[Tensor], Tensor]
 
 
 def pushing(robot: Tensor, ball: Tensor, mark: Tensor, room: Room) -> Tensor:
-    """Velocities with which robots push balls to marks.
+    """Return the velocities with which robots push balls to marks.
 
     Args:
         robot: [B, 3] float64, x and y in metres and yaw in radians.
         ball: [B, 2] float64, metres.
         mark: [B, 2] float64, metres.
-        room: [N, 2] -> [N], distance of places from what is solid and from the bounds, metres.
+        room: [N, 2] -> [N], distance from places to obstacles and to the bounds, metres.
 
     Returns:
         [B, 2] float32, metres per second ahead and radians per second to the left.
@@ -60,7 +60,7 @@ def pushing(robot: Tensor, ball: Tensor, mark: Tensor, room: Room) -> Tensor:
     ahead = -(away * facing).sum(1)
     aside = -(facing[:, 0] * away[:, 1] - facing[:, 1] * away[:, 0])
     along = torch.nn.functional.normalize(mark - ball, dim=1)
-    off = wrapped(_angle(along) - yaw)  # of the way to the mark from where the robot looks
+    off = wrapped(_angle(along) - yaw)  # angle from the heading to the ball-to-mark direction
     held = (ahead > HELD[0]) & (ahead < HELD[1]) & (aside.abs() < HELD[2])
 
     behind = wrapped(_angle(-away) - _angle(along)).abs() < BEHIND
@@ -83,7 +83,7 @@ def pushing(robot: Tensor, ball: Tensor, mark: Tensor, room: Room) -> Tensor:
 
 
 def _bend(place: Tensor, ball: Tensor, goal: Tensor, room: Room) -> Tensor:
-    """Where the cheapest way of two legs from places to goals bends, all [B, 2] metres."""
+    """Return the bend of the cheapest two-leg path from places to goals, all [B, 2] metres."""
     angle = torch.arange(BENDS, dtype=place.dtype, device=place.device) * (math.tau / BENDS)
     circle = torch.stack([angle.cos(), angle.sin()], 1)
     rings = [(ball if number == 0 else place)[:, None] + radius * circle for number, radius in enumerate(RINGS)]
@@ -94,7 +94,7 @@ def _bend(place: Tensor, ball: Tensor, goal: Tensor, room: Room) -> Tensor:
 
 
 def _cost(start: Tensor, end: Tensor, ball: Tensor, room: Room) -> Tensor:
-    """What straight legs cost, as metres: [B, K, 2], [B, K, 2] -> [B, K]."""
+    """Return the cost of straight legs, in metres: [B, K, 2], [B, K, 2] -> [B, K]."""
     share = (torch.arange(SAMPLES, dtype=start.dtype, device=start.device) + 0.75) / SAMPLES
     points = start.unsqueeze(2) + share[:, None] * (end - start).unsqueeze(2)
     clear = room(points.reshape(-1, 2)).reshape(points.shape[:3])

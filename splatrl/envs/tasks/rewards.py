@@ -1,4 +1,4 @@
-"""One reward per outcome of a step: what the tasks with goals share."""
+"""Base class of tasks with one reward for each outcome of a step."""
 
 from abc import abstractmethod
 from dataclasses import astuple, dataclass, fields
@@ -13,10 +13,10 @@ from splatrl.values import require_number
 
 @dataclass(frozen=True)
 class FiniteRewards:
-    """Rewards by name, each of which is a finite number.
+    """Named rewards, each of which must be a finite number.
 
     Raises:
-        ValueError: for a reward that is not; names its key.
+        ValueError: for a reward that is not a finite number; names its key.
     """
 
     def __post_init__(self) -> None:
@@ -26,7 +26,7 @@ class FiniteRewards:
 
 @dataclass(frozen=True)
 class Rewards(FiniteRewards):
-    """The reward of a step, by its outcome; a goal, a collision or leaving the bounds replaces ``step``.
+    """Reward of a step by its outcome: ``step``, or instead one of the others if that happens.
 
     Attributes:
         step: reward of a step in which nothing else happens.
@@ -49,7 +49,7 @@ PUBLISHED = Rewards()
 
 
 class OutcomeTask(TaskModule):
-    """Judges a step by collision, then bounds, then goal, each of which ends the episode.
+    """Judges each step by collision, then bounds, then goal, any of which ends the episode.
 
     Subclasses define which states are ``reached``.
 
@@ -59,7 +59,7 @@ class OutcomeTask(TaskModule):
         max_steps: an episode is truncated after this many steps.
     """
 
-    outcome_rewards: Tensor  # [4] float32, by Outcome
+    outcome_rewards: Tensor  # [4] float32, indexed by Outcome
 
     def __init__(self, motion: PlannedMotion, rewards: Rewards, max_steps: int):
         super().__init__(motion, max_steps)
@@ -67,7 +67,7 @@ class OutcomeTask(TaskModule):
 
     @abstractmethod
     def reached(self, state: Tensor) -> Tensor:
-        """Whether states are at the goal: [B, ...] -> [B] bool."""
+        """Return whether states are at the goal: [B, ...] -> [B] bool."""
 
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
         """Judge a step; see ``Task.judge``."""
@@ -75,6 +75,6 @@ class OutcomeTask(TaskModule):
         return Verdict(self.outcome_rewards[outcome], outcome != Outcome.RUNNING, outcome)
 
     def _outcome(self, step: Step, goal: Tensor) -> Tensor:
-        """The outcome of each step, collision before bounds before goal: [B] bool -> [B] int64."""
+        """Return the outcome of each step, with collision before bounds before goal: [B] bool -> [B] int64."""
         outcome = torch.where(step.move.inside, goal * Outcome.GOAL, Outcome.OUT_OF_BOUNDS)  # RUNNING is 0
         return torch.where(step.move.free_fraction < 1, Outcome.COLLISION, outcome)

@@ -18,18 +18,18 @@ from splatrl.scenes.gaussians import Gaussians
 from splatrl.values import require_number, require_rgb
 
 LIFT = 0.15
-"""How far the middle of a mark is above the ground, metres: ground is grass, too."""
+"""Height of a mark's centre above the ground, metres, since the ground may be grass."""
 
 
 class Route(Course):
-    """Drive along a route of waypoints in order without touching anything, as in DriveEnvNeRF, seen by a camera.
+    """Drive along a route of waypoints in order without touching anything, using a camera, as in DriveEnvNeRF.
 
-    A ball of one colour hovers above the next waypoint, one of another colour above the one after it. Cars drive
-    through them. A waypoint is passed within ``reach``; the car has left the bounds ``leeway`` beyond them. ``Course``
-    says the rest.
+    A ball of one colour hovers above the next waypoint, and one of another colour above the waypoint after it. Cars
+    drive through the balls. A waypoint is passed within ``reach``; a car that is more than ``leeway`` beyond the bounds
+    has left them. ``Course`` describes the rest.
 
     Observation: ``pixels`` [B, H, W, 3] uint8, the ego view.
-    Action: the motion's: of ``car`` [B, 2] float32, speed in metres per second and mean steering angle in radians.
+    Action: the motion's; for ``car`` [B, 2] float32, speed in metres per second and mean steering angle in radians.
 
     Example:
         >>> import splatrl
@@ -40,16 +40,16 @@ class Route(Course):
     Args:
         motion: how the robot moves; its actions are a speed and a steering angle.
         rewards: see ``CourseRewards``.
-        course: what routes are like.
-        courses: number of routes of training.
-        test_courses: number of routes of tests.
-        seed: of the routes.
-        reach: distance of the car from a waypoint at which it is passed, metres.
-        wheelbase: of the car, for its teacher, metres.
-        mark_radius: of the balls, metres.
-        mark_rgb: colour of the next waypoint.
-        later_rgb: colour of the one after it.
-        leeway: see above, metres.
+        course: settings from which routes are generated.
+        courses: number of training routes.
+        test_courses: number of test routes.
+        seed: seed of the routes.
+        reach: distance between car and waypoint at which the waypoint is passed, metres.
+        wheelbase: wheelbase of the car, used by the teacher, metres.
+        mark_radius: radius of the balls, metres.
+        mark_rgb: colour of the next waypoint's ball, red, green and blue in [0, 1].
+        later_rgb: colour of the ball at the waypoint after it.
+        leeway: distance beyond the bounds at which the car counts as outside, metres.
         max_steps: an episode is truncated after this many steps.
 
     Raises:
@@ -91,17 +91,17 @@ class Route(Course):
 
     @property
     def models(self) -> list[Gaussians]:
-        """The robot's links and two balls."""
+        """Models of the robot's links and the two balls."""
         return [*self.motion.models, *self.balls]
 
     def teach(self, state: Tensor, memory: Memory) -> Tensor:
-        """What a driver that knows the state would do: [B, n] -> [B, 2]; see ``drive_to``."""
+        """Return the actions of a driver that knows the state: [B, n] -> [B, 2]; see ``drive_to``."""
         passed = memory["passed"].squeeze(1)
         last, goal = (self._place(state, passed + later)[:, :2] for later in (-1, 0))
         return drive_to(self.motion.planar(state), last, goal, self.wheelbase, self.motion.limits)
 
     def parts(self, state: Tensor, memory: Memory) -> Parts:
-        """The scene, the car, the next waypoint and the one after it; see ``Task.parts``."""
+        """Place the scene, the car, and the balls of the next two waypoints; see ``Task.parts``."""
         moving, own = self.motion.parts(state), len(self.motion.models)
         passed = memory["passed"].squeeze(1)
         poses, models = [], []

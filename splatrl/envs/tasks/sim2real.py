@@ -1,4 +1,4 @@
-"""The sim2real task: reach an object with a camera in an unsteady hand."""
+"""The sim2real task: reach an object with a camera held in an unsteady hand."""
 
 from splatrl.envs.tasks.apple import Apple
 
@@ -7,14 +7,14 @@ class Sim2Real(Apple):
     """Walk up to an object while the camera shakes.
 
     Experiment IV of "Robotic Learning in your Backyard": the trained policy is shown frames of real walks and must name
-    the direction that the person took. Noise on the camera's height, roll and pitch (``PoseNoise``) is on.
+    the direction in which the person went. Noise on the camera's height, roll and pitch (``PoseNoise``) is enabled.
 
-    Observation, action, reward, termination and state are those of ``Apple``, with steps of 0.05 m in bounds of ±2 m,
-    a reach of two steps, and collision.
+    Observation, action, reward, termination and state are those of ``Apple``, with steps of 0.05 m, bounds of ±2 m, a
+    reach of two steps, and collision enabled.
     Truncation: after 100 steps.
 
-    In the published code the object is a red thing in the captured scene, found by a mean red channel above 0.6
-    (``mean_red=0.6``), and collision is off (``collision=none``). Here it is the apple, so that any scene will do.
+    In the published code the object is a red item in the captured scene, detected by a mean red channel above 0.6
+    (``mean_red=0.6``), and collision is off (``collision=none``). Here the object is the apple, so any scene will do.
 
     Example:
         >>> import splatrl

@@ -1,4 +1,4 @@
-"""The snake task: one apple after another."""
+"""The snake task: find one apple after another."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,18 +13,19 @@ from splatrl.values import require_number
 
 
 class Snake(Apple):
-    """Find apple after apple: whenever one is reached, the next one appears at another free place.
+    """Find one apple after another: whenever one is reached, the next appears at another free place.
 
     Observation and action are those of ``Apple``.
-    Reward: [B, 1] float32; −0.2 a step, or instead +50 at an apple, −10 for touching something or the bounds.
-    Termination: never. A blocked robot stays where it was and goes on; ``outcome`` says what happened in that step.
+    Reward: [B, 1] float32; −0.2 per step, replaced by +50 at an apple, −10 for touching something or the bounds.
+    Termination: never. A blocked robot stays where it was and the episode continues; ``outcome`` tells what happened in
+        that step.
     Truncation: after ``max_steps`` steps.
-    Success: with at least ``apples`` in an episode; ``goals`` [B, 1] int64 counts them.
-    State: that of ``Apple``; ``target`` [B, 3] float32 moves on in the step that reaches it, and is drawn at the new
-        place from the next step on.
+    Success: at least ``apples`` found in an episode; ``goals`` [B, 1] int64 counts them.
+    State: that of ``Apple``; ``target`` [B, 3] float32 changes in the step in which the apple is reached, and the apple
+        is rendered at its new place from the next step on.
 
     The published code has no bounds, and pushes a robot back by two steps until it is free; here a move that would
-    touch something is not made. Starts and apples are free places connected to ``place``.
+    touch something is not made. Starts and apples are at free places connected to ``place``.
 
     Example:
         >>> import splatrl
@@ -34,12 +35,13 @@ class Snake(Apple):
 
     Args:
         motion: how the robots move.
-        place: a place from which all others can be reached, at the height of the apples, world, metres.
-        apples: apples that make an episode a success.
-        settings: those of ``Apple``.
+        place: a position to which all starts and apples must be connected; its z is the height of all apples; world,
+            metres.
+        apples: number of apples that makes an episode a success.
+        settings: further arguments of ``Apple``.
 
     Raises:
-        ValueError: for fewer apples than one, or what ``Apple`` refuses.
+        ValueError: for fewer than one apple, or anything that ``Apple`` refuses.
     """
 
     def __init__(self, motion: ForwardMotion, place: Sequence[float], apples: int = 1, **settings: Any):
@@ -48,7 +50,7 @@ class Snake(Apple):
         self.goals_for_success = apples
 
     def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
-        """Place the first apple anywhere; see ``Task.begin``."""
+        """Place the first apple at random; see ``Task.begin``."""
         return {"target": self._targets(anywhere())}
 
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
@@ -60,9 +62,9 @@ class Snake(Apple):
         return Verdict(self.outcome_rewards[outcome], never, outcome, {"target": target})
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:
-        """The current apple; without a memory nothing, since no place is the same in every episode."""
+        """Return a mark at the current apple; without a memory none, since every episode has other places."""
         return [] if memory is None else super().marks(memory)
 
     def _targets(self, states: Tensor) -> Tensor:
-        """A place for an apple at each state, at the height of ``place``: [B, 3] -> [B, 3] float32."""
+        """Return apple positions at given states, at the height of ``place``: [B, 3] -> [B, 3] float32."""
         return torch.cat([states[:, :2], self.place[..., 2:].expand(len(states), 1)], 1)

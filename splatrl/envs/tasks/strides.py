@@ -1,4 +1,4 @@
-"""The strides task: a robot on legs follows commanded velocities without looking."""
+"""The strides task: a legged robot follows commanded velocities by proprioception alone."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,21 +17,21 @@ from splatrl.physics.trot import FREQUENCY
 from splatrl.values import require_number
 
 NEAR, STRAIGHT = 0.25, 0.5
-"""Metres and radians per second: an error of the velocity at which what is paid for it has fallen to 1/e."""
+"""Velocity errors, in metres and radians per second, at which the reward for speed and turning has fallen to 1/e."""
 
 
 @dataclass(frozen=True)
 class StridesRewards(FiniteRewards):
-    """The reward of a step, which adds up.
+    """Terms of the reward, which are summed in each step; a fall replaces them all.
 
     Attributes:
-        speed: for velocities along the ground as commanded; exp(−(error / 0.25 m/s)²) of it is paid.
-        turn: for the angular velocity as commanded, likewise with 0.5 rad/s.
-        smooth: for each departure of a joint, the square of its change since the step before.
-        small: for each departure of a joint, its square.
-        bounce: for the squared velocity upwards, m²/s².
-        sway: for the squared angular velocity of roll and pitch, rad²/s².
-        fall: for a fall.
+        speed: reward for matching the commanded velocity along the ground, scaled by exp(−(error / 0.25 m/s)²).
+        turn: reward for matching the commanded angular velocity, likewise with 0.5 rad/s.
+        smooth: weight of the squared change of each joint's departure from the trot since the step before.
+        small: weight of the square of each joint's departure from the trot.
+        bounce: weight of the squared vertical velocity, m²/s².
+        sway: weight of the squared angular velocity of roll and pitch, rad²/s².
+        fall: reward for a fall.
 
     Raises:
         ValueError: for a reward that is not a finite number.
@@ -47,18 +47,18 @@ class StridesRewards(FiniteRewards):
 
 
 class Strides(TaskModule):
-    """Follow commanded velocities on legs, blindly; the policy says by how much the joints depart from a trot.
+    """Follow commanded velocities on legs, blindly; the policy controls how far the joints depart from a trot.
 
-    Observation: by the sensor ``felt`` what the robot feels (``LegsMotion.felt``); ``pixels`` mean nothing.
+    Observation: proprioception from the sensor ``felt`` (``LegsMotion.felt``); ``pixels`` carry no information.
     Action: [B, 12] float32 in [-1, 1], see ``StridesMotion``.
     Reward: [B, 1] float32, see ``StridesRewards``.
-    Termination: a fall; success, which is told at the end of the last command.
-    Truncation: then, too.
-    Success: no fall, and an error of the velocity along the ground of at most ``allowed`` on average.
+    Termination: a fall; or success, which is decided at the end of the last command.
+    Truncation: at the end of the last command, without success.
+    Success: no fall, and a mean error of the velocity along the ground of at most ``allowed``.
     State: [B, n] float64, see ``LegsMotion``; it holds the commands of the episode. Memory: ``strides`` [B, 1] int64,
-        how many were made; ``error`` [B, 1] float32, the sum of their errors, metres per second.
+        number of strides made; ``error`` [B, 1] float32, sum of their velocity errors, metres per second.
 
-    Robots begin standing, at any moment of the trot, turned and moved a little.
+    Robots begin standing, at a random phase of the trot, with small random joint offsets and velocities.
 
     Example:
         >>> import splatrl
@@ -67,14 +67,15 @@ class Strides(TaskModule):
         torch.Size([4, 3, 46])
 
     Args:
-        motion: how the joints are told.
+        motion: how actions control the joints.
         rewards: see ``StridesRewards``.
-        allowed: see above, metres per second.
-        forward: slowest and fastest command, metres per second; None takes the motion's.
-        shaken: by how much joints differ in the beginning, radians; velocities by three times as much, per second.
+        allowed: maximum mean velocity error of a success, metres per second.
+        forward: lowest and highest commanded forward speed, metres per second; None takes the motion's limits.
+        shaken: maximum initial offset of a joint, radians; initial velocities vary by three times this value per
+            second.
 
     Raises:
-        ValueError: for a motion of another kind, or a number out of range.
+        ValueError: for any other kind of motion, or a number out of range.
     """
 
     chooses_episodes = True
@@ -101,14 +102,14 @@ class Strides(TaskModule):
 
     @property
     def memory_spec(self) -> Mapping[str, TensorSpec]:
-        """See the class."""
+        """Specs of the memory; see the class."""
         return {
             "strides": Unbounded(shape=(1,), dtype=torch.int64),
             "error": Unbounded(shape=(1,), dtype=torch.float32),
         }
 
     def start(self, state: Tensor, anywhere: Anywhere) -> Tensor:
-        """Stand at the origin, shaken, with commands to follow; see ``Task.start``."""
+        """Return states that stand at the origin, randomly perturbed, with random commands; see ``Task.start``."""
         motion, count = self.motion, len(state)
         options: dict[str, Any] = {"generator": anywhere.generator, "dtype": torch.float64, "device": state.device}
         state = motion.varied(motion.placed(state.new_zeros(count, 3)), anywhere.generator)
@@ -124,12 +125,12 @@ class Strides(TaskModule):
         return motion.commanded(state, commands.flatten(1))
 
     def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
-        """Nothing was walked yet; see ``Task.begin``."""
+        """Return a memory of no strides and no error; see ``Task.begin``."""
         none = torch.zeros(len(state), 1, device=state.device)
         return {"strides": none.long(), "error": none}
 
     def episodes(self, starts: Tensor, count: int, seed: int) -> dict[str, Tensor]:
-        """Starts and commands for tests; see ``ChoosingTask``."""
+        """Draw starts and commands for tests; see ``ChoosingTask``."""
         generator = torch.Generator().manual_seed(seed)
         state = starts[:1].expand(count, -1)
         anywhere = Anywhere(lambda: state, generator)
@@ -162,5 +163,5 @@ class Strides(TaskModule):
         return Verdict(reward.float().unsqueeze(1), (fallen | reached).unsqueeze(1), outcome.unsqueeze(1), memory)
 
     def teach(self, state: Tensor, memory: Memory) -> Tensor:
-        """The trot alone; see ``Task.teach``."""
+        """Return no departures, so that the teacher is the trot alone; see ``Task.teach``."""
         return torch.zeros(len(state), JOINTS, device=state.device)

@@ -1,4 +1,4 @@
-"""The walk task: a robot on legs walks to a mark that its camera sees."""
+"""The walk task: a legged robot walks to a mark that it sees with its camera."""
 
 import math
 from collections.abc import Sequence
@@ -15,18 +15,18 @@ from splatrl.physics.routes import RouteSettings
 from splatrl.values import require_number
 
 SEEN = math.radians(40.0)
-"""Angle to the mark, from ahead, within which the teacher relies on its being seen; beyond it turns to the left."""
+"""Angle between heading and mark within which the teacher assumes that it is seen; beyond, it turns left, radians."""
 SPEED = 0.75
-"""Share of the highest speed at which the teacher walks straight ahead."""
+"""Fraction of the top speed at which the teacher walks straight ahead."""
 BEND = 2.0
-"""Radians per second for each radian by which the teacher is off."""
+"""Gain of the teacher's steering: radians per second of turning per radian of heading error."""
 
 
 class Walk(Route):
-    """Walk to a ball that hovers in the scene, wherever the robot looks at first, on legs that know how to walk.
+    """Walk to a ball that hovers in the scene, from any initial heading, on legs that already know how to walk.
 
-    A way is a route of one waypoint, the mark, or of several. A fall ends an episode as touching anything but the
-    ground does. ``Route`` and ``Course`` say the rest.
+    A course is a route of one waypoint, the mark, or of several. A fall ends an episode, as does touching anything but
+    the ground. ``Route`` and ``Course`` describe the rest.
 
     Observation: ``pixels`` [B, H, W, 3] uint8, the ego view, which sways as the robot walks.
     Action: [B, 2] float32, metres per second ahead and radians per second to the left, see ``WalkMotion``.
@@ -41,16 +41,16 @@ class Walk(Route):
     Args:
         motion: how the robot walks.
         rewards: see ``CourseRewards``.
-        course: what ways are like.
-        courses: number of ways of training.
-        test_courses: number of ways of tests.
-        seed: of the ways.
-        ahead_deg: in the beginning the mark is within this angle of where the robot looks, degrees.
-        reach: distance of the torso's centre from the mark at which it is reached, metres.
-        mark_radius: metres.
-        mark_rgb: its colour.
-        later_rgb: colour of the one after it, on ways of several.
-        leeway: metres beyond the bounds after which the robot is lost.
+        course: settings from which routes are generated.
+        courses: number of training routes.
+        test_courses: number of test routes.
+        seed: seed of the routes.
+        ahead_deg: maximum initial angle between the robot's heading and the mark, degrees.
+        reach: horizontal distance between torso and mark at which the mark is reached, metres.
+        mark_radius: radius of the ball, metres.
+        mark_rgb: colour of the mark, red, green and blue in [0, 1].
+        later_rgb: colour of the mark after it, on routes with several.
+        leeway: distance beyond the bounds at which the robot counts as outside, metres.
         max_steps: an episode is truncated after this many steps.
 
     Raises:
@@ -87,7 +87,7 @@ class Walk(Route):
         self.ahead = math.radians(ahead_deg)
 
     def teach(self, state: Tensor, memory: Memory) -> Tensor:
-        """What one does who knows where the mark is, [B, n] -> [B, 2]: turn to it, to the left while it is not seen."""
+        """Return a teacher's actions: go to the mark, or turn left while it is out of view: [B, n] -> [B, 2]."""
         robot, place = self.motion.planar(state), self._place(state, memory["passed"].squeeze(1))
         away = place[:, :2] - robot[:, :2]
         off = wrapped(torch.atan2(away[:, 1], away[:, 0]) - robot[:, 2])

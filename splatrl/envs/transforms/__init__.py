@@ -1,4 +1,4 @@
-"""Transforms around an env: camera noise, repeated actions, latency, image appearance, weather and stacked frames."""
+"""Env transforms: camera noise, frame skip, latency, image appearance, weather and frame stacking."""
 
 from splatrl.envs.transforms.appearance import Appearance
 from splatrl.envs.transforms.frame_skip import FrameSkip

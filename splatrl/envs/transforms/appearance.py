@@ -1,4 +1,4 @@
-"""Random variation in how images look: exposure, colour, blur and sensor noise."""
+"""Randomised image appearance: exposure, colour, blur and sensor noise."""
 
 import math
 
@@ -10,26 +10,26 @@ from splatrl.envs.transforms.native_images import cores_for, in_core
 from splatrl.native import _core
 
 NEUTRAL = (0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
-"""The appearance that changes nothing."""
+"""The appearance that leaves images unchanged."""
 
 
 class Appearance(EpisodeLook):
-    """Varies how ``pixels`` look: one appearance per episode, and fresh sensor noise in every step.
+    """Randomises the appearance of ``pixels``: one appearance per episode, and fresh sensor noise in every step.
 
-    The observation holds what was drawn: ``appearance`` [B, 7] float32 is brightness, contrast, the gains of red, green
-    and blue, the standard deviation of the blur in pixels and that of the sensor noise. An ``appearance`` that is given
-    to a reset is kept. The changes are applied in this order, with colours from 0 to 1: blur; gain · (contrast ·
+    The values drawn are part of the observation: ``appearance`` [B, 7] float32 holds brightness, contrast, the gains of
+    red, green and blue, and the standard deviations of the blur in pixels and of the sensor noise. An ``appearance``
+    given to a reset is kept. Changes are applied in this order, with colours from 0 to 1: blur; gain · (contrast ·
     (colour − 0.5) + 0.5) + brightness; noise; rounding.
 
-    Without an env, as in a replay buffer, it draws for each image that does not come with an ``appearance``.
+    Without an env, as in a replay buffer, an appearance is drawn for each image that does not come with one.
 
     Args:
-        brightness: largest offset, up or down, as a share of white.
-        contrast: largest change of the contrast, whose neutral value is 1, in [0, 1].
-        white_balance: largest change of each colour's gain, whose neutral value is 1, in [0, 1].
-        blur: largest standard deviation of the blur, pixels, at most 8.
-        noise: largest standard deviation of the sensor noise, as a share of white.
-        seed: seed of its own generator (``RandomTransform``).
+        brightness: maximum offset, up or down, as a fraction of white.
+        contrast: maximum change of the contrast, whose neutral value is 1, in [0, 1].
+        white_balance: maximum change of each colour's gain, whose neutral value is 1, in [0, 1].
+        blur: maximum standard deviation of the blur, pixels, at most 8.
+        noise: maximum standard deviation of the sensor noise, as a fraction of white.
+        seed: seed of the transform's own generator (``RandomTransform``).
 
     Raises:
         ValueError: for values outside these ranges.
@@ -37,7 +37,7 @@ class Appearance(EpisodeLook):
 
     KEY = "appearance"
     SIZE = 7
-    ranges: Tensor  # [7] float32, in the order of appearance
+    ranges: Tensor  # [7] float32, in the order of ``appearance``
     neutral: Tensor  # [7] float32
 
     def __init__(
@@ -61,13 +61,13 @@ class Appearance(EpisodeLook):
             if not 0 <= value <= limit:
                 raise ValueError(f"appearance.{name}: expected a number in [0, {limit}], got {value}")
         ranges = [brightness, contrast, white_balance, white_balance, white_balance, blur, noise]
-        self.reach = math.ceil(2.5 * blur)  # pixels to each side that a blur reads
+        self.reach = math.ceil(2.5 * blur)  # radius of the blur kernel, pixels
         self.noisy = noise > 0
         self.register_buffer("ranges", torch.tensor(ranges, dtype=torch.float32), persistent=False)
         self.register_buffer("neutral", torch.tensor(NEUTRAL), persistent=False)
 
     def _draw(self, batch: torch.Size, level: Tensor | None = None) -> Tensor:
-        """Random appearances: [*batch, 7]; all but blur and noise vary to both sides of neutral."""
+        """Draw random appearances: [*batch, 7]; all values but blur and noise vary to both sides of neutral."""
         drawn = torch.rand(*batch, 7, generator=self.generator, device=self.ranges.device)
         drawn = torch.cat([2 * drawn[..., :5] - 1, drawn[..., 5:]], -1)
         return self.neutral + drawn * self.ranges
@@ -94,18 +94,18 @@ class Appearance(EpisodeLook):
 
 
 def _weights(sigma: Tensor, reach: int) -> Tensor:
-    """Weights of a blur: [B] standard deviations, pixels, of which 0 changes nothing -> [B, reach + 1]."""
+    """Return one side of a Gaussian blur kernel: [B] standard deviations, pixels, 0 for no blur -> [B, reach + 1]."""
     steps = torch.arange(reach + 1, device=sigma.device)
     weights = torch.exp(-0.5 * (steps / sigma[:, None].clamp_min(1e-3)) ** 2)
     return weights / (weights[:, :1] + 2 * weights[:, 1:].sum(1, keepdim=True))
 
 
 def _blurred(colors: Tensor, weights: Tensor, dim: int, stride: int) -> Tensor:
-    """Blur along one axis, with the border repeated.
+    """Blur along one axis, replicating the border.
 
     Args:
         colors: [B, H, 3 W] float32.
-        weights: [B, reach + 1] of a pixel itself, and of those to both sides.
+        weights: [B, reach + 1], weight of the pixel itself, then of its neighbours on both sides.
         dim: 1 for rows, 2 for columns.
         stride: number of entries from one pixel to the next along ``dim``.
     """

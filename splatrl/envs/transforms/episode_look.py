@@ -1,4 +1,4 @@
-"""Transforms that change how images look, by something that is drawn for each episode."""
+"""Base class of transforms that change the look of images by parameters drawn for each episode."""
 
 from abc import abstractmethod
 from typing import ClassVar
@@ -12,35 +12,35 @@ from splatrl.envs.transforms.randomness import RandomTransform
 
 
 class EpisodeLook(RandomTransform):
-    """Changes ``pixels`` by a row of numbers that each episode draws, and the observation holds under ``KEY``.
+    """Changes ``pixels`` by a row of parameters, drawn for each episode and observed under ``KEY``.
 
-    A row that is given to a reset is kept. Without an env, as in a replay buffer, one is drawn for each image that does
-    not come with one.
+    A row given to a reset is kept. Without an env, as in a replay buffer, one is drawn for each image that does not
+    come with one.
 
     Args:
-        seed: seed of its own generator (``RandomTransform``).
+        seed: seed of the transform's own generator (``RandomTransform``).
     """
 
     KEY: ClassVar[str]
     SIZE: ClassVar[int]
-    """Numbers in a row."""
+    """Number of parameters in a row."""
     DEPTH: ClassVar[str | None] = None
-    """Key of the depth that is read, and taken out of the observation; None reads none."""
+    """Key of the depth, which is read and then removed from the observation; None if depth is not needed."""
 
     def __init__(self, seed: int = 0):
         super().__init__(seed, in_keys=["pixels"], out_keys=["pixels", self.KEY])
 
     @abstractmethod
     def _draw(self, batch: torch.Size, level: Tensor | None = None) -> Tensor:
-        """Rows of numbers, [*batch, SIZE] float32, for episodes that begin at a level, [*batch, 1] int64."""
+        """Draw rows of parameters, [*batch, SIZE] float32, for episodes that begin at a level, [*batch, 1] int64."""
 
     @abstractmethod
     def _changed(self, images: Tensor, look: Tensor, depth: Tensor | None) -> Tensor:
-        """Images by their rows of numbers: [N, H, W, 3] uint8, [N, SIZE] and [N, H, W] float32 -> as the first."""
+        """Apply parameters to images: [N, H, W, 3] uint8, [N, SIZE] and [N, H, W] float32 -> [N, H, W, 3] uint8."""
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         level = tensordict_reset.get("level", None)
-        drawn = self._draw(tensordict_reset.batch_size, level)  # always drawn: later draws do not depend on it
+        drawn = self._draw(tensordict_reset.batch_size, level)  # always, so that later draws do not depend on it
         given = tensordict.get(self.KEY, None)
         begun = tensordict_reset.set(self.KEY, drawn if given is None else given.clone())
         return self._change(begun, _wanted(tensordict.get("_reset", None)))
@@ -49,7 +49,7 @@ class EpisodeLook(RandomTransform):
         return self._change(next_tensordict.set(self.KEY, tensordict[self.KEY].clone()))
 
     def _change(self, tensordict: TensorDictBase, rows: Tensor | None = None) -> TensorDictBase:
-        """Change some images, [N] bool, or all; TorchRL keeps the old ones of robots that are not reset."""
+        """Change the images selected by ``rows``, [N] bool, or all; TorchRL keeps the old ones of robots not reset."""
         pixels = tensordict["pixels"]
         depth = None if self.DEPTH is None else tensordict.get(self.DEPTH, None)
         images, look = pixels.reshape(-1, *pixels.shape[-3:]), tensordict[self.KEY].reshape(-1, self.SIZE)
@@ -69,11 +69,11 @@ class EpisodeLook(RandomTransform):
         return self._change(tensordict)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add the row of numbers to the observation."""
+        """Add the row of parameters to the observation."""
         return self._with_row(observation_spec)
 
     def transform_state_spec(self, state_spec: Composite) -> Composite:
-        """Read the row of numbers from the input of a step or a reset."""
+        """Read the row of parameters from the input of a step or a reset."""
         return self._with_row(state_spec)
 
     def _with_row(self, spec: Composite) -> Composite:
@@ -83,5 +83,5 @@ class EpisodeLook(RandomTransform):
 
 
 def _wanted(mask: Tensor | None) -> Tensor | None:
-    """Which images to change in a reset, [N] bool; None changes all, since selecting some would synchronise a GPU."""
+    """Return which images a reset must change, [N] bool; None for all, since selecting some would synchronise a GPU."""
     return None if mask is None or mask.device.type != "cpu" else mask.flatten()

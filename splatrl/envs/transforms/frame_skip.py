@@ -1,4 +1,4 @@
-"""One action for several steps of the env."""
+"""Frame skip: repeating each action for several env steps."""
 
 import torch
 from tensordict import TensorDictBase
@@ -9,21 +9,21 @@ from splatrl.values import require_number
 
 
 class FrameSkip(Transform):
-    """Carries out each action several times: the policy sees the last step, and is paid for all of them.
+    """Repeats each action for several env steps: the policy sees the last one and receives the sum of their rewards.
 
-    A robot whose episode ends in between stops there. ``step_count`` and ``max_steps`` go on counting steps of the env.
-    Transforms between the env and this one act in every step, those outside once an action: camera noise belongs
-    inside, a stack of views outside.
+    A robot whose episode ends in between stops there. ``step_count`` and ``max_steps`` still count env steps.
+    Transforms between the env and this one act in every step, those outside it once per action: camera noise belongs
+    inside, frame stacking outside.
 
-    It takes the place of TorchRL's ``FrameSkipTransform``, which repeats the step from the state before it: an env that
-    keeps its state in the TensorDict would make one step and be paid for several.
+    It replaces TorchRL's ``FrameSkipTransform``, which repeats the step from the state before it: an env that keeps its
+    state in the TensorDict would advance by one step and be rewarded for several.
 
     Args:
-        steps: steps of the env for each action.
+        steps: env steps per action.
 
     Raises:
-        ValueError: for fewer steps than one.
-        RuntimeError: without an env.
+        ValueError: for fewer than one step.
+        RuntimeError: if used without an env.
     """
 
     def __init__(self, steps: int = 4):
@@ -34,7 +34,7 @@ class FrameSkip(Transform):
 
     @torch.compiler.disable
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Note the action before transforms nearer to the env change it, as they do again in each step."""
+        """Store the action before inner transforms change it; they change it anew in each repeated step."""
         parent = self.parent
         if parent is not None:
             self._asked = tensordict.select(*parent.action_keys)
@@ -50,7 +50,7 @@ class FrameSkip(Transform):
             last, done = next_tensordict, next_tensordict["done"]
             inputs = inputs.clone(False).update(last.exclude("reward")).update(asked)
             if "level" in inputs.keys():  # noqa: SIM118, a TensorDict is no dict
-                inputs["level"] = torch.where(done, -1, inputs["level"])  # an episode that has ended counts once
+                inputs["level"] = torch.where(done, -1, inputs["level"])  # an ended episode counts only once
             following = parent._step(inputs)
             following["reward"] = last["reward"] + following["reward"]
             values = {key: _rows(done, last[key], value) for key, value in following.items(True, True)}
@@ -58,10 +58,10 @@ class FrameSkip(Transform):
         return next_tensordict
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Refuse data without an env."""
+        """Refuse data that does not come from an env."""
         raise RuntimeError("FrameSkip: expected an env, found none")
 
 
 def _rows(mask: Tensor, chosen: Tensor, other: Tensor) -> Tensor:
-    """Rows of one tensor where a mask [*B, 1] is set, and of another elsewhere."""
+    """Select rows of one tensor where a mask [*B, 1] is set, and of another elsewhere."""
     return torch.where(mask.view(*mask.shape, *[1] * (other.ndim - mask.ndim)), chosen, other)

@@ -1,4 +1,4 @@
-"""The last few views, stacked as channels."""
+"""Frame stacking: the last few views, concatenated along the channel axis."""
 
 import torch
 from tensordict import TensorDictBase
@@ -14,7 +14,7 @@ class FrameStack(CatFrames):
     Args:
         N: number of views.
         in_keys: keys of the images.
-        dim: the axis of the channels, which is the last one.
+        dim: channel axis; only -1, the last one, is supported.
 
     Raises:
         ValueError: for any other axis.

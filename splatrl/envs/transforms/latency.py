@@ -1,4 +1,4 @@
-"""Views that come late, and actions that are carried out late."""
+"""Latency of views and actions."""
 
 from collections.abc import Sequence
 
@@ -11,31 +11,32 @@ from splatrl.envs.transforms.randomness import RandomTransform
 from splatrl.values import require_number
 
 MOST = 64
-"""Steps of a delay, at most."""
+"""Maximum delay, steps."""
 NO_FLOAT, NO_CHOICE = 1e9, -1
-"""What stands for an action that was not yet chosen, which no robot can choose."""
+"""Placeholders, for continuous and discrete actions, of an action not chosen yet; they lie outside any action space."""
 LATE = ("latency", "late_pixels", "late_action")
 
 
 class Latency(RandomTransform):
-    """Delays the camera's views and the robot's actions by whole steps, drawn anew for each episode.
+    """Delays the camera's views and the robot's actions by whole numbers of steps, drawn anew for each episode.
 
-    Real cameras and links are late, and by how much differs (GaussGym draws both for each episode, too). Until an
-    episode has an action old enough, its first one is carried out; until it has a view old enough, its first one is
-    seen. Rewards, ends and what else is sensed are those of the moment.
+    Real cameras and links have varying latency (GaussGym also draws both delays per episode). Until an episode has an
+    action that is old enough, its first action is carried out; until it has a view that is old enough, its first view
+    is shown. Rewards, termination and other sensor readings are not delayed.
 
-    It adds to the observation ``latency`` [B, 2] int64, the steps by which camera and action are late in the episode;
-    ``late_pixels`` [B, C + 1, H, W, 3] uint8, the last views as they were taken, C the camera's highest delay; and
-    ``late_action`` [B, A, ...], the last actions that were chosen, A the action's highest delay. A reset to a given
-    state with these goes on as the episode did; all else is in the TensorDict, so a row does not depend on others.
+    It adds to the observation ``latency`` [B, 2] int64, delays of camera and action in this episode, steps;
+    ``late_pixels`` [B, C + 1, H, W, 3] uint8, the latest views in the order in which they were taken, where C is the
+    camera's maximum delay; and ``late_action`` [B, A, ...], the latest actions chosen, where A is the action's maximum
+    delay. A reset to a given state together with these values continues the episode. Since nothing is kept outside the
+    TensorDict, rows do not depend on each other.
 
     Args:
-        camera: lowest and highest delay of views, steps.
-        action: lowest and highest delay of actions, steps.
-        seed: seed of its own generator (``RandomTransform``).
+        camera: minimum and maximum delay of views, steps.
+        action: minimum and maximum delay of actions, steps.
+        seed: seed of the transform's own generator (``RandomTransform``).
 
     Raises:
-        ValueError: for anything but two whole numbers, 0 ≤ lowest ≤ highest ≤ 64.
+        ValueError: for anything but two whole numbers with 0 ≤ lowest ≤ highest ≤ 64.
     """
 
     def __init__(self, camera: Sequence[int] = (0, 1), action: Sequence[int] = (0, 1), seed: int = 0):
@@ -77,7 +78,7 @@ class Latency(RandomTransform):
             "late_pixels": view.unsqueeze(1).repeat(1, self.high[0] + 1, 1, 1, 1),
             "late_action": late,
         }
-        goes_on = tensordict_reset["level"] == -1  # a state was given, and with it what came before
+        goes_on = tensordict_reset["level"] == -1  # level -1 marks a given state, whose past is given with it
         for key in values:
             given = tensordict.get(key, None)
             if given is not None:
@@ -91,15 +92,15 @@ class Latency(RandomTransform):
         return tensordict.set("late_pixels", views).set("pixels", _taken(views, latency[:, 0]))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Change nothing: recorded views are as late as they were."""
+        """Change nothing: recorded views are already delayed."""
         return tensordict
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add what travels to the observation."""
+        """Add the delays and the past views and actions to the observation."""
         return self._with_late(observation_spec, observation_spec)
 
     def transform_state_spec(self, state_spec: Composite) -> Composite:
-        """Read what travels from the input of a step or a reset."""
+        """Read the delays and the past views and actions from the input of a step or a reset."""
         assert self.parent is not None
         return self._with_late(state_spec, self.parent.observation_spec)
 
@@ -115,10 +116,10 @@ class Latency(RandomTransform):
 
 
 def _none_of(dtype: torch.dtype) -> float | int:
-    """What stands for no action among actions of a type."""
+    """Return the placeholder of an action not chosen yet, by dtype."""
     return NO_FLOAT if dtype.is_floating_point else NO_CHOICE
 
 
 def _taken(chain: Tensor, late: Tensor) -> Tensor:
-    """The entry of each row that is some steps before its last: [B, K, ...], [B] -> [B, ...]."""
+    """Select each row's entry that lies ``late`` steps before its last: [B, K, ...], [B] -> [B, ...]."""
     return chain[torch.arange(len(chain), device=chain.device), chain.shape[1] - 1 - late]

@@ -1,4 +1,4 @@
-"""A camera that is not quite where the robot thinks it is."""
+"""Camera pose noise: the camera is not exactly where the robot assumes it to be."""
 
 import math
 from typing import Any, Literal
@@ -12,7 +12,7 @@ from torchrl.envs import ParallelEnv
 from splatrl.envs.transforms.randomness import RandomTransform
 
 EDGE = 1 - 1e-6
-"""Share of its range that a uniform offset may use, which keeps the underlying normal number finite."""
+"""Fraction of its range that a uniform offset may use, so that the underlying normal variable stays finite."""
 
 
 class PoseNoise(RandomTransform):
@@ -20,19 +20,20 @@ class PoseNoise(RandomTransform):
 
     It writes ``camera_offset`` before the env renders, and adds it to the observation: [B, 6] float32, metres along
     world x, y and z, then radians of pitch, roll and yaw about the camera's own right, forward and down axes. Every
-    reset draws a new one, unless it is given a ``camera_offset``, which it keeps: an observation can be reproduced from
-    its ``state`` and ``camera_offset``.
+    reset draws a new offset, unless it is given a ``camera_offset``, which it keeps: an observation can be reproduced
+    from its ``state`` and ``camera_offset``.
 
-    With ``smooth=0`` every step draws independently. Otherwise the hand is unsteady: each offset is driven by a
-    first-order autoregressive process, z' = ρ z + √(1 − ρ²) n with ρ = exp(−1 / smooth), which is an Ornstein-Uhlenbeck
-    process sampled once per step. z is always standard normal, and a uniform offset is its cumulative probability, so
-    a single offset is distributed as with ``smooth=0``. The process has no state but ``camera_offset``.
+    With ``smooth=0`` the offsets of all steps are independent. Otherwise they drift like those of a camera in an
+    unsteady hand: each is driven by a first-order autoregressive process, z' = ρ z + √(1 − ρ²) n with ρ =
+    exp(−1 / smooth), which is an Ornstein-Uhlenbeck process sampled once per step. z is always standard normal, and
+    uniform noise maps it through the normal cumulative distribution function, so that each single offset is distributed
+    as with ``smooth=0``. The process has no state other than ``camera_offset``.
 
-    Without an env it changes nothing, since recorded images cannot change. It cannot work around a ``ParallelEnv``: put
-    it around each worker's env instead.
+    Without an env it changes nothing, since recorded images cannot be rendered again. It does not work around a
+    ``ParallelEnv``: put it around each worker's env instead.
 
     Args:
-        height: size of the noise in the camera's height, metres: the largest offset of uniform noise, or the standard
+        height: size of the noise in the camera's height, metres: the maximum offset of uniform noise, or the standard
             deviation of normal noise.
         roll_deg: size of the noise about the camera's forward axis, degrees.
         pitch_deg: size of the noise about the camera's right axis, degrees.
@@ -40,14 +41,14 @@ class PoseNoise(RandomTransform):
         y: size of the noise along world y, metres.
         yaw_deg: size of the noise about the camera's down axis, degrees.
         distribution: uniform or normal.
-        smooth: correlation time in steps; 0 for independent steps.
-        seed: seed of its own generator (``RandomTransform``).
+        smooth: correlation time in steps; 0 for independent offsets.
+        seed: seed of the transform's own generator (``RandomTransform``).
 
     Raises:
         ValueError: for a size or time that is negative or not finite, any other distribution, or a ``ParallelEnv``.
     """
 
-    sizes: Tensor  # [6] float32, in the order and the units of camera_offset
+    sizes: Tensor  # [6] float32, in the order and units of ``camera_offset``
 
     def __init__(
         self,
@@ -77,7 +78,7 @@ class PoseNoise(RandomTransform):
         env = self.container
         if tensordict is None:
             tensordict = TensorDict(batch_size=env.batch_size, device=env.device)
-        drawn = self._draw(tensordict.batch_size)  # always drawn, so that later draws do not depend on it
+        drawn = self._draw(tensordict.batch_size)  # always, so that later draws do not depend on it
         given = tensordict.get("camera_offset", None)
         return tensordict.set("camera_offset", drawn if given is None else given.clone())
 
@@ -99,14 +100,14 @@ class PoseNoise(RandomTransform):
         return tensordict
 
     def _draw(self, batch: torch.Size) -> Tensor:
-        """Offsets that do not depend on earlier ones: [*batch, 6]."""
+        """Draw offsets that are independent of earlier ones: [*batch, 6]."""
         options: dict[str, Any] = {"generator": self.generator, "device": self.sizes.device}
         if self.distribution == "normal":
             return torch.randn(*batch, 6, **options) * self.sizes
         return (2 * torch.rand(*batch, 6, **options) - 1) * self.sizes
 
     def _drift(self, offset: Tensor) -> Tensor:
-        """The next offsets of an unsteady hand: [..., 6]."""
+        """Draw the next offsets of the autoregressive process: [..., 6]."""
         fresh = torch.randn(offset.shape, generator=self.generator, device=self.sizes.device)
         share = torch.where(self.sizes > 0, offset / self.sizes, 0.0)
         uniform = self.distribution == "uniform"

@@ -1,4 +1,4 @@
-"""Transforms that draw reproducible random numbers."""
+"""Base class of transforms that draw reproducible random numbers."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,13 +13,13 @@ from splatrl.envs.nesting import layers
 class RandomTransform(Transform):
     """A transform with a seeded generator, whose state is part of ``state_dict()``.
 
-    Around a ``SplatEnv`` it draws from that env's generator, so ``env.set_seed`` seeds both. Without an env, or around
-    one that has no generator, such as a ``SerialEnv``, it draws from its own.
+    Around a ``SplatEnv`` it draws from the env's generator, so ``env.set_seed`` seeds both. Without an env, or around
+    one without a generator, such as a ``SerialEnv``, it draws from its own.
 
     Args:
-        seed: seed of its own generator.
-        out_keys: keys that it writes.
-        in_keys: keys that it reads.
+        seed: seed of the transform's own generator.
+        out_keys: keys that the transform writes.
+        in_keys: keys that the transform reads.
     """
 
     def __init__(self, seed: int = 0, out_keys: Sequence[str] = (), in_keys: Sequence[str] = ()):
@@ -28,29 +28,29 @@ class RandomTransform(Transform):
 
     @property
     def env(self) -> EnvBase | None:
-        """The base env under all transforms, if there is one."""
+        """The base env beneath all transforms; None if there is none."""
         try:
             env = self.container
         except ValueError:
-            return None  # something else holds the transform, such as a replay buffer
+            return None  # not held by an env but, for example, by a replay buffer
         return None if env is None else layers(env)[0]
 
     @property
     def generator(self) -> torch.Generator:
-        """The generator that it draws from."""
+        """The generator from which the transform draws."""
         env = self.env
         shared = None if env is None else env.__dict__.get("generator", None)
         return shared if isinstance(shared, torch.Generator) else self._own
 
     def to(self, *args: Any, **kwargs: Any) -> "RandomTransform":
-        """Move to a device, where its own generator starts over."""
+        """Move to a device; on a new one, the transform's own generator restarts from its seed."""
         device = torch.empty(0).to(*args, **kwargs).device
         if device != self._own.device:
             self._own = torch.Generator(device).manual_seed(self._own.initial_seed())
         return super().to(*args, **kwargs)
 
     def get_extra_state(self) -> Tensor:
-        """State of the generator, for ``state_dict()``: [n] uint8."""
+        """Return the state of the generator, for ``state_dict()``: [n] uint8."""
         return self.generator.get_state()
 
     def set_extra_state(self, state: Tensor) -> None:

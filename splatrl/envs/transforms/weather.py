@@ -1,4 +1,4 @@
-"""Weather and light: fog, dusk, the colour of the sun, rain, snow and drops on the lens."""
+"""Randomised weather and light: fog, dusk, colour of the sun, rain, snow and drops on the lens."""
 
 import torch
 from torch import Tensor
@@ -11,42 +11,43 @@ from splatrl.envs.transforms.weather_images import LAYERS, Wet, falling, light, 
 from splatrl.values import require_number
 
 FIELDS = ("fog", "dusk", "red", "green", "blue", "rain", "snow", "wet", "wind", "lens_row", "lens_column")
-"""What ``weather`` holds, in its order."""
+"""Fields of ``weather``, in order."""
 CLEAR = (0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-"""The weather that changes nothing."""
+"""The weather that leaves images unchanged."""
 LEAST = 0.35
-"""Weakest weather of a kind that there is at all, as a share of its strongest."""
+"""Minimum strength of any weather that occurs, as a fraction of its maximum."""
 
 
 class Weather(EpisodeLook):
-    """Puts ``pixels`` into weather: one weather for each episode, and rain and snow that fall anew in every step.
+    """Applies weather to ``pixels``: one weather per episode, with rain and snow placed anew in every step.
 
-    The observation holds what was drawn: ``weather`` [B, 11] float32 is fog (extinction per metre), dusk (share of the
-    light that is gone), the gains of red, green and blue, rain, snow and wetness of the lens (0 to 1 each), the wind
-    (by how much rain leans), and where on the lens the drops are. A ``weather`` that is given to a reset is kept.
+    The values drawn are part of the observation: ``weather`` [B, 11] float32 holds fog (extinction per metre), dusk
+    (fraction of the light that is lost), the gains of red, green and blue, rain, snow and wetness of the lens (0 to 1
+    each), wind (slant of the rain, columns per row), and the position of the drop pattern on the lens. A ``weather``
+    given to a reset is kept.
 
-    Each kind is there in some of the episodes, by chance; rain and snow do not come together, and of a given weather
-    the stronger of the two falls. In an env whose
-    curriculum has several levels, an episode at the first level has ``easy`` of the strength, one at the last has all.
+    Each kind of weather occurs at random in some of the episodes. Rain and snow never occur together; if a given
+    weather has both, the stronger one is shown. In an env whose curriculum has several levels, the strength rises from
+    the fraction ``easy`` at the first level to its full value at the last.
 
-    Colours, from 0 to 1, go through dusk and sun, fog, rain or snow, the lens, and rounding. Fog leaves
+    Colours, from 0 to 1, pass through dusk and sun, fog, rain or snow, the lens, and rounding. Fog leaves the fraction
     exp(−fog · depth) of the light (Koschmieder's law). It needs the depth of each image: ``view_depth`` of
-    ``DepthDrawing``, which is read and taken out of the observation. What comes without, from a replay buffer, has no
-    fog, and nothing hides the rain.
+    ``DepthDrawing``, which is read and then removed from the observation. Images without depth, from a replay buffer,
+    get no fog, and nothing occludes their rain.
 
     Args:
-        fog: strongest, extinction per metre.
-        dusk: darkest, share of the light that is gone, below 1.
-        sun: largest change of red, up or down, with blue in the opposite direction, in [0, 1].
-        rain: heaviest, in [0, 1]; 0 is off.
-        snow: heaviest, in [0, 1]; 0 is off.
-        wet: wettest lens, in [0, 1]; 0 is off.
-        often: share of the episodes that have each kind.
-        easy: share of the strength at the first level of a curriculum.
-        seed: seed of its own generator (``RandomTransform``).
+        fog: maximum fog, extinction per metre.
+        dusk: maximum fraction of the light that is lost, below 1.
+        sun: maximum change of the red gain, up or down, with blue changing in the opposite direction, in [0, 1].
+        rain: maximum rain, in [0, 1]; 0 disables it.
+        snow: maximum snow, in [0, 1]; 0 disables it.
+        wet: maximum wetness of the lens, in [0, 1]; 0 disables it.
+        often: probability that an episode has each kind; if rain and snow coincide, one of them is dropped.
+        easy: fraction of the strength at the first level of a curriculum.
+        seed: seed of the transform's own generator (``RandomTransform``).
 
     Raises:
-        ValueError: for values outside these ranges, or an env whose drawing shows no depth.
+        ValueError: for values outside these ranges, or an env whose drawing does not return depth.
     """
 
     KEY = "weather"
@@ -76,7 +77,7 @@ class Weather(EpisodeLook):
         self.register_buffer("most", torch.tensor(list(most.values()), dtype=torch.float32), persistent=False)
 
     def _draw(self, batch: torch.Size, level: Tensor | None = None) -> Tensor:
-        """Random weathers: [*batch, 11]."""
+        """Draw random weathers: [*batch, 11]."""
         uniform = torch.rand(3, *batch, 6, generator=self.generator, device=self.most.device)
         chance, strength, more = uniform.unbind(0)
         there = (chance < self.often).float()
@@ -89,7 +90,7 @@ class Weather(EpisodeLook):
         return torch.cat([drawn[..., :2], gains, drawn[..., 3:], wind, more[..., :2]], -1)
 
     def _share(self, level: Tensor | None) -> Tensor | float:
-        """Share of the strength at the level of each episode: [*batch, 1]."""
+        """Return the fraction of the strength at the level of each episode: [*batch, 1]."""
         curriculum = getattr(self.env, "curriculum", None) if isinstance(self.env, EnvBase) else None
         levels = 1 if curriculum is None else curriculum.starts.levels
         if level is None or levels < 2:
@@ -106,7 +107,7 @@ class Weather(EpisodeLook):
         return put_into(images, seen, depth, things, drops)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add ``weather`` to the observation, and take the depth out."""
+        """Add ``weather`` to the observation, and remove the depth."""
         if isinstance(self.env, EnvBase) and VIEW_DEPTH not in observation_spec.keys():  # noqa: SIM118
             raise ValueError(
                 f"weather: expected a drawing that shows {VIEW_DEPTH} (around_drawing: DepthDrawing), got none"

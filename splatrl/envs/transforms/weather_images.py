@@ -1,4 +1,4 @@
-"""Images in weather: dusk and sun, fog, what falls, and drops on the lens."""
+"""Rendering weather into images: dusk and sun, fog, rain and snow, and drops on the lens."""
 
 from functools import cache
 from typing import NamedTuple
@@ -11,33 +11,33 @@ from splatrl.envs.transforms.weather_patterns import RAIN, SNOW, lens, pattern
 from splatrl.native import _core
 
 SKY = (0.80, 0.83, 0.86)
-"""Colour of fog by day, sRGB."""
+"""Colour of fog in daylight, sRGB."""
 STREAK, FLAKE = (0.86, 0.89, 0.93), (0.97, 0.97, 0.99)
-"""Colours of rain and of snow by day, sRGB."""
+"""Colours of rain and of snow in daylight, sRGB."""
 NIGHT = (0.86, 0.95, 1.12)
-"""Gains of the last light, which is bluer."""
+"""Colour gains at full dusk, when light is bluer."""
 MIST = 0.05
-"""Fog that the heaviest rain or snow brings with it, per metre."""
+"""Additional fog in the heaviest rain or snow, extinction per metre."""
 GLOOM = 0.22
-"""Share of the light that the heaviest rain takes."""
+"""Fraction of the light that is lost in the heaviest rain."""
 GAMMA = 2.2
 LAYERS = len(RAIN)
-"""In which rain and snow fall, one behind the other."""
+"""Number of layers, one behind the other, in which rain and snow fall."""
 
 
 @cache
 def _colors(device: torch.device) -> tuple[Tensor, ...]:
-    """``SKY``, ``STREAK``, ``FLAKE`` and ``NIGHT`` on a device, [3] float32: each copy there would block the host."""
+    """Return ``SKY``, ``STREAK``, ``FLAKE`` and ``NIGHT`` on a device, [3] float32; cached: copying blocks the host."""
     return tuple(torch.tensor(color, device=device) for color in (SKY, STREAK, FLAKE, NIGHT))
 
 
 class Light(NamedTuple):
-    """Light and fog of some images.
+    """Light and fog of a batch of images.
 
     Attributes:
-        tint: [B, 3] float32, gains of the light.
+        tint: [B, 3] float32, colour gains of the light.
         veil: [B, 3] float32, colour of the fog.
-        left: [B, H, W] float32, share of the light that the fog leaves; None where there is none.
+        left: [B, H, W] float32, transmittance of the fog; None without fog.
     """
 
     tint: Tensor
@@ -46,14 +46,14 @@ class Light(NamedTuple):
 
 
 class Falling(NamedTuple):
-    """Rain and snow over some images.
+    """Rain or snow over a batch of images.
 
     Attributes:
         strength: [B] float32, 0 to 1.
-        wind: [B] float32, columns by which a streak leans for each row.
-        snows: [B] bool, else it rains.
-        begin: [B, ``LAYERS``, 2] float32 in [0, 1), where on its pattern each layer begins.
-        color: [B, 3] float32.
+        wind: [B] float32, slant of the streaks, columns per row.
+        snows: [B] bool, true for snow, false for rain.
+        begin: [B, ``LAYERS``, 2] float32 in [0, 1), offset of each layer within its pattern.
+        color: [B, 3] float32, colour of streaks or flakes.
     """
 
     strength: Tensor
@@ -64,11 +64,11 @@ class Falling(NamedTuple):
 
 
 class Wet(NamedTuple):
-    """Drops on the lenses of some images.
+    """Drops on the lens, for a batch of images.
 
     Attributes:
         strength: [B] float32, 0 to 1.
-        begin: [B, 2] float32, where on the pattern a lens begins.
+        begin: [B, 2] float32, offset of each lens within the pattern.
     """
 
     strength: Tensor
@@ -76,9 +76,9 @@ class Wet(NamedTuple):
 
 
 def light(weather: Tensor, far: Tensor | None) -> Light:
-    """Light and fog in a weather.
+    """Compute light and fog from the weather.
 
-    Fog leaves exp(−fog · depth) of the light (Koschmieder's law).
+    Fog leaves the fraction exp(−fog · depth) of the light (Koschmieder's law).
 
     Args:
         weather: [B, 11] float32; see ``Weather``.
@@ -91,12 +91,15 @@ def light(weather: Tensor, far: Tensor | None) -> Light:
     left = None
     if far is not None:
         thick = (fog + MIST * (rain + snow))[:, None, None]
-        left = torch.where(thick > 0, torch.exp(-thick * far), 1.0)  # where nothing is seen, the depth is infinite
+        left = torch.where(thick > 0, torch.exp(-thick * far), 1.0)  # depth may be infinite
     return Light(tint, sky * tint, left)
 
 
 def falling(weather: Tensor, tint: Tensor, begin: Tensor) -> Falling:
-    """Rain or snow, whichever is stronger, in a weather: [B, 11], [B, 3] and [B, ``LAYERS``, 2] float32."""
+    """Return rain or snow, whichever is stronger, from weather, tint and offsets.
+
+    Takes [B, 11], [B, 3] and [B, ``LAYERS``, 2] float32.
+    """
     rain, snow, wind = (weather[:, number] for number in (5, 6, 8))
     snows = snow > rain
     _, streak, flake, _ = _colors(weather.device)
@@ -107,14 +110,14 @@ def falling(weather: Tensor, tint: Tensor, begin: Tensor) -> Falling:
 def put_into(
     pixels: Tensor, seen: Light, far: Tensor | None, things: Falling | None = None, drops: Wet | None = None
 ) -> Tensor:
-    """Put images into weather: [B, H, W, 3] uint8 -> the same.
+    """Apply weather to images: [B, H, W, 3] uint8 -> [B, H, W, 3] uint8.
 
     Args:
         pixels: the images.
         seen: light and fog.
-        far: [B, H, W] float32, metres, which hides what falls behind it; without it nothing does.
-        things: rain and snow.
-        drops: on the lens.
+        far: [B, H, W] float32, depth in metres, which occludes rain and snow behind it; None occludes nothing.
+        things: rain or snow.
+        drops: drops on the lens.
     """
     if in_core(pixels):
         return _by_core(pixels, seen, far, things, drops)
@@ -131,7 +134,7 @@ def put_into(
 
 
 def _by_core(pixels: Tensor, seen: Light, far: Tensor | None, things: Falling | None, drops: Wet | None) -> Tensor:
-    """The same in one pass over each image."""
+    """Do the same as ``put_into`` in the C++ core, in one pass over each image."""
     (height, width), device, out = pixels.shape[1:3], pixels.device, torch.empty_like(pixels).contiguous()
     over, on = None, None
     if things is not None:
@@ -155,12 +158,12 @@ def _by_core(pixels: Tensor, seen: Light, far: Tensor | None, things: Falling | 
 
 
 def _texels(begin: Tensor, tall: int, wide: int) -> tuple[Tensor, Tensor]:
-    """Rows and columns of places on a pattern, [B, 2] float32: [B, 1] int64 each."""
+    """Convert offsets within a pattern, [B, 2] float32, to rows and columns, [B, 1] int64 each."""
     return (begin[:, :1] * tall).long(), (begin[:, 1:] * wide).long()
 
 
 def _covered(things: Falling, far: Tensor | None, size: torch.Size) -> Tensor:
-    """Share of each pixel that rain or snow covers: [B, H, W]."""
+    """Return the fraction of each pixel that rain or snow covers: [B, H, W]."""
     (height, width), count, device = size, len(things.strength), things.strength.device
     over = pattern((*RAIN, *SNOW), height, width, device)
     _, tall, wide = over.cover.shape
@@ -181,7 +184,7 @@ def _covered(things: Falling, far: Tensor | None, size: torch.Size) -> Tensor:
 
 
 def _through_drops(colors: Tensor, drops: Wet) -> Tensor:
-    """Images through a wet lens: [B, H, W, 3]."""
+    """Return images as seen through a wet lens: [B, H, W, 3]."""
     count, height, width, _ = colors.shape
     on = lens(height, width, colors.device)
     tall, wide = on.cover.shape

@@ -1,4 +1,4 @@
-"""Pictures of rain, snow and drops on a lens, made once and then moved over the images."""
+"""Patterns of rain, snow and drops on a lens, generated once and then shifted over the images."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -11,7 +11,7 @@ from torch import Tensor
 Floats = NDArray[np.float64]
 
 TILES = 2
-"""A pattern is so many times as high and as wide as the image, and goes on where it ends."""
+"""Height and width of a pattern in multiples of the image's; patterns wrap around at their edges."""
 
 
 @dataclass(frozen=True)
@@ -19,11 +19,11 @@ class Layer:
     """Rain or snow at one distance.
 
     Attributes:
-        distance: from the camera, metres; what is nearer hides it.
-        count: of streaks or flakes on the area of an image, at full strength.
-        length: of a streak as a share of the image's height; 0 for flakes.
-        width: standard deviation across, as a share of the image's height.
-        cover: share of the light behind that one hides.
+        distance: distance from the camera, metres; anything nearer occludes it.
+        count: number of streaks or flakes per image area, at full strength.
+        length: length of a streak or flake, as a fraction of the image's height.
+        width: standard deviation of the profile across it, as a fraction of the image's height.
+        cover: fraction of the light behind it that a streak or flake hides.
     """
 
     distance: float
@@ -36,19 +36,20 @@ class Layer:
 RAIN = (Layer(0.6, 14, 0.30, 0.0085, 0.42), Layer(1.6, 40, 0.17, 0.0060, 0.38), Layer(4.0, 90, 0.09, 0.0045, 0.34))
 SNOW = (Layer(0.6, 9, 0.03, 0.020, 0.85), Layer(1.6, 32, 0.012, 0.0125, 0.90), Layer(4.0, 100, 0.0, 0.0080, 0.85))
 DROPS = 26
-"""On the area of an image, on a lens that is as wet as it gets."""
+"""Number of drops per image area on a fully wet lens."""
 BULGE = 1.7
-"""How far beyond its own radius, in radii, a drop shows the image, upside down."""
+"""Radius of the part of the image that a drop shows upside down, in radii of the drop."""
 
 
 @dataclass(frozen=True)
 class Pattern:
-    """Things that lie over an image, as texels of a larger picture without borders.
+    """Rain or snow to be laid over images, as texels of a larger tileable picture.
 
     Attributes:
-        cover: [K, T, U] float32, share of the light that they hide, for K layers.
-        rank: [K, T, U] float32 in [0, 1), of the thing in each texel: it is there where the strength is above this.
-        distance: [K] float32, metres.
+        cover: [K, T, U] float32, fraction of the light that is hidden, for K layers.
+        rank: [K, T, U] float32 in [0, 1), rank of the streak or flake in each texel, which appears where the strength
+            exceeds it.
+        distance: [K] float32, distance of each layer, metres.
     """
 
     cover: Tensor
@@ -58,12 +59,12 @@ class Pattern:
 
 @dataclass(frozen=True)
 class Lens:
-    """Drops on a lens, as texels of a larger picture without borders.
+    """Drops on a lens, as texels of a larger tileable picture.
 
     Attributes:
-        shift: [T, U, 2] int64, rows and columns to where a texel's light comes from.
-        cover: [T, U] float32, how much of the texel the drop fills.
-        shine: [T, U] float32, light added by the drop's edge; negative where it is darker.
+        shift: [T, U, 2] int64, offset in rows and columns to the pixel from which a texel's light comes.
+        cover: [T, U] float32, fraction of the texel that the drop fills.
+        shine: [T, U] float32, light that the drop adds by its glint and rim; negative where it is darker.
         rank: [T, U] float32 in [0, 1), as in ``Pattern``.
     """
 
@@ -75,9 +76,9 @@ class Lens:
 
 @cache
 def pattern(layers: tuple[Layer, ...], height: int, width: int, device: torch.device) -> Pattern:
-    """Streaks or flakes over images of a size.
+    """Generate streaks or flakes for images of a given size.
 
-    They are straight down; a wind shears them when they are laid over an image.
+    They fall straight down; wind shears them when they are laid over an image.
     """
     rng = np.random.default_rng(7)
     tall, wide = TILES * height, TILES * width
@@ -92,17 +93,17 @@ def pattern(layers: tuple[Layer, ...], height: int, width: int, device: torch.de
             y, x = np.mgrid[-reach_y : reach_y + 1, -reach_x : reach_x + 1]
             y, x = y + np.floor(row) - row, x + np.floor(column) - column
             beyond = np.maximum(np.abs(y) - half, 0.0)
-            thin = min(1.0, size * layer.width * height / across)  # narrower than a pixel: fainter
+            thin = min(1.0, size * layer.width * height / across)  # streaks below the minimum width are fainter instead
             drawn = layer.cover * thin * np.exp(-0.5 * (x**2 + beyond**2) / across**2)
             if half > across:
-                drawn *= 0.55 + 0.45 * np.clip(y / half, -1, 1)  # brighter where it is going
+                drawn *= 0.55 + 0.45 * np.clip(y / half, -1, 1)  # brighter towards the lower end
             _lay(covers[k], ranks[k], drawn, order / count, row, column)
     cover, rank = (torch.from_numpy(part).float().to(device) for part in (covers, ranks))
     return Pattern(cover, rank, torch.tensor([layer.distance for layer in layers], device=device))
 
 
 def _lay(cover: Floats, rank: Floats, drawn: Floats, order: float, row: float, column: float) -> None:
-    """Lay one thing into a picture without borders, where it covers more than what is there."""
+    """Add one streak or flake to a tileable picture, wherever it covers more than what is already there."""
     tall, wide = cover.shape
     rows = (np.arange(drawn.shape[0]) - drawn.shape[0] // 2 + int(row)) % tall
     columns = (np.arange(drawn.shape[1]) - drawn.shape[1] // 2 + int(column)) % wide
@@ -114,7 +115,7 @@ def _lay(cover: Floats, rank: Floats, drawn: Floats, order: float, row: float, c
 
 @cache
 def lens(height: int, width: int, device: torch.device) -> Lens:
-    """Drops on the lens of a camera with images of a size: each shows what is around it upside down."""
+    """Generate drops on a lens for images of a given size; each drop shows its surroundings upside down."""
     rng = np.random.default_rng(8)
     tall, wide = TILES * height, TILES * width
     cover, shine, rank = np.zeros((3, tall, wide))
@@ -125,7 +126,7 @@ def lens(height: int, width: int, device: torch.device) -> Lens:
         row, column = rng.uniform((0, 0), (tall, wide))
         radius = height * rng.uniform(0.022, 0.085) * rng.uniform(0.5, 1.0)
         dy, dx = (y - row + tall / 2) % tall - tall / 2, (x - column + wide / 2) % wide - wide / 2
-        dy = dy / rng.uniform(1.0, 1.35)  # drops hang
+        dy = dy / rng.uniform(1.0, 1.35)  # drops sag: they are elongated downwards
         out = np.hypot(dy, dx) / radius
         inside = out < 1.0
         shift[inside] = -np.stack([dy, dx], -1)[inside] * (1 + BULGE)

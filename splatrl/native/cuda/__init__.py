@@ -1,1 +1,1 @@
-"""CUDA kernels, compiled where they run, so that nobody needs a CUDA toolkit."""
+"""CUDA kernels, compiled on the machine where they run, so that no CUDA toolkit is needed."""

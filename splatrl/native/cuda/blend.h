@@ -1,6 +1,6 @@
-// From sorted keys to pixels. A quarter of a warp has four cells of 4×2 pixels in different places of the tile, and goes
-// through the splats of one after the other: narrow splats leave few lanes idle, and no warp has much more to do than
-// others, which would wait for it.
+// Blends sorted keys into pixels. A quarter of a warp has four cells of 4×2 pixels in different places of the tile, and
+// goes through the splats of one cell after the other. Narrow splats thus leave few lanes idle, and no warp has much
+// more to do than the others, which would have to wait for it.
 #pragma once
 
 #include "order.h"
@@ -8,9 +8,10 @@
 
 namespace splatrl {
 
-constexpr uint32_t FIRST = 1u << 31;  // the bit of the first of 32 splats or chunks
+constexpr uint32_t FIRST = 1u << 31;  // the bit that stands for the first of 32 splats or chunks
 
-// The half floats of a colour, seen along `offset` and relative to the background, beside the peak of its splat.
+// Evaluate a splat's colour, seen along `offset` and relative to the background, and store it as half floats in the
+// record, together with the splat's peak.
 SPLAT_INLINE void add_color(const SceneArrays& scene, uint32_t at, const Vector<float>& offset, float peak,
                             Record& record) {
     constexpr int HARMONICS = harmonics_of(SH_DEGREE), WORDS = color_stride(SH_DEGREE) / 8;
@@ -42,7 +43,7 @@ SPLAT_INLINE void add_color(const SceneArrays& scene, uint32_t at, const Vector<
     record.green_blue = halves_of(out[1], out[2]);
 }
 
-// Have the colour of a Gaussian on its way; it may lie on two lines of a cache.
+// Prefetch the colour of a Gaussian, which may straddle two cache lines.
 SPLAT_INLINE void prefetch_color(const SceneArrays& scene, uint32_t at) {
     constexpr int WORDS = color_stride(SH_DEGREE) / 8;
     if (SH_DEGREE == 0) return;
@@ -50,12 +51,12 @@ SPLAT_INLINE void prefetch_color(const SceneArrays& scene, uint32_t at) {
     prefetch_to_own_cache(words), prefetch_to_own_cache(words + WORDS - 1);
 }
 
-// The part to which an index of the row belongs.
+// The part that an index of the row belongs to.
 SPLAT_INLINE int part_of(const Views& views, const Shared& shared, uint32_t index) {
     return WITH_PARTS ? behind_last(shared.bases, 0, views.parts, index) - 1 : 0;
 }
 
-// Where the Gaussian with an index of the row is in shapes and colours.
+// Position in shapes and colours of the Gaussian with this index in the row.
 SPLAT_INLINE uint32_t location_of(const Views& views, const Shared& shared, int part, uint32_t index) {
     return WITH_PARTS ? index + place_of(views, shared.row, part).shift : index;
 }
@@ -74,12 +75,12 @@ SPLAT_INLINE Camera camera_of_part(const Views& views, const Shared& shared, int
     return camera;
 }
 
-// A Gaussian of a slab, seen by the row's camera in the frame of its part.
+// A Gaussian of a slab, as the row's camera sees it, in the frame of its part.
 struct Seen {
     Camera camera;
-    uint32_t at;           // in shapes and colours
-    float4 mean;           // and log2 opacity
-    Vector<float> offset;  // from the camera
+    uint32_t at;           // position in shapes and colours
+    float4 mean;           // with the log2 opacity in w
+    Vector<float> offset;  // mean relative to the camera
 
     INLINE_MEMBER Seen(const SceneArrays& scene, const Views& views, const Shared& shared, Key key) {
         const uint32_t index = index_of(key);
@@ -98,7 +99,7 @@ struct Seen {
     }
 };
 
-// Project the Gaussians of a sorted slab and keep those that may show, in their order. Returns how many.
+// Project the Gaussians of a sorted slab and keep, in their order, those that may be visible. Returns how many.
 template <bool WITH_DEPTH>
 SPLAT_INLINE uint32_t project_slab(const SceneArrays& scene, const Views& views,
                                    typename SharedFor<WITH_DEPTH>::Type& shared, uint32_t count, float log2_invisible) {
@@ -123,7 +124,7 @@ SPLAT_INLINE uint32_t project_slab(const SceneArrays& scene, const Views& views,
         }
         if (shows) {
             if (!WITH_PARTS) prefetch_color(scene, index_of(key));
-            shared.sorted[place] = key;  // none behind it has been read, and none before it will be
+            shared.sorted[place] = key;  // in place: keys up to here have been read and are no longer needed
             shared.records[place] = {print.x, print.y, print.l11, print.l12, print.l22, print.log2_opacity,
                                      __float_as_uint(print.peak), 0};
             if constexpr (WITH_DEPTH) shared.depths[place] = print.depth;
@@ -133,7 +134,8 @@ SPLAT_INLINE uint32_t project_slab(const SceneArrays& scene, const Views& views,
     return kept;
 }
 
-// Colour what project_slab kept, and note on which cells each shows. A warp takes a chunk.
+// Evaluate the colours of the splats that project_slab kept, and record in bit masks on which cells each may be
+// visible. A warp takes a chunk of splats.
 SPLAT_INLINE void color_slab(const SceneArrays& scene, const Views& views, Shared& shared, uint32_t count,
                              float log2_invisible) {
     if (thread() < CELLS) shared.chunks[thread()] = 0;
@@ -160,17 +162,17 @@ SPLAT_INLINE void color_slab(const SceneArrays& scene, const Views& views, Share
     __syncthreads();
 }
 
-// The pixels of a thread: one in each cell of its quarter.
+// The pixels of a thread: one in each cell of its quarter-warp.
 template <bool WITH_DEPTH>
 struct Pixels {
     using SharedMemory = typename SharedFor<WITH_DEPTH>::Type;
 
-    float finished;         // the transmittance at which a pixel is
+    float finished;         // transmittance at or below which a pixel is finished
     float log2_invisible;
-    int left, top;          // of the tile, and from there to the pixel in its cell
-    uint32_t open;          // bands in which the pixel is not finished, by bits
-    uint32_t active;        // bands in which the cell is not
-    uint32_t blended;       // splats that the cells met
+    int left, top;          // corner of the tile, plus the pixel's position in its cell
+    uint32_t open;          // bit mask of the bands in which the pixel is not finished
+    uint32_t active;        // bit mask of the bands in which the cell is not finished
+    uint32_t blended;       // number of splats blended over the cells
 
     INLINE_MEMBER void begin(const SceneArrays& scene, SharedMemory& shared) {
         finished = finished_at(scene.tolerance);
@@ -199,8 +201,9 @@ struct Pixels {
         }
     }
 
-    // Blend one splat over a pixel. Its share is 0 once the transmittance has fallen to `finished`, or in an exact image
-    // once it would; the transmittance itself keeps falling. Returns the share.
+    // Blend one splat over a pixel, and return its blending weight. The weight is 0 once the transmittance has fallen
+    // to `finished`, or in an exact image once the splat would lower it that far; the transmittance itself keeps
+    // falling.
     INLINE_MEMBER float blend(const Record& record, float x, float y, Pixel& pixel) const {
         const float before = pixel.transmittance;
         const float share = before * alpha_at(x - record.x, y - record.y, record.l11, record.l12, record.l22,
@@ -214,12 +217,12 @@ struct Pixels {
         return counted;
     }
 
-    // Blend a slab, nearest first. A quarter of a warp takes the chunks in which a cell has splats, these by their bits,
-    // and then its next cell: quarters do not wait for each other.
+    // Blend a slab, nearest first. A quarter of a warp goes through the chunks that have splats on a cell, through
+    // those splats by their bits, and then takes its next cell: quarters do not wait for each other.
     INLINE_MEMBER void blend_slab(SharedMemory& shared) {
-        const int first = quarter() * BANDS;  // of its cells
+        const int first = quarter() * BANDS;  // number of the first of its cells
         uint32_t chunks = 0, splats = 0;
-        int band = -1, begin = 0;  // of the chunk
+        int band = -1, begin = 0;  // begin: the first splat of the chunk
         float x = 0.0f, y = 0.0f;
         Pixel pixel{};
         Behind behind{};

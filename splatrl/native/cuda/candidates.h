@@ -1,4 +1,4 @@
-// The Gaussians that may show on a tile, as keys in no order.
+// Finds the Gaussians that may be visible on a tile, as unsorted keys.
 #pragma once
 
 #include "order.h"
@@ -6,7 +6,7 @@
 
 namespace splatrl {
 
-// A node of the tree of a part: its cluster in the low bits, its part in the high ones.
+// A node of a part's tree: its cluster in the low bits, its part in the high ones.
 struct Node {
     static constexpr int CLUSTER_BITS = 25;
     static_assert(VIEWS <= 1 << (32 - CLUSTER_BITS), "a part has a number in a node");
@@ -17,7 +17,7 @@ struct Node {
     INLINE_MEMBER uint32_t with(uint32_t cluster) const { return word - this->cluster() + cluster; }
 };
 
-// Start with the roots of everything that is to be drawn, at the beginning of `nodes`.
+// Write the roots of all that is to be drawn to the start of `nodes`.
 SPLAT_INLINE void plant(const Views& views, Shared& shared, uint32_t* nodes) {
     if (thread() == 0) nodes[0] = 0, shared.frontier[0] = !WITH_PARTS, shared.frontier[1] = 0, shared.accepted = 0;
     __syncthreads();
@@ -30,7 +30,8 @@ SPLAT_INLINE void plant(const Views& views, Shared& shared, uint32_t* nodes) {
     __syncthreads();
 }
 
-// Descend the trees a level at a time, in `nodes` [3, capacity]. Leaves the nodes to draw in its third row.
+// Descend the trees one level at a time, in `nodes` [3, capacity]: two rows take turns to hold a level, and the third
+// receives the nodes to draw.
 SPLAT_INLINE void cull(const SceneArrays& scene, const Views& views, Shared& shared, uint32_t* nodes, int capacity) {
     uint32_t* accepted = nodes + 2 * size_t(capacity);
     plant(views, shared, nodes);
@@ -58,8 +59,9 @@ SPLAT_INLINE void cull(const SceneArrays& scene, const Views& views, Shared& sha
     }
 }
 
-// 35 bits of depth, from the bits of its double-precision value: 30 of the mantissa, from 2^-7 m to 2^25 m, which is a
-// nanometre at one metre. The highest bit of a key stays free, so that sums of keys do not overflow.
+// Make a key of an index and 35 bits of depth, taken from the bits of its double-precision value: 5 of exponent, from
+// 2^-7 m to 2^25 m, and 30 of mantissa, which is a nanometre at one metre. The highest bit of a key stays free, so that
+// sums of keys do not overflow.
 SPLAT_INLINE Key key_of(double depth, uint32_t index) {
     constexpr int DEPTH_BITS = 63 - INDEX_BITS, EXPONENT_BITS = 5, MANTISSA_BITS = 52;
     constexpr Key NEAREST = Key(1023 - 7) << MANTISSA_BITS, FARTHEST = (Key(1) << DEPTH_BITS) - 1;
@@ -68,8 +70,8 @@ SPLAT_INLINE Key key_of(double depth, uint32_t index) {
     return (steps < FARTHEST ? steps : FARTHEST) << INDEX_BITS | index;
 }
 
-// The key of the Gaussian in a slot of a part; NO_KEY where it cannot show on the tile. The order of two Gaussians must
-// not depend on rounding: depths are computed in double precision, as on the CPU.
+// The key of the Gaussian in a slot of a part; NO_KEY if it cannot be visible on the tile. Depths are computed in
+// double precision, as on the CPU, because the order of two Gaussians must not depend on rounding.
 SPLAT_INLINE Key candidate(const SceneArrays& scene, const Shared& shared, int part, uint32_t slot) {
     const View& view = shared.views[part];
     const float4 sphere = scene.spheres[slot];
@@ -86,7 +88,7 @@ SPLAT_INLINE Key candidate(const SceneArrays& scene, const Shared& shared, int p
     return depth > 0.0 ? key_of(depth, base + scene.indices[slot]) : NO_KEY;
 }
 
-// Which of the sixteen groups of a cluster may show on the tile; `group` is this lane's.
+// Whether a group of a cluster may be visible on the tile: each of sixteen lanes tests its own `group`.
 SPLAT_INLINE bool group_in_view(const SceneArrays& scene, const View& view, uint32_t cluster, uint32_t group) {
     const GroupBounds& bounds = scene.group_bounds[cluster];
     const float center[3] = {bounds.members[0][group], bounds.members[1][group], bounds.members[2][group]};
@@ -94,7 +96,7 @@ SPLAT_INLINE bool group_in_view(const SceneArrays& scene, const View& view, uint
                               bounds.members[4][group], bounds.members[5][group]) > 0.0f);
 }
 
-// Append the keys of the lanes that have one, as far as there is room; all are counted.
+// Append the keys of the lanes that have one, as far as there is room. Keys for which there is none are counted, too.
 SPLAT_INLINE void append(Shared& shared, Key* keys, uint32_t room, Key key) {
     const uint32_t found = __ballot_sync(ALL_LANES, key != NO_KEY);
     if (found == 0) return;
@@ -105,8 +107,8 @@ SPLAT_INLINE void append(Shared& shared, Key* keys, uint32_t room, Key key) {
     if (key != NO_KEY && at < room) keys[at] = key;
 }
 
-// The keys of all Gaussians that may show, from the nodes that `cull` left. Half a warp takes a node: first its groups,
-// then the sixteen Gaussians of each group in view.
+// Write the keys of all Gaussians that may be visible, from the nodes that `cull` left. Half a warp takes a node: it
+// first tests its groups, then the sixteen Gaussians of each group in view.
 SPLAT_INLINE void find_candidates(const SceneArrays& scene, const Workspace& workspace, Shared& shared,
                                   const uint32_t* nodes, Key* keys) {
     const uint32_t* accepted = nodes + 2 * size_t(workspace.node_capacity);

@@ -1,10 +1,10 @@
-// Thousands of bodies against a grid at once. A block takes some queries. Its threads look up one pose each in the
-// distance field, which settles most of them, and gather those that it leaves open; then its warps take these one at a
-// time and search the voxels around them together. Answers are independent of each other, of their order and of the
-// batch.
+// Tests thousands of bodies against a grid at once. A block takes some queries. Its threads first look up one pose each
+// in the distance field, which settles most of them, and collect those that it leaves open; its warps then take these
+// one at a time, and all lanes search the voxels around the body together. An answer depends neither on other queries
+// nor on their order or the batch.
 //
-// BODY_KIND is a Shape::Kind: a macro, so that each kind is compiled separately. An invalid pose is recorded, and is a
-// hit.
+// The macro BODY_KIND is a Shape::Kind, so that each kind is compiled separately. An invalid pose is recorded in
+// `fault` and counts as a hit.
 #include "platform.h"
 
 #include "collision.h"
@@ -16,11 +16,11 @@ namespace splatrl {
 
 constexpr int MOST_OPEN = 1024, WARPS = BLOCK_THREADS / WARP;
 
-// The queries of a launch, with poses as row-major 4×4 matrices, and where answers go.
+// The queries of a launch, with poses as row-major 4×4 matrices, and where the answers go.
 struct Queries {
     const float *start, *end;
-    bool* hits;        // whether anything is touched; null where free shares are asked for
-    float* fractions;  // of moves; null where hits are
+    bool* hits;        // whether anything is touched; null if free fractions are asked for
+    float* fractions;  // free fractions of moves; null if hits are asked for
     int* fault;        // the lowest row that was refused
     int count;
     int at_once;  // queries per block, a multiple of WARP and at most MOST_OPEN
@@ -32,7 +32,8 @@ struct Shared {
     int found, taken;
 };
 
-// Call settled(row) with one thread for every row, and answer(row, search) with one warp for those where it is false.
+// Call settled(row) for every row, with one thread each, and answer(row, search) for the rows where it returns false,
+// with one warp each.
 template <class Settled, class Answer>
 SPLAT_INLINE void each_query(const Queries& queries, const Settled& settled, const Answer& answer) {
     __shared__ Shared shared;
@@ -62,14 +63,14 @@ SPLAT_INLINE void each_query(const Queries& queries, const Settled& settled, con
     }
 }
 
-// Beams of a batch of bodies: ray i is beam i % along of body i / along.
+// Lidar beams of a batch of bodies: ray i is beam i % along of body i / along.
 struct Beams {
     const float *poses, *ways;  // [count, 4, 4], [along, 3] in the frame of each body
     int* fault;                 // the lowest body that was refused
     int along, count;
 };
 
-// The metres from a body along one of its beams to the first solid voxel, at most `reach`.
+// Distance in metres from a body along one of its beams to the first solid voxel, at most `reach`.
 HOST_DEVICE inline double range_of(const RayGrid& grid, const float* pose, const float* beam, double reach) {
     RayAxis<double> axes[3];
     double squares = 0.0, t = 0.0, last = reach * grid.inverse;
@@ -137,7 +138,7 @@ extern "C" __global__ void __launch_bounds__(BLOCK_THREADS, BLOCKS_A_MULTIPROCES
     each_query(queries, settled, answer);
 }
 
-// One kernel for hits and free shares of moves, since what it calls takes seconds to compile.
+// One kernel for both hits and free fractions of moves, because the code that it calls takes seconds to compile.
 extern "C" __global__ void __launch_bounds__(BLOCK_THREADS, BLOCKS_A_MULTIPROCESSOR)
     follow_moves(Grid grid, Shape body, Queries queries) {
     const Shape shape = of_this_kind(body);
@@ -168,7 +169,7 @@ extern "C" __global__ void __launch_bounds__(BLOCK_THREADS, BLOCKS_A_MULTIPROCES
     each_query(queries, settled, answer);
 }
 
-// points [count, 3], metres
+// Computes the clearances of points [count, 3], both in metres.
 extern "C" __global__ void find_clearances(Grid grid, const float* points, int* fault, int count, float* metres) {
     for (int64_t row = int64_t(blockIdx.x) * blockDim.x + threadIdx.x; row < count;
          row += int64_t(gridDim.x) * blockDim.x) {
@@ -180,7 +181,7 @@ extern "C" __global__ void find_clearances(Grid grid, const float* points, int* 
     }
 }
 
-// metres [bodies, along]
+// Computes the ranges [bodies, along], in metres.
 extern "C" __global__ void find_ranges(RayGrid grid, Beams beams, double reach, float* metres) {
     const int64_t count = int64_t(beams.count) * beams.along;
     for (int64_t ray = int64_t(blockIdx.x) * blockDim.x + threadIdx.x; ray < count;
@@ -189,7 +190,7 @@ extern "C" __global__ void find_ranges(RayGrid grid, Beams beams, double reach, 
         const float* pose = beams.poses + 16 * size_t(body);
         const float* beam = beams.ways + 3 * (ray % beams.along);
         const float off = beam[0] * beam[0] + beam[1] * beam[1] + beam[2] * beam[2] - 1.0f;
-        const bool right = is_pose(pose) && fabs(off) <= 3.0f * ORTHONORMAL;  // no NaN either
+        const bool right = is_pose(pose) && fabs(off) <= 3.0f * ORTHONORMAL;  // false for NaN, too
         if (!right) atomicMin(beams.fault, body);
         metres[ray] = right ? float(range_of(grid, pose, beam, reach)) : 0.0f;
     }

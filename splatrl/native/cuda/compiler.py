@@ -1,4 +1,4 @@
-"""From a kernel's source to machine code for one GPU, by NVRTC: once for each architecture, kept in a cache."""
+"""Compiles kernel sources to machine code with NVRTC, once for each GPU architecture, and caches the result."""
 
 import hashlib
 import importlib.metadata
@@ -11,31 +11,31 @@ from splatrl.files import cache_dir, replacing
 
 NATIVE = Path(__file__).parents[1]
 FOLDERS = (NATIVE / "cuda", NATIVE, NATIVE / "cuda" / "std", NATIVE / "kernels")
-"""Where sources and headers are found, in this order."""
+"""Folders that are searched for sources and headers, in this order."""
 _MISSING = (
     "CUDA kernels need cuda-core and NVRTC: pip install 'splatrl[cuda]', or 'splatrl[cuda12]' for a driver of CUDA 12"
 )
 
 
 def source_path(source: str | Path) -> Path:
-    """The file of a source: a name, without its ending, in ``splatrl/native/cuda``; or a path."""
+    """Path of a source, given as a path or as the name of a file in ``splatrl/native/cuda``, without its suffix."""
     return Path(source) if Path(source).suffix else FOLDERS[0] / f"{source}.cu"
 
 
 def compiled(source: str | Path, arch: str, defines: Mapping[str, int] | None = None) -> bytes:
-    """Machine code (cubin) of a source, from the cache if it is there.
+    """Return the machine code (cubin) of a source, from the cache if it is there.
 
-    The first time, a line on standard error says what is compiled, because it takes seconds. Where the cache cannot be
-    written to, the source is compiled every time.
+    Compiling takes seconds, so a line on standard error announces it. If the cache cannot be written to, the source is
+    compiled every time.
 
     Args:
-        source: as for ``source_path``.
-        arch: ``"sm_90"`` and so on.
-        defines: macros, by name.
+        source: see ``source_path``.
+        arch: GPU architecture, such as ``"sm_90"``.
+        defines: values of macros, by name.
 
     Raises:
-        ImportError: where cuda-core or NVRTC is not installed; says how to get them.
-        RuntimeError: where the source does not compile; holds NVRTC's log.
+        ImportError: if cuda-core or NVRTC is not installed; the message says how to get them.
+        RuntimeError: if the source does not compile; the message holds NVRTC's log.
     """
     path = kept_at(source, arch, defines or {})
     if path.is_file():
@@ -54,12 +54,12 @@ def compiled(source: str | Path, arch: str, defines: Mapping[str, int] | None = 
 
 
 def kept_at(source: str | Path, arch: str, defines: Mapping[str, int]) -> Path:
-    """The file in the cache that holds a source's machine code, if it is there. See ``compiled``."""
+    """Path of the file that holds a source's machine code in the cache, if it is cached. See ``compiled``."""
     return cache_dir() / f"{source_path(source).stem}-{arch}-{_digest(source, arch, defines)}.cubin"
 
 
 def translated(source: str | Path, arch: str, defines: Mapping[str, int]) -> tuple[bytes, str]:
-    """Compile a source into machine code, with what the assembler says about registers and memory. See ``compiled``."""
+    """Compile a source to machine code, with the assembler's log of registers and memory used. See ``compiled``."""
     try:
         from cuda.core import Program, ProgramOptions
     except ImportError as error:
@@ -77,19 +77,19 @@ def translated(source: str | Path, arch: str, defines: Mapping[str, int]) -> tup
     )
     try:
         program = Program(path.read_text(), "c++", options)
-    except RuntimeError as error:  # raised by cuda-core where the NVRTC library is not found
+    except RuntimeError as error:  # raised by cuda-core if it does not find the NVRTC library
         raise ImportError(_MISSING) from error
     log = _Log()
     try:
         code = program.compile("cubin", logs=log).code
-    except Exception as error:  # cuda-core has no public class for a compiler's error
+    except Exception as error:  # cuda-core has no public class for compiler errors
         said = f"{log.text}\n{error}".replace("\0", "").strip()
         raise RuntimeError(f"{path.name} for {arch}: expected a source that compiles\n{said}") from error
     return bytes(code), log.text
 
 
 class _Log:
-    """Where NVRTC writes."""
+    """Collects the log that NVRTC writes."""
 
     def __init__(self) -> None:
         self.text = ""
@@ -99,7 +99,7 @@ class _Log:
 
 
 def _digest(source: str | Path, arch: str, defines: Mapping[str, int]) -> str:
-    """Digest of everything that machine code is made from; every header counts, whether included or not."""
+    """Digest of everything that machine code depends on; every header counts, whether included or not."""
     digest = hashlib.sha256()
     files = [path for folder in FOLDERS for path in sorted(folder.iterdir()) if path.suffix in (".h", ".cu", "")]
     for path in (*files, source_path(source)):
@@ -110,7 +110,7 @@ def _digest(source: str | Path, arch: str, defines: Mapping[str, int]) -> str:
 
 
 def nvrtc_versions() -> list[str]:
-    """The versions of NVRTC's packages, for CUDA 13 and 12; empty where one is not installed."""
+    """Versions of the NVRTC packages for CUDA 13 and 12; empty for one that is not installed."""
     return [_version(name) for name in ("nvidia-cuda-nvrtc", "nvidia-cuda-nvrtc-cu12")]
 
 

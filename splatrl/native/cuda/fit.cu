@@ -1,9 +1,10 @@
-// Gaussians that are fitted to photos: kernels/fit_*.h for a GPU, of which one thread is one lane.
+// Fits Gaussians to photos on a GPU, using kernels/fit_*.h with one lane per thread.
 //
-// Views go through all stages at once. Splats are projected (project_views) and paired with the tiles of 16×16 pixels
-// on which they show (list_tiles); PyTorch sorts the pairs by tile and depth. A block blends a tile (blend_views),
-// compares a channel of it (curve_views, slope_views), and blends it back (blend_views_back). Then the parameters of
-// each Gaussian get their slopes (pull_views) and take a step (take_step). No sum depends on the order of threads.
+// All views go through each stage together. Splats are projected (project_views) and paired with the tiles of 16×16
+// pixels on which they are visible (list_tiles); PyTorch sorts the pairs by tile and depth. A block blends a tile
+// (blend_views), compares one of its channels with the photo (curve_views, slope_views), and backpropagates through the
+// blending (blend_views_back). Then the gradients of each Gaussian's parameters are computed (pull_views), and the
+// parameters take a step (take_step). No sum depends on the order in which threads run.
 //
 // SH_DEGREE and the bytes of shared memory that each launch asks for are macros.
 #include "platform.h"
@@ -15,7 +16,7 @@
 
 namespace splatrl {
 
-// The Gaussian and the view of a thread, of blocks that each belong to one view.
+// The view and the Gaussian of a thread. Each block belongs to one view.
 struct FitThread {
     int view, index;
 
@@ -25,7 +26,7 @@ struct FitThread {
     }
 };
 
-// The model with a degree that the compiler knows.
+// The model with its degree as a compile-time constant.
 SPLAT_INLINE FitModel of_degree(FitModel model) {
     model.degree = SH_DEGREE;
     return model;
@@ -88,7 +89,7 @@ blend_views_back(splatrl::FitViews views, splatrl::FitPairs pairs, const float* 
     splatrl::blend_back(views, pairs, int(blockIdx.x), image, slopes, moments, shared);
 }
 
-// gradients [views, rows, stride]; poses [views, blocks, 6]: the share of each block.
+// gradients [views, rows, stride]; poses [views, blocks, 6]: the sum over each block's Gaussians.
 extern "C" __global__ void __launch_bounds__(splatrl::FIT_THREADS)
 pull_views(splatrl::FitModel model, splatrl::FitViews views, splatrl::FitPairs pairs, const float* moments,
            float* gradients, float* poses) {

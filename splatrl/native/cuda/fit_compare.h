@@ -1,13 +1,14 @@
-// How unlike views their photos are, and the slopes of that, as in kernels/fit_loss.h: L1, structural similarity (Wang
-// et al. 2004), known depths. A block takes one channel of a tile, with the pixels around it that its windows reach.
+// The loss between rendered views and their photos, and its gradient, as in kernels/fit_loss.h: L1, structural
+// similarity (Wang et al. 2004) and known depths. A block takes one channel of a tile, with the surrounding pixels that
+// its windows reach.
 #pragma once
 
 #include "fit_views.h"
 
 namespace splatrl {
 
-constexpr int FIT_REACH = FIT_TILE + 2 * SSIM_RADIUS;  // width and height of a tile with what is around it
-constexpr int FIT_CURVES = 3;  // the similarity by the mean, the second and the mixed moment of the window
+constexpr int FIT_REACH = FIT_TILE + 2 * SSIM_RADIUS;  // width and height of a tile with its surroundings
+constexpr int FIT_CURVES = 3;  // derivatives of SSIM with respect to the window's mean, second and mixed moment
 enum FitSum { S_APART, S_GAIN, S_OFFSET, S_DEPTH, S_SIMILAR, FIT_SUMS };
 
 struct FitPhotos {
@@ -16,11 +17,11 @@ struct FitPhotos {
     const float* image;      // [views, FIT_CHANNELS, height, width]
     float* curves;           // [views, 3, FIT_CURVES, height, width]
     float* slopes;           // [views, FIT_CHANNELS, height, width]
-    float* sums;             // [views, tiles, 3, FIT_SUMS]; of the first channel for S_DEPTH
+    float* sums;             // [views, tiles, 3, FIT_SUMS]; S_DEPTH is only in those of the first channel
     float ssim_weight, depth_weight;
 };
 
-// The maps of a tile with what is around it, and those that are smoothed along rows.
+// Maps of a tile with its surroundings, and maps that are smoothed along rows.
 template <int MAPS, int SMOOTHED>
 struct FitWindows {
     float around[MAPS][FIT_REACH][FIT_REACH + 1];
@@ -33,7 +34,7 @@ using SlopeWindows = FitWindows<FIT_CURVES, FIT_CURVES>;
 
 // The channel of a tile that a block takes.
 struct FitPane {
-    int tile, view, channel, left, top;  // the first pixel around the tile
+    int tile, view, channel, left, top;  // left, top: the first pixel of the surroundings
     float gain, offset;
 
     INLINE_MEMBER FitPane(const FitViews& views, const FitPhotos& photos, int block) {
@@ -42,14 +43,15 @@ struct FitPane {
         view = corner.view, left = corner.x - SSIM_RADIUS, top = corner.y - SSIM_RADIUS;
         gain = photos.exposure[6 * view + 2 * channel], offset = photos.exposure[6 * view + 2 * channel + 1];
     }
-    // Whether what the photo shows there counts.
+    // Whether the photo's pixel there is compared.
     INLINE_MEMBER bool counts(const FitViews& views, size_t at) const {
         return views.known[size_t(views.photos[view]) * views.area() + at] >= 0.0f;
     }
-    // The view as its photo would show it, and the photo; where that does not count, it shows what the view shows.
+    // The view's value, with the photo's exposure.
     INLINE_MEMBER float seen(const FitViews& views, const FitPhotos& photos, size_t at) const {
         return gain * photos.image[(size_t(view) * FIT_CHANNELS + size_t(channel)) * views.area() + at] + offset;
     }
+    // The photo's value, or the view's where the photo's pixel is not compared.
     INLINE_MEMBER float photo(const FitViews& views, const FitPhotos& photos, size_t at) const {
         if (!counts(views, at)) return seen(views, photos, at);
         const size_t pixel = size_t(views.photos[view]) * views.area() + at;
@@ -60,14 +62,15 @@ struct FitPane {
     }
 };
 
-// A Gaussian of 1.5 pixels, `away` from its middle.
+// Weight of the window `away` pixels from its middle: a Gaussian with a standard deviation of 1.5 pixels.
 SPLAT_INLINE float window_at(int away) {
     const float weights[SSIM_RADIUS + 1] = {0.26601171f, 0.21300554f, 0.10936069f,
                                             0.03600077f, 0.00759874f, 0.00102838f};
     return weights[away < 0 ? -away : away];
 }
 
-// Calls fill(place in `around` as row and column, whether it is in the image, place in a plane).
+// Call fill(row, column, inside, at) for the pixels of a tile and its surroundings: their place in `around`, whether
+// they are in the image, and their offset in a plane.
 template <class Fill>
 SPLAT_INLINE void fill_around(const FitViews& views, const FitPane& pane, Fill fill) {
     for (int i = thread(); i < FIT_REACH * FIT_REACH; i += FIT_THREADS) {
@@ -78,7 +81,7 @@ SPLAT_INLINE void fill_around(const FitViews& views, const FitPane& pane, Fill f
     __syncthreads();
 }
 
-// The window along columns, of a smoothed map, at this thread's pixel.
+// Apply the window along columns to a map that has been smoothed along rows, at this thread's pixel.
 SPLAT_INLINE float smooth_down(const float (*map)[FIT_TILE + 1]) {
     float sum = 0.0f;
     for (int k = -SSIM_RADIUS; k <= SSIM_RADIUS; ++k)
@@ -86,7 +89,7 @@ SPLAT_INLINE float smooth_down(const float (*map)[FIT_TILE + 1]) {
     return sum;
 }
 
-// The similarity, and how it changes with the moments of the window at each pixel.
+// Compute the similarity, and its derivatives with respect to the moments of the window at each pixel.
 SPLAT_INLINE void find_curves(const FitViews& views, const FitPhotos& photos, int block, CurveWindows& shared) {
     constexpr float C1 = 0.0001f, C2 = 0.0009f;
     const FitPane pane(views, photos, block);
@@ -126,7 +129,7 @@ SPLAT_INLINE void find_curves(const FitViews& views, const FitPhotos& photos, in
     add_up<1>(&similar, sums, photos.sums + size_t(block) * FIT_SUMS + S_SIMILAR);
 }
 
-// The slopes of the image, and the parts of the loss.
+// Compute the gradient of the loss with respect to the image, and the parts of the loss.
 SPLAT_INLINE void find_slopes(const FitViews& views, const FitPhotos& photos, int block, SlopeWindows& shared) {
     const FitPane pane(views, photos, block);
     fill_around(views, pane, [&](int row, int column, bool inside, size_t at) {

@@ -1,4 +1,4 @@
-// Blending of a tile, front to back: a block a tile, a thread a pixel.
+// Front-to-back blending of a tile: one block per tile, one thread per pixel.
 #pragma once
 
 #include "fit_views.h"
@@ -13,7 +13,7 @@ struct FitBlending {
     int taken;
 };
 
-// What blending needs of a splat, which is all but `source` and what follows.
+// Copy what blending needs of a splat: all members before `source`.
 SPLAT_INLINE void copy_splat(const FitSplat& from, FitSplat& to) {
     const float4* source = reinterpret_cast<const float4*>(&from);
     float4* target = reinterpret_cast<float4*>(&to);
@@ -31,7 +31,7 @@ SPLAT_INLINE void blend_tile(const FitViews& views, const FitPairs& pairs, int t
     const int count = int(pairs.starts[tile + 1] - begin);
     float sums[FIT_CHANNELS] = {}, transmittance = 1.0f;
     bool active = place.inside;
-    int seen = 0;  // how many splats this pixel looked at
+    int seen = 0;  // how many splats this pixel has gone through
     if (thread() == 0) shared.taken = 0;
     for (int first = 0; first < count; first += FIT_SLAB) {
         if (!__syncthreads_or(active)) break;

@@ -1,4 +1,4 @@
-// From parameters to splats, and to the pairs of a splat and a tile on which it shows.
+// Projects Gaussians to splats, and lists the pairs of a splat and a tile on which it is visible.
 #pragma once
 
 #include "fit_views.h"
@@ -6,11 +6,11 @@
 
 namespace splatrl {
 
-// The ellipse in which a splat shows, by its right edge: dx = center ± half where dy is known.
+// The ellipse in which a splat is visible. Its edges at dy are dx = center ± half.
 struct FitEllipse {
-    float squared_reach;     // of u² + v²
+    float squared_reach;     // largest visible u² + v²
     float l12, l22, inverse_l11;
-    float height, tip;       // the largest dy; and dy where dx is largest
+    float height, tip;       // the largest dy, and the dy at which dx is largest
 
     INLINE_MEMBER explicit FitEllipse(const FitSplat& splat) {
         squared_reach = max(splat.log2_opacity - LOG2_INVISIBLE_ANTIALIASED, 0.0f) * 1.0002f + 1e-6f;
@@ -20,8 +20,10 @@ struct FitEllipse {
         tip = -height * slope * reciprocal_sqrt(1.0f + slope * slope);
     }
 
-    // The largest dx for dy in [low, high], which meets [-height, height]; the boundary is concave.
+    // Largest dx for dy in [low, high], which must intersect [-height, height]. Clamping the dy of the tip suffices,
+    // because the boundary is concave.
     INLINE_MEMBER float right(float low, float high) const { return edge(min(max(tip, low), high), 1.0f); }
+    // Smallest dx for dy in [low, high], under the same condition.
     INLINE_MEMBER float left(float low, float high) const { return edge(min(max(-tip, low), high), -1.0f); }
 
 private:
@@ -31,7 +33,7 @@ private:
     }
 };
 
-// Calls `take` with each tile of a view on which a splat shows at the centre of some pixel; perhaps a few more.
+// Call `take` for each tile of a view in which a splat is visible at the centre of some pixel; perhaps for a few more.
 template <class Take>
 SPLAT_INLINE void for_tiles(const FitSplat& splat, const FitViews& views, Take take) {
     constexpr float SLACK = 1e-3f;  // pixels: covers the rounding here
@@ -42,7 +44,7 @@ SPLAT_INLINE void for_tiles(const FitSplat& splat, const FitViews& views, Take t
     const int first_row = int(max(above - 0.5f, 0.0f)) / FIT_TILE;
     const int last_row = int(min(below, lower_edge) - 0.5f) / FIT_TILE;
     for (int row = first_row; row <= last_row; ++row) {
-        const float top = float(row * FIT_TILE) + 0.5f - SLACK;  // centres of the first and the last line
+        const float top = float(row * FIT_TILE) + 0.5f - SLACK;  // centres of the tile's first and last line
         const float bottom = min(top + float(FIT_TILE - 1), lower_edge) + 2.0f * SLACK;
         const float low = max(top - splat.y, -ellipse.height), high = min(bottom - splat.y, ellipse.height);
         if (!(low <= high)) continue;
@@ -55,7 +57,7 @@ SPLAT_INLINE void for_tiles(const FitSplat& splat, const FitViews& views, Take t
     }
 }
 
-// The splat of a Gaussian, and on how many tiles it shows; 0 if it shows nowhere.
+// Project a Gaussian to a splat. Returns the number of tiles on which it is visible.
 SPLAT_INLINE int project_splat(const FitModel& model, const FitViews& views, int view, int index, FitSplat& splat) {
     using namespace one_lane;
     const Camera camera = views.camera(view);
@@ -76,7 +78,8 @@ SPLAT_INLINE int project_splat(const FitModel& model, const FitViews& views, int
     return count;
 }
 
-// Write the pairs of a splat to its own place in the lists. Nearer ones have smaller keys, for depths are positive.
+// Write the pairs of a splat to its own place in the lists. Nearer splats have smaller keys, because the bits of
+// positive floats sort like the floats.
 SPLAT_INLINE void list_pairs(const FitViews& views, const FitPairs& pairs, int view, size_t splat) {
     const int64_t end = pairs.ends[splat];
     int64_t at = end - pairs.counts[splat];
@@ -86,7 +89,7 @@ SPLAT_INLINE void list_pairs(const FitViews& views, const FitPairs& pairs, int v
         pairs.owners[at] = int(splat);
         pairs.keys[at++] = int64_t(view * views.tiles() + tile) << 32 | depth;
     });
-    for (; at < end; ++at) {  // only if rounding left fewer than were counted: behind all tiles
+    for (; at < end; ++at) {  // if rounding gave fewer tiles than were counted: sorted behind all tiles
         pairs.owners[at] = int(splat);
         pairs.keys[at] = int64_t(views.views * views.tiles()) << 32;
     }

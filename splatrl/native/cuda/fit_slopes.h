@@ -1,8 +1,10 @@
-// The backward: from the slopes of images to the moments of the splats of each tile, and to the slopes of parameters.
+// Backward pass: from the gradients of images to the moments of the splats of each tile, and on to the gradients of the
+// parameters.
 //
-// A block takes a tile. Sixteen splats at a time, first each thread goes through them for its pixel, front to back,
-// then each thread sums up a row of pixels for one of them. A pair of a splat and a tile has a place of its own for its
-// moments, and a Gaussian adds up those of its pairs in their order: nothing depends on the order of threads.
+// A block takes a tile, and sixteen splats at a time: first each thread goes through them for its pixel, front to back;
+// then each thread sums up a row of pixels for one of them. Every pair of a splat and a tile has its own place for its
+// moments, and a Gaussian adds up those of its pairs in their order, so nothing depends on the order in which threads
+// run.
 #pragma once
 
 #include "fit_images.h"
@@ -12,19 +14,19 @@ namespace splatrl {
 
 constexpr int FIT_BATCH = 16, FIT_FEW = 32;  // splats that are summed up, and that are loaded, at once
 constexpr int FIT_PAIR_MOMENTS = M_DEPTH + 1;
-constexpr int FIT_COLUMN_PITCH = FIT_BATCH + 1, FIT_ROW_PITCH = 280;  // so that lanes meet in no bank of memory
+constexpr int FIT_COLUMN_PITCH = FIT_BATCH + 1, FIT_ROW_PITCH = 280;  // these avoid bank conflicts in shared memory
 static_assert(FIT_ROW_PITCH >= FIT_TILE * FIT_COLUMN_PITCH, "a row of pixels fits");
 
 struct FitBacking {
     float v[FIT_TILE * FIT_ROW_PITCH], share[FIT_TILE * FIT_ROW_PITCH];  // of each pixel and splat
-    float4 slopes[FIT_THREADS];                                         // of red, green, blue and agreement
+    float4 slopes[FIT_THREADS];                                         // by red, green, blue and agreement
     float known[FIT_THREADS];
     float sums[FIT_WARPS][FIT_BATCH][FIT_PAIR_MOMENTS];
     FitSplat splats[FIT_FEW];
     int64_t pairs[FIT_FEW];
 };
 
-// The moments of splat `number` of a batch over one row of a tile's pixels.
+// Compute the moments of splat `number` of a batch over one row of a tile's pixels.
 SPLAT_INLINE void row_moments(const FitBacking& shared, const FitSplat& splat, int row, int number, float left, float y,
                               float* m) {
     for (int i = 0; i < FIT_PAIR_MOMENTS; ++i) m[i] = 0.0f;
@@ -36,7 +38,7 @@ SPLAT_INLINE void row_moments(const FitBacking& shared, const FitSplat& splat, i
         m[M_V] += v, by_x += v * x, by_xx += v * (x * x);
         m[M_RED] += share * slopes.x, m[M_GREEN] += share * slopes.y, m[M_BLUE] += share * slopes.z;
         const float known = shared.known[pixel];
-        if (known > 0.0f) {  // the slope of the agreement by the depth
+        if (known > 0.0f) {  // derivative of the agreement with respect to the depth
             const float away = splat.depth * known - 1.0f, steep = share * (known * slopes.w);
             if (away >= 0.0f && away <= 1.0f) m[M_DEPTH] -= steep;
             if (away < 0.0f && away >= -1.0f) m[M_DEPTH] += steep;
@@ -48,7 +50,7 @@ SPLAT_INLINE void row_moments(const FitBacking& shared, const FitSplat& splat, i
     m[M_VY] = oy * m[M_V], m[M_VXY] = oy * m[M_VX], m[M_VYY] = oy * m[M_VY];
 }
 
-// Write the moments of a tile's pairs to moments [pairs, FIT_PAIR_MOMENTS].
+// Write the moments of a tile's pairs to `moments` [pairs, FIT_PAIR_MOMENTS].
 SPLAT_INLINE void blend_back(const FitViews& views, const FitPairs& pairs, int tile, const float* image,
                              const float* slopes, float* moments, FitBacking& shared) {
     using namespace one_lane;
@@ -109,7 +111,7 @@ SPLAT_INLINE void blend_back(const FitViews& views, const FitPairs& pairs, int t
     }
 }
 
-// The slopes of one Gaussian's parameters by one view, to out [rows, stride]; adds to those of the pose.
+// Write the gradients of one Gaussian's parameters from one view to `out` [rows, stride]; adds to those of the pose.
 SPLAT_INLINE void pull_gaussian(const FitModel& model, const FitViews& views, const FitPairs& pairs, int view,
                                 int index, const float* moments, float* out, one_lane::PoseSlopes& pose) {
     using namespace one_lane;

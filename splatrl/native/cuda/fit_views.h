@@ -1,4 +1,4 @@
-// What the stages of fit.cu pass to each other.
+// Data that the stages of fit.cu pass to each other.
 #pragma once
 
 #include "platform.h"
@@ -8,15 +8,15 @@
 
 namespace splatrl {
 
-constexpr int FIT_TILE = 16;  // width and height of a tile, pixels: a block has a thread for each
+constexpr int FIT_TILE = 16;  // width and height of a tile, pixels; a block has one thread per pixel
 constexpr int FIT_THREADS = FIT_TILE * FIT_TILE, FIT_WARPS = FIT_THREADS / WARP;
 
-// Views that are drawn at once: of one model, of one size. What they compare with lies photo by photo.
+// Views that are drawn together, of one model and at one size. What they are compared with is stored photo by photo.
 struct FitViews {
     const float* camera_to_world;  // [views, 4, 4]
     const float* K;                // [views, 3, 3]
-    const int64_t* photos;         // [views] which photo each is compared with
-    const float* known;            // [photos, height, width] inverse depths, 0 where unknown, below 0 where not compared
+    const int64_t* photos;         // [views] the photo that each is compared with
+    const float* known;            // [photos, height, width] inverse depths, 0 if unknown, below 0 if not compared
     int views, width, height;
 
     INLINE_MEMBER int across() const { return (width + FIT_TILE - 1) / FIT_TILE; }
@@ -27,23 +27,23 @@ struct FitViews {
     }
 };
 
-// The pairs of a splat and a tile on which it shows: first splat by splat, then sorted by tile and depth.
+// Pairs of a splat and a tile on which it is visible: listed splat by splat, then sorted by tile and depth.
 struct FitPairs {
-    FitSplat* splats;        // [views, stride]; those that show nowhere are not set
-    int* counts;             // [views, stride] pairs of each
-    const int64_t* ends;     // [views, stride] behind the last pair of each
-    int64_t* keys;           // [pairs] tile of all views in the high, depth in the low half
-    int* owners;             // [pairs] which splat
-    const int64_t* order;    // [pairs] tile by tile, nearest first; equal ones in the order of the model
+    FitSplat* splats;        // [views, stride]; invisible ones are not set
+    int* counts;             // [views, stride] number of pairs of each splat
+    const int64_t* ends;     // [views, stride] index after the last pair of each splat
+    int64_t* keys;           // [pairs] tile, counted over all views, in the high half, depth in the low half
+    int* owners;             // [pairs] the splat of each
+    const int64_t* order;    // [pairs] pairs by tile, nearest first; equal ones in the order of the model
     const int64_t* starts;   // [views · tiles + 1] where the pairs of each tile begin in `order`
-    int* taken;              // [views, tiles] how many of them were blended
+    int* taken;              // [views, tiles] how many pairs of each tile were blended
 };
 
 // A pixel of a tile.
 struct FitPlace {
     int view, x, y;
     bool inside;
-    size_t at;  // in a plane
+    size_t at;  // offset in a plane
 
     INLINE_MEMBER FitPlace(const FitViews& views, int tile, int column, int row) {
         view = tile / views.tiles();
@@ -54,11 +54,12 @@ struct FitPlace {
     }
 };
 
-// Where a thread's pixel is in its tile: a warp has 8×4 of them.
+// Column of a thread's pixel in its tile. A warp covers 8×4 pixels.
 SPLAT_INLINE int patch_column() { return warp() % 2 * 8 + lane() % 8; }
+// Row of a thread's pixel in its tile.
 SPLAT_INLINE int patch_row() { return warp() / 2 * 4 + lane() / 8; }
 
-// Sums over the block, to `out`, which belongs to this block alone.
+// Sum N values over the threads of a block, to `out`, which belongs to this block alone.
 template <int N>
 SPLAT_INLINE void add_up(const float* values, float (*sums)[N], float* out) {
     for (int i = 0; i < N; ++i) {

@@ -1,4 +1,4 @@
-"""Kernels that are loaded on a GPU, and how they are launched."""
+"""Loading kernels on a GPU, and launching them."""
 
 import ctypes
 from collections.abc import Callable, Iterator, Mapping
@@ -14,16 +14,16 @@ from torch import Tensor
 from splatrl.native.cuda.compiler import compiled
 
 FREELY_SHARED = 48 * 1024
-"""Bytes of shared memory that a block may use without asking."""
+"""Bytes of dynamic shared memory that a block may use without opting in to more."""
 
 
 class Kernels(Protocol):
     """The kernels of one source, on one device.
 
     Attributes:
-        device: where they run, and where their tensors are.
-        multiprocessors: of that device.
-        memory: of that device, bytes.
+        device: the device on which they run and which holds their tensors.
+        multiprocessors: number of multiprocessors of that device.
+        memory: memory of that device, bytes.
     """
 
     device: torch.device
@@ -31,29 +31,30 @@ class Kernels(Protocol):
     memory: int
 
     def resident(self, name: str, threads: int, shared: int = 0) -> int:
-        """How many blocks of a kernel a multiprocessor holds at a time, at least 1."""
+        """Return how many blocks of a kernel fit on a multiprocessor at a time, at least 1."""
         ...
 
     def launch(self, name: str, blocks: int, threads: int, *arguments: Any, shared: int = 0) -> None:
         """Queue a kernel on PyTorch's current stream of the device, and return at once.
 
         Args:
-            name: of the kernel.
-            blocks: of the grid.
-            threads: of a block.
-            arguments: of the kernel. A tensor stands for its address and must be contiguous on the device, None for a
-                null pointer; an int has 32 bits, a float is single precision, and ctypes values are passed as they are.
+            name: name of the kernel.
+            blocks: number of blocks in the grid.
+            threads: number of threads per block.
+            arguments: arguments of the kernel. A tensor, which must be contiguous and on the device, is passed as its
+                address, None as a null pointer, an int with 32 bits, a float in single precision, and ctypes values are
+                passed as they are.
             shared: bytes of dynamic shared memory.
         """
         ...
 
 
 Load = Callable[[str, Mapping[str, int]], Kernels]
-"""Loads the kernels of a source that is compiled with some macros."""
+"""Function that loads the kernels of a source, compiled with the given macros."""
 
 
 def packed(arguments: tuple[Any, ...], device: torch.device) -> list[Any]:
-    """Arguments of a kernel as ctypes values."""
+    """Convert the arguments of a kernel to ctypes values."""
     values: list[Any] = []
     for argument in arguments:
         if isinstance(argument, Tensor):
@@ -71,28 +72,28 @@ def packed(arguments: tuple[Any, ...], device: torch.device) -> list[Any]:
 
 
 def uploaded(values: NDArray[Any], device: torch.device) -> Tensor:
-    """The same bits on a device, as signed integers, which PyTorch has in every size."""
+    """Copy an array's bits to a device, as signed integers, which PyTorch has in every size."""
     bits = values.view(np.dtype(f"i{values.itemsize}"))
     return torch.from_numpy(bits if bits.flags.writeable else bits.copy()).to(device)
 
 
 class CudaKernels:
-    """Kernels on a CUDA device, through the driver's own interface, from any thread: see ``Kernels``.
+    """Kernels on a CUDA device, launched through the driver API, from any thread: see ``Kernels``.
 
     Args:
         source: name of a file in ``splatrl/native/cuda``, or a path.
         device: a CUDA device.
-        defines: macros.
+        defines: values of macros, by name.
 
     Raises:
-        ImportError: where cuda-core is not installed.
-        RuntimeError: where the driver refuses the code.
+        ImportError: if cuda-core is not installed.
+        RuntimeError: if the driver refuses the code.
     """
 
     def __init__(
         self, source: str | Path, device: torch.device | str, defines: Mapping[str, int] | None = None
     ) -> None:
-        self.device = torch.empty(0, device=device).device  # with its index; this also creates PyTorch's context
+        self.device = torch.empty(0, device=device).device  # includes the index; this also creates PyTorch's context
         major, minor = torch.cuda.get_device_capability(self.device)
         properties = torch.cuda.get_device_properties(self.device)
         self.multiprocessors, self.memory = properties.multi_processor_count, properties.total_memory
@@ -102,7 +103,7 @@ class CudaKernels:
         self._driver = driver
         self._kernels: dict[tuple[str, int], Any] = {}
         number = self._answer(driver.cuDeviceGet(self.device.index))
-        self._context = self._answer(driver.cuDevicePrimaryCtxRetain(number))  # the one that PyTorch uses
+        self._context = self._answer(driver.cuDevicePrimaryCtxRetain(number))  # the context that PyTorch uses
         image = ctypes.create_string_buffer(code, len(code))
         with self._current():
             self._module = self._answer(driver.cuModuleLoadData(ctypes.addressof(image)))
@@ -123,14 +124,14 @@ class CudaKernels:
             kernel, where = self._kernel(name, shared), ctypes.addressof(addresses)
             self._answer(
                 self._driver.cuLaunchKernel(kernel, blocks, 1, 1, threads, 1, 1, shared, stream, where, 0)
-            )  # this call copies the arguments before it returns
+            )  # it copies the arguments before it returns
 
     @contextmanager
     def _current(self) -> Iterator[None]:
-        """Make the device's context this thread's.
+        """Make the device's context current in this thread.
 
-        PyTorch binds one when it first needs it, so a thread that it has not worked in has none, and every call of the
-        driver fails there.
+        PyTorch binds a context only when it first needs one in a thread. Until then the thread has none, and every call
+        to the driver fails.
         """
         with torch.cuda.device(self.device):
             if int(self._answer(self._driver.cuCtxGetCurrent())) == 0:
@@ -138,7 +139,7 @@ class CudaKernels:
             yield
 
     def _kernel(self, name: str, shared: int) -> Any:
-        """The kernel, allowed to use this much shared memory."""
+        """Return the kernel, permitted to use this much dynamic shared memory."""
         if (name, shared) not in self._kernels:
             kernel = self._answer(self._driver.cuModuleGetFunction(self._module, name.encode()))
             limit = self._driver.CUfunction_attribute.CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
@@ -148,7 +149,7 @@ class CudaKernels:
         return self._kernels[name, shared]
 
     def _answer(self, answer: tuple[Any, ...]) -> Any:
-        """The driver's result, after checking its status."""
+        """Check the status that the driver returned, and return its result."""
         error, *values = answer
         if int(error) != 0:
             raise RuntimeError(f"CUDA driver on {self.device}: {error!r}")

@@ -1,4 +1,5 @@
-// One float in the place of the sixteen of ../lanes.h: what includes "lanes.h" then computes for one thread of a GPU.
+// A single float in place of the sixteen of ../lanes.h: code that includes "lanes.h" then computes for one thread of a
+// GPU.
 #pragma once
 
 #include "platform.h"

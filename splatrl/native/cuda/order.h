@@ -1,13 +1,13 @@
-// Keys in order, a slab at a time.
+// Sorts keys, one slab at a time.
 #pragma once
 
 #include "tile.h"
 
 namespace splatrl {
 
-// A range of keys, cut evenly into buckets.
+// A range of keys, divided evenly into buckets.
 struct Cut {
-    Key low, high;  // both in the range
+    Key low, high;  // both inclusive
     int shift;
 
     INLINE_MEMBER Cut(Key low, Key high) : low(low), high(high), shift(0) {
@@ -20,7 +20,7 @@ struct Cut {
     INLINE_MEMBER Key begin(int bucket) const { return low + (Key(bucket) << shift); }
 };
 
-// Replace each count by the sum of those before it. Returns the sum of all.
+// Replace each count by the sum of those before it (exclusive prefix sum). Returns the sum of all.
 SPLAT_INLINE uint32_t sum_up(Shared& shared, uint32_t* counts) {
     constexpr int OWN = BUCKETS / THREADS;
     uint32_t own[OWN], total = 0;
@@ -45,7 +45,7 @@ SPLAT_INLINE uint32_t sum_up(Shared& shared, uint32_t* counts) {
     return all;
 }
 
-// Call use(key) for all keys, a few of a thread at a time: a thread waits for memory once for all of them.
+// Call use(key) for all keys. A thread loads a few at a time, so that it waits for memory only once for all of them.
 template <class Use>
 SPLAT_INLINE void for_each_key(const Key* keys, uint32_t count, const Use& use) {
     constexpr int AT_ONCE = 4;
@@ -65,8 +65,8 @@ SPLAT_INLINE void for_each_key(const Key* keys, uint32_t count, const Use& use) 
     }
 }
 
-// Count the keys of a range into counts [BUCKETS]. Returns the most that this thread found in a bucket before it added
-// its own.
+// Histogram the keys in the range of a cut into counts [BUCKETS]. Returns the largest count that this thread found in a
+// bucket before it added a key.
 SPLAT_INLINE uint32_t count_keys(uint32_t* counts, const Key* keys, uint32_t count, const Cut& cut) {
     uint32_t most = 0;
     for (int i = thread(); i < BUCKETS; i += THREADS) counts[i] = 0;
@@ -80,8 +80,8 @@ SPLAT_INLINE uint32_t count_keys(uint32_t* counts, const Key* keys, uint32_t cou
     return most;
 }
 
-// Copy keys from `from` to `to` in the order of their buckets; `ends` [BUCKETS] says where each bucket ends. Returns
-// what count_keys does.
+// Copy keys from `from` to `to`, grouped by bucket; `ends` [BUCKETS] receives where each bucket ends. Returns the same
+// as count_keys.
 SPLAT_INLINE uint32_t deal_to_buckets(Shared& shared, const Key* from, Key* to, uint32_t count, const Cut& cut,
                                       uint32_t* ends) {
     const uint32_t most = count_keys(ends, from, count, cut);
@@ -91,8 +91,8 @@ SPLAT_INLINE uint32_t deal_to_buckets(Shared& shared, const Key* from, Key* to, 
     return most;
 }
 
-// Sort all of shared.sorted, whatever its keys: a bitonic sort in which each thread holds neighbours and exchanges them
-// between registers, between lanes, or through memory.
+// Sort all of shared.sorted, whatever its keys: a bitonic sort in which each thread holds adjacent keys and exchanges
+// them within its registers, between lanes, or through shared memory.
 SPLAT_INLINE void sort_by_exchange(Shared& shared) {
     constexpr int OWN = SLAB / THREADS;
     static_assert(OWN == 2, "the exchange within a thread is between two keys");
@@ -122,7 +122,7 @@ SPLAT_INLINE void sort_by_exchange(Shared& shared) {
     __syncthreads();
 }
 
-// The smallest and the largest of the block's keys, to shared.low and shared.high.
+// Write the smallest and the largest of the block's keys to shared.low and shared.high.
 SPLAT_INLINE void find_range(Shared& shared, Key low, Key high) {
     if (thread() == 0) shared.low = NO_KEY, shared.high = 0;
     __syncthreads();
@@ -138,9 +138,9 @@ SPLAT_INLINE void find_range(Shared& shared, Key low, Key high) {
     __syncthreads();
 }
 
-// Sort the first `count` of shared.sorted, which are within the cut. They are dealt to its buckets, where each key finds
-// its place by comparison with the others of its bucket; where one bucket holds too many for that, they are sorted by
-// exchange.
+// Sort the first `count` keys of shared.sorted, which are within the cut. They are grouped by its buckets, where each
+// key finds its place by comparison with the others of its bucket; if a bucket holds too many for that, all are sorted
+// by exchange.
 SPLAT_INLINE void sort_slab(Shared& shared, uint32_t count, const Cut& cut) {
     constexpr uint32_t CROWD = 48;
     const uint32_t* ends = shared.histogram;
@@ -165,7 +165,8 @@ SPLAT_INLINE void sort_slab(Shared& shared, uint32_t count, const Cut& cut) {
     __syncthreads();
 }
 
-// How many of the ascending numbers from `first` on are at most `limit`; as an index behind the last of them.
+// Index after the last of the ascending numbers in [first, end) that is at most `limit`; `first` if there is none. A
+// binary search.
 SPLAT_INLINE int behind_last(const uint32_t* numbers, int first, int end, uint32_t limit) {
     while (first < end) {
         const int middle = (first + end) / 2;
@@ -177,7 +178,8 @@ SPLAT_INLINE int behind_last(const uint32_t* numbers, int first, int end, uint32
     return first;
 }
 
-// The same by a warp whose lanes all ask for it: soonest where the answer is near.
+// The same as `behind_last`, by a whole warp, all of whose lanes get the answer: a linear search, which is fastest if
+// the answer is close to `first`.
 SPLAT_INLINE int behind_last_by_warp(const uint32_t* numbers, int first, int end, uint32_t limit) {
     for (; first < end; first += WARP) {
         const int at = first + lane();
@@ -187,21 +189,21 @@ SPLAT_INLINE int behind_last_by_warp(const uint32_t* numbers, int first, int end
     return end;
 }
 
-// Where to cut keys in [from, last] so that those before the cut fit into a slab.
+// Find where to cut the keys in [from, last] so that those before the cut fit into a slab.
 SPLAT_INLINE Key fitting_cut(Shared& shared, const Key* keys, uint32_t count, Key from, Key last) {
     for (;;) {
         const Cut cut(from, last);
         count_keys(shared.histogram, keys, count, cut);
         const uint32_t all = sum_up(shared, shared.histogram);
         if (all <= SLAB) return last + 1;
-        const int whole = behind_last_by_warp(shared.histogram, 0, BUCKETS, SLAB) - 1;  // what is before it fits
+        const int whole = behind_last_by_warp(shared.histogram, 0, BUCKETS, SLAB) - 1;  // all before it fit
         __syncthreads();
         if (whole > 0) return cut.begin(whole);
         last = cut.begin(1) - 1;
     }
 }
 
-// Copy the keys in [from, until), at most SLAB of them, to shared.sorted. Returns how many. Their shapes are on their way
+// Copy the keys in [from, until), at most SLAB of them, to shared.sorted. Returns how many. Their shapes are prefetched
 // while they are sorted.
 SPLAT_INLINE uint32_t gather(const SceneArrays& scene, Shared& shared, const Key* keys, uint32_t count, Key from,
                              Key until) {
@@ -216,7 +218,8 @@ SPLAT_INLINE uint32_t gather(const SceneArrays& scene, Shared& shared, const Key
     return shared.gathered;
 }
 
-// Start with the candidates of a tile; `both` [2, capacity] holds them in its first row.
+// Start on the candidates of a tile, which are in the first row of `both` [2, capacity]. If they do not fit into one
+// slab, they are grouped by bucket in the second row.
 SPLAT_INLINE void begin_slabs(Shared& shared, Key* both, int capacity) {
     const uint32_t count = shared.count;
     Slabs slabs{both, count, 0, count, BUCKETS, 1, 0, shared.low, shared.high};
@@ -230,7 +233,7 @@ SPLAT_INLINE void begin_slabs(Shared& shared, Key* both, int capacity) {
     __syncthreads();
 }
 
-// Advance to as many buckets as fit into a slab, or to a single one that does not.
+// Advance to the next buckets, as many as fit into a slab, or to a single one that does not fit.
 SPLAT_INLINE void take_buckets(const Shared& shared, Slabs& slabs) {
     const Cut cut(slabs.low, slabs.high);
     const int first = slabs.bucket, behind = behind_last_by_warp(shared.ends, first, BUCKETS, slabs.end + SLAB);
@@ -239,8 +242,8 @@ SPLAT_INLINE void take_buckets(const Shared& shared, Slabs& slabs) {
     slabs.from = cut.begin(first), slabs.last = cut.begin(slabs.bucket) - 1;
 }
 
-// Bring the next slab, nearest first, to shared.sorted. Returns its size, 0 after the last one. The progress
-// is kept in shared memory, because blending needs the registers.
+// Load the next slab, nearest first, into shared.sorted. Returns its size, 0 after the last one. The progress is kept
+// in shared memory, because blending needs the registers.
 SPLAT_INLINE uint32_t next_slab(const SceneArrays& scene, Shared& shared) {
     PASS(slab);
     Slabs slabs = shared.slabs;
@@ -254,7 +257,7 @@ SPLAT_INLINE uint32_t next_slab(const SceneArrays& scene, Shared& shared) {
         if (some > 0) sort_slab(shared, some, Cut(slabs.from, until - 1));
         slabs.from = until;
     }
-    if (thread() == 0 && some > 0) shared.slabs = slabs;  // others may still be reading what says that none is left
+    if (thread() == 0 && some > 0) shared.slabs = slabs;  // after the last slab, others may still be reading the state
     return some;
 }
 

@@ -1,5 +1,5 @@
-// Where the parts of each row stand: the row's camera in the frame of each, and which of the row's indices are its own.
-// A warp takes a row. Done once per batch, so that the tiles of a row share it.
+// Places the parts of each row: finds the row's camera in the frame of each part, and which of the row's indices belong
+// to the part. A warp takes a row. This runs once per batch, so that all tiles of a row share it.
 #include "platform.h"
 
 #include "places.h"
@@ -13,13 +13,13 @@ struct Asked {
     const int64_t* model;          // [batch, parts], -1 for none
     const float* model_to_world;   // [batch, parts, 4, 4]
     const float* camera_to_world;  // [batch, 4, 4]
-    const uint8_t* only;           // [batch] which rows are drawn; null for all
-    int* fault;                    // the lowest row with something that cannot be drawn
+    const uint8_t* only;           // [batch] whether to draw each row; null for all
+    int* fault;                    // lowest row with something that cannot be drawn
     int parts, model_count;
-    uint32_t most_indices, most_gaussians;  // of a row
+    uint32_t most_indices, most_gaussians;  // per row
 };
 
-// The model of a part; sets `wrong` where it cannot be drawn, and then it is left out.
+// The model of a part. A part that cannot be drawn sets `wrong`, and is left out.
 SPLAT_INLINE Model model_of(const Asked& asked, size_t at, bool& wrong) {
     const int64_t model = asked.model[at];
     if (model == -1) return {};
@@ -28,12 +28,13 @@ SPLAT_INLINE Model model_of(const Asked& asked, size_t at, bool& wrong) {
     return right ? asked.models[model] : Model{};
 }
 
+// Sum over the lanes of a warp.
 SPLAT_INLINE uint32_t sum_of(uint32_t value) {
     for (int by = WARP / 2; by > 0; by /= 2) value += __shfl_xor_sync(ALL_LANES, value, by);
     return value;
 }
 
-// The sum of all lanes up to this one.
+// Inclusive prefix sum over the lanes of a warp.
 SPLAT_INLINE uint32_t sum_upto(uint32_t value) {
     for (int by = 1; by < WARP; by *= 2) {
         const uint32_t before = __shfl_up_sync(ALL_LANES, value, by);
@@ -42,7 +43,7 @@ SPLAT_INLINE uint32_t sum_upto(uint32_t value) {
     return value;
 }
 
-// The camera in the frame of a model, in double precision and rounded once: rotationᵀ · (camera - position).
+// Express the camera in the frame of a model, in double precision and rounded once: rotationᵀ · (camera - position).
 SPLAT_INLINE void express_camera(const float* model_to_world, const float* camera_to_world, float* camera_to_model) {
     for (int row = 0; row < 3; ++row)
         for (int column = 0; column < 4; ++column) {
@@ -55,7 +56,7 @@ SPLAT_INLINE void express_camera(const float* model_to_world, const float* camer
         }
 }
 
-// Whether a row fits: none of its parts shows where they have more Gaussians than a key can number or a tile can hold.
+// Whether a row fits. If its parts have more Gaussians than a key can number or a tile can hold, none of them is drawn.
 SPLAT_INLINE bool fits(const Asked& asked, size_t row, bool& wrong) {
     uint32_t indices = 0, gaussians = 0;
     for (int part = lane(); part < asked.parts; part += WARP) {

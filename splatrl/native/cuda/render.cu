@@ -1,10 +1,10 @@
-// Thousands of small images at once. A block draws a tile of 32×32 pixels from beginning to end and takes the next: it
-// descends the tree (candidates.h), sorts what may show by depth (order.h), and blends it slab by slab with the pixels
-// in shared memory (blend.h). Blocks are independent, and what threads find in any order is sorted by keys of which no
-// two are equal: a frame has the same bytes in every batch.
+// Renders thousands of small images at once. A block draws a tile of 32×32 pixels from start to finish and then takes
+// the next: it descends the trees (candidates.h), sorts the Gaussians that may be visible by depth (order.h), and
+// blends them slab by slab with the pixels in shared memory (blend.h). Blocks are independent. Threads find Gaussians
+// in any order, but sort them by keys of which no two are equal, so a frame has the same bytes in every batch.
 //
-// ANTIALIASED_IMAGES, LEVELS_OF_DETAIL (1 or 0), SH_DEGREE and MOST_PARTS (of a row; 0 draws the first model where it
-// stands) are macros, so that each combination is compiled separately.
+// ANTIALIASED_IMAGES, LEVELS_OF_DETAIL (1 or 0), SH_DEGREE and MOST_PARTS (per row; 0 draws the first model in its own
+// frame) are macros, so that each combination is compiled separately.
 #include "platform.h"
 
 #include "blend.h"
@@ -14,7 +14,7 @@
 
 namespace splatrl {
 
-// Take the next tile. Returns whether there is one; shared.drawn says whether it is drawn.
+// Take the next tile. Returns whether there is one; shared.drawn tells whether it is to be drawn.
 SPLAT_INLINE bool next_tile(const Views& views, const Workspace& workspace, Shared& shared) {
     const int across = (views.width + SMALL_TILE - 1) / SMALL_TILE, down = (views.height + SMALL_TILE - 1) / SMALL_TILE;
     __syncthreads();
@@ -54,14 +54,14 @@ SPLAT_INLINE void view_parts(const Views& views, Shared& shared) {
     }
 }
 
-// Leave the tile for another launch where its candidates have no room.
+// Leave a tile whose candidates exceed the room for keys to another launch. Returns whether it was left.
 SPLAT_INLINE bool leave_tile(const Workspace& workspace, const Shared& shared) {
     if (shared.count <= uint32_t(workspace.key_capacity)) return false;
     if (thread() == 0) workspace.left[1 + atomicAdd(workspace.left, 1)] = shared.item;
     return true;
 }
 
-// Add what a thread counted to the efforts of the frame.
+// Add a thread's count to the effort statistics of the frame.
 SPLAT_INLINE void note(const Workspace& workspace, const Shared& shared, Efforts what, uint32_t count) {
     if (count > 0) atomicAdd(workspace.efforts + size_t(shared.row) * EFFORTS + what, count);
 }
@@ -75,7 +75,7 @@ SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const
     uint32_t* nodes = workspace.nodes + 3 * size_t(blockIdx.x) * workspace.node_capacity;
     while (next_tile(views, workspace, shared)) {
         if (!shared.drawn) continue;
-        view_parts(views, shared);  // cull waits for it
+        view_parts(views, shared);  // cull synchronises before it reads the views
         cull(scene, views, shared, nodes, workspace.node_capacity);
         find_candidates(scene, workspace, shared, nodes, keys);
         if (leave_tile(workspace, shared)) continue;

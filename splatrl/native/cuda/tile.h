@@ -1,4 +1,4 @@
-// What the stages of render.cu pass to each other.
+// Data that the stages of render.cu pass to each other.
 #pragma once
 
 #include "platform.h"
@@ -15,8 +15,8 @@ constexpr int QUARTER = WARP / 4;  // lanes that share a cell
 static_assert(CELL_WIDTH * CELL_HEIGHT == QUARTER, "a lane for each pixel of a cell");
 static_assert(THREADS / QUARTER * BANDS == CELLS, "a quarter has a cell in each band");
 
-// Blocks that share the registers of a multiprocessor: as many as its shared memory holds, on graphics cards 100 KB, on
-// those of sm_80 164.
+// Blocks among which the registers of a multiprocessor are divided: as many as fit into its shared memory, which is 100
+// KB on graphics cards and 164 KB on sm_80.
 #if defined(__CUDA_ARCH__) && (__CUDA_ARCH__ == 860 || __CUDA_ARCH__ == 890 || __CUDA_ARCH__ >= 1200)
 constexpr int BLOCKS_AT_ONCE = 2;
 #elif defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 900
@@ -26,25 +26,25 @@ constexpr int BLOCKS_AT_ONCE = 4;
 #endif
 
 constexpr bool ANTIALIASED_IMAGE = ANTIALIASED_IMAGES != 0, WITH_LEVELS = LEVELS_OF_DETAIL != 0;
-constexpr bool WITH_PARTS = MOST_PARTS > 0;  // otherwise a row is the first model where it stands
+constexpr bool WITH_PARTS = MOST_PARTS > 0;  // otherwise a row draws the first model in its own frame
 constexpr int VIEWS = WITH_PARTS ? MOST_PARTS : 1;
 
-constexpr int SLAB = 512;      // splats that are sorted and blended at once
-constexpr int CHUNKS = SLAB / WARP;  // of a slab: splats with a bit each in a word
-constexpr int BUCKETS = 1024;  // of a histogram of depths
+constexpr int SLAB = 512;      // splats that are sorted and blended together
+constexpr int CHUNKS = SLAB / WARP;  // chunks per slab; a chunk is 32 splats, each with a bit in a word
+constexpr int BUCKETS = 1024;  // buckets of a histogram of depths
 
-// Depth in the high bits, the index in the row, counted across its parts, in the low ones: no two keys of an image
-// are equal, so their order does not depend on the order in which they were found.
+// A key has the depth in its high bits and, in the low ones, the index in the row, counted across its parts. No two
+// keys of an image are equal, so their order does not depend on the order in which they were found.
 using Key = uint64_t;
 constexpr int INDEX_BITS = 28;
 constexpr Key NO_KEY = ~Key(0);
 
 SPLAT_INLINE uint32_t index_of(Key key) { return uint32_t(key) & ((1u << INDEX_BITS) - 1); }
 
-// The models of a renderer, one after another. Slots are in the order of the trees, and some pad a group of sixteen.
+// The models of a renderer, one after another. Slots are in the order of the trees; some only pad a group to sixteen.
 struct SceneArrays {
-    const float4* spheres;            // [slots] mean, metres; the bits of its reach (flat_scene.h), 0 for nothing
-    const uint32_t* indices;          // [slots] index in the model, merged Gaussians behind the others
+    const float4* spheres;            // [slots] mean, metres; the bits of its reach (flat_scene.h), 0 if never visible
+    const uint32_t* indices;          // [slots] index in the model; merged Gaussians come after the others
     const float4* shapes;             // [indices of all models, 3] the numbers of SHAPE (flat_scene.h)
     const uint4* colors;              // [indices of all models] color_stride half floats, [harmonics, 3]; at degree 0
                                       // the final colour
@@ -57,7 +57,7 @@ struct SceneArrays {
 struct Views {
     const float* camera_to_world;     // [batch, 4, 4]
     const float* K;                   // [batch, 3, 3]
-    const uint8_t* only;              // [batch] which rows to draw; null for all
+    const uint8_t* only;              // [batch] whether to draw each row; null for all
     const Place* places;              // [batch, parts]; unused without parts
     int batch, width, height, parts;
 };
@@ -66,55 +66,56 @@ SPLAT_INLINE const Place& place_of(const Views& views, int row, int part) {
     return views.places[size_t(row) * views.parts + part];
 }
 
-// Memory of the launch, one part per block.
+// Working memory of a launch, of which each block has its own part.
 struct Workspace {
     Key* keys;                        // [blocks, 2, key_capacity]
     uint32_t* nodes;                  // [blocks, 3, node_capacity]
     int* next_tile;                   // 0 at the start
-    const int* chosen;                // how many tiles to draw, and which; null for all
-    int* left;                        // how many tiles were left, having more candidates than there is room for keys,
-                                      // and which; null where there is always room
-    int* fault;                       // the lowest row whose camera is refused
+    const int* chosen;                // number of tiles to draw, then which; null for all
+    int* left;                        // number of tiles left to another launch because their candidates exceeded
+                                      // key_capacity, then which; null if there is always room
+    int* fault;                       // lowest row whose camera is refused
     uint32_t* efforts;                // [batch, EFFORTS] added to; null if not asked for
     int key_capacity, node_capacity;
 };
 
-enum Efforts { PROJECTED, VISIBLE, BLENDED, EFFORTS };  // candidates, splats that show, pairs of a splat and a cell
+enum Efforts { PROJECTED, VISIBLE, BLENDED, EFFORTS };  // candidates, visible splats, pairs of a splat and a cell
 
-// Where to write; null where not asked for.
+// Where to write; null if not asked for.
 struct Images {
     uint8_t* pixels;                  // [batch, height, width, 3]
     float *rgb, *depth, *alpha;       // [batch, height, width, 3], [batch, height, width] twice
 };
 
-// A splat as it is blended, in two words of sixteen bytes.
+// A splat as blending reads it, in two words of sixteen bytes.
 struct alignas(16) Record {
     float x, y, l11, l12;
     float l22, log2_opacity;
     uint32_t peak_red, green_blue;    // half floats, the first in the low bits; relative to the background
 };
 
-// What a pixel has become: its colour, and how much of what is behind shows through.
+// The state of a pixel: its colour so far, and how much of what lies behind shows through.
 struct alignas(16) Pixel {
     float red, green, blue, transmittance;
 };
 
-// The same for images with depth: the sum of depths by their shares, and the sum of these.
+// More state of a pixel, for images with depth: the sum of depths, weighted by how much each splat contributes, and the
+// sum of the weights.
 struct alignas(8) Behind {
     float depth, alpha;
 };
 
-// How far the candidates of a tile have been put in order; see order.h.
+// Progress in sorting the candidates of a tile; see order.h.
 struct Slabs {
-    const Key* keys;                  // in the order of their buckets, unless one slab takes them all
+    const Key* keys;                  // grouped by bucket, unless one slab takes them all
     uint32_t count;
-    uint32_t begin, end;              // of the current keys
-    int bucket;                       // the one after those at hand
-    Key from, last;                   // range of the current keys that are still to come; empty where last < from
-    Key low, high;                    // of all keys
+    uint32_t begin, end;              // of the current buckets in keys
+    int bucket;                       // the one after the current buckets
+    Key from, last;                   // range of the current keys that is still to be drawn; empty if last < from
+    Key low, high;                    // range of all keys
 };
 
-// The view that a model is culled with: the camera in its own frame.
+// What a model is culled with: the camera in the frame of the model, and its frustum.
 struct View {
     Camera camera;
     Frustum frustum;
@@ -126,25 +127,25 @@ struct Shared {
     Tile tile;
     int item, row, drawn;             // drawn: whether the tile is drawn at all
     uint32_t count, gathered, accepted, frontier[2];
-    Key low, high;                    // of the keys that were examined last
+    Key low, high;                    // range of the keys that were examined last
     Slabs slabs;
     uint32_t sums[WARPS];
     uint32_t ends[BUCKETS];           // where each bucket of the candidates ends
-    Key sorted[SLAB];                 // the keys of a slab, in the end of those that show, nearest first
-    uint32_t cells[CHUNKS][CELLS];    // which splats of each chunk show on each cell, by bits, the highest first
-    uint32_t chunks[CELLS];           // in which chunks there are any, likewise
-    uint32_t bases[VIEWS];            // of the parts; not set without parts
+    Key sorted[SLAB];                 // the keys of a slab, nearest first; finally only those of visible splats
+    uint32_t cells[CHUNKS][CELLS];    // which splats of each chunk are visible on each cell, highest bit first
+    uint32_t chunks[CELLS];           // which chunks have any such splats, likewise
+    uint32_t bases[VIEWS];            // first index of each part; not set without parts
     union {                           // never needed at the same time
-        View views[VIEWS];            // of the parts
+        View views[VIEWS];            // one per part
         struct {
             union {                   // likewise
                 struct {
                     uint32_t histogram[BUCKETS];
-                    Key dealt[SLAB];  // the keys of a slab in the order of their buckets
+                    Key dealt[SLAB];  // the keys of a slab, grouped by bucket
                 };
                 Record records[SLAB];
             };
-            Pixel pixels[BANDS][THREADS];  // of each thread, in the cells of its quarter; it alone looks at them
+            Pixel pixels[BANDS][THREADS];  // of each thread, in the cells of its quarter; private to the thread
         };
     };
 };

@@ -1,4 +1,4 @@
-"""Launches that share working memory, one after the other whatever streams they are on."""
+"""Serialises launches that share working memory, whatever streams they are on."""
 
 import threading
 from collections.abc import Iterator
@@ -8,13 +8,13 @@ import torch
 
 
 class Turns:
-    """Makes a launch wait for those before it that were on other streams.
+    """Makes each launch wait for earlier ones that were on other streams.
 
-    On one stream, where launches follow one another anyway, nothing is queued. A launch that is captured in a CUDA
-    graph takes no turn: whoever replays the graph on another stream than the others must order it.
+    Launches on the same stream follow one another anyway, so nothing is queued for them. A launch that is captured in a
+    CUDA graph takes no turn: whoever replays the graph on a different stream must order it themselves.
 
     Args:
-        device: where the memory is; nothing is done but on a CUDA device.
+        device: the device that holds the memory; turns have no effect on any other than a CUDA device.
     """
 
     def __init__(self, device: torch.device) -> None:
@@ -24,12 +24,12 @@ class Turns:
 
     @contextmanager
     def taken(self) -> Iterator[None]:
-        """A turn on PyTorch's current stream, in which the block queues its launches."""
+        """Take a turn on PyTorch's current stream; the ``with`` block queues its launches there."""
         if self.device.type != "cuda":
             yield
             return
         stream = torch.cuda.current_stream(self.device)
-        with self._lock:  # until it is queued, another thread cannot wait for it
+        with self._lock:  # another thread cannot wait for work that is not queued yet
             if self._last is None or stream.cuda_stream != self._last.cuda_stream:
                 self._change(stream)
             yield

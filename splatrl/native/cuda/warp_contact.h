@@ -1,4 +1,4 @@
-// The first contact of a shape on a straight way, searched by a warp: 32 columns at a time.
+// Searches for the first contact of a shape on a straight way with a whole warp, 32 columns at a time.
 #pragma once
 
 #include "first_contact.h"
@@ -6,9 +6,9 @@
 
 namespace splatrl {
 
-constexpr int AT_ONCE = 4;  // columns that a lane reads at once, to hide the latency of memory
+constexpr int AT_ONCE = 4;  // columns that a lane reads together, to hide the latency of memory
 
-// What a warp keeps in shared memory, including values that all lanes share, because registers are scarce.
+// What a warp keeps in shared memory, including values that are the same for all lanes, because registers are scarce.
 struct Search {
     Normal normals[NORMALS];
     int waiting[(AT_ONCE + 1) * WARP];  // columns with something solid, in the order in which they were found
@@ -18,7 +18,8 @@ struct Search {
 };
 
 // The smallest result of contact(column) over all columns with something solid; stops at 0. If there are any, the whole
-// warp calls prepare() first. Few columns hold something solid, so they are gathered before they are searched.
+// warp first calls prepare() once. Few columns hold something solid, so these are collected before they are searched,
+// one per lane.
 template <class Prepare, class Contact>
 SPLAT_INLINE double first_by_warp(const Columns& columns, int* waiting, const Prepare& prepare, const Contact& contact) {
     const int along_y = columns.along_y(), count = columns.along_x() * along_y;
@@ -60,14 +61,14 @@ SPLAT_INLINE double first_by_warp(const Columns& columns, int* waiting, const Pr
     return first;
 }
 
-// The `contact` of collision.h; all lanes of a warp ask the same and get the same.
+// The `contact` of collision.h, computed by a warp: all lanes pass the same arguments and get the same result.
 struct WarpContact {
     const Grid& grid;
     Search& search;
 
     HOST_DEVICE double operator()(const Shape& shape, const Pose& pose, const Vec3& way, bool any) const {
         const Columns columns = columns_on_way(grid, shape, pose, way);
-        __syncwarp();  // no lane still reads what the last search left
+        __syncwarp();  // no lane still reads what the last search left behind
         if (shape.kind != Shape::BOX) {
             const RoundSweep sweep = round_sweep(shape, pose, way);
             return first_by_warp(

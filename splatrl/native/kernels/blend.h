@@ -1,5 +1,6 @@
-// From sorted splats to a tile, slab by slab: the splats of a slab are laid out nearest first and dealt to the blocks
-// that they touch, then each block is blended with its pixels in registers. Finished blocks are given no more splats.
+// Blends sorted splats into a tile, slab by slab. The splats of a slab are copied in nearest-first order and assigned
+// to the lists of the blocks that they touch; then each block is blended with its pixels in registers. Finished blocks
+// are skipped.
 #pragma once
 
 #include <type_traits>
@@ -11,18 +12,19 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-// Items to prefetch: enough for the caches to keep up, and for memory. What is fetched past the end of a list is never
-// used.
+// Prefetch distances, in items: FETCH hides the latency of memory, AHEAD that of the caches. What is fetched past the
+// end of a list is never used.
 constexpr uint32_t FETCH = 64, AHEAD = 4;
 static_assert(FETCH <= SPARE && AHEAD <= SPARE, "the arrays have room to read ahead");
 
-// Splats after which a block is looked at for finished pixels. Lists are filled up with a splat that shows nowhere.
+// A block is tested for finished pixels after every ROUND splats. Lists are padded with the splat NOWHERE, which is
+// invisible everywhere.
 constexpr uint32_t ROUND = 2, NOWHERE = SLAB;
 
-// Lists of the splats on each block, and which blocks are finished.
+// The list of splats on each block, and which blocks are finished.
 struct Blocks {
     uint16_t* lists;
-    uint16_t* ends[LISTS];  // of the lists
+    uint16_t* ends[LISTS];  // end of each list
     bool finished[BLOCKS];
 
     uint16_t* list(int block) const { return lists + block * LIST; }
@@ -31,14 +33,14 @@ struct Blocks {
         for (int block = 0; block < LISTS; ++block) ends[block] = list(block);
     }
 
-    // Without a branch: the splat is on the block once or, where the count is 0, overwritten by the next.
+    // Branch-free append: with a count of 1 the splat stays, with 0 the next one overwrites it.
     void add(uint32_t block, uint32_t splat, uint32_t count) {
         *ends[block] = uint16_t(splat);
         ends[block] += count;
     }
 };
 
-// Start with nothing drawn; pixels outside the tile are finished from the start.
+// Initialise the pixels of a tile, with nothing drawn yet. Pixels outside the tile count as finished.
 template <bool WITH_DEPTH>
 LANE_INLINE void start_tile(const Scratch& scratch, Blocks& blocks, const Tile& tile, const float* background) {
     float* pixels = scratch.pixels;
@@ -62,8 +64,8 @@ LANE_INLINE void start_tile(const Scratch& scratch, Blocks& blocks, const Tile& 
     }
 }
 
-// Lay out the splats of a slab, nearest first, with their colours in single precision, and deal them to their blocks.
-// `peaks` are those of all splats, or null where all have the same.
+// Copy the splats of a slab, nearest first, with their colours in single precision, and append each to the lists of its
+// blocks. `peaks` holds the peak of every splat, or is null where all have MAX_ALPHA.
 template <bool WITH_DEPTH, bool PEAKED>
 LANE_INLINE void deal(const Scratch& scratch, const float* peaks, const uint64_t* keys, uint32_t count,
                       Blocks& blocks) {
@@ -99,9 +101,10 @@ LANE_INLINE void deal(const Scratch& scratch, const float* peaks, const uint64_t
     }
 }
 
-// Blend a list of splats over one block, front to back. Returns whether all its pixels are finished.
-// A splat's share of a pixel is 0 once the transmittance has fallen to `finished`; with FIRM, once it would. The
-// transmittance keeps falling, so a finished pixel stays finished, and where none is after a round, all shares count.
+// Blend a list of splats over one block, front to back. Returns whether all its pixels are finished. A splat
+// contributes nothing to a pixel whose transmittance before it (with FIRM, after it) is at or below `finished`. The
+// transmittance itself keeps falling, so a finished pixel stays finished; and if no pixel of the block is finished
+// after a round, all contributions of the round count.
 template <bool WITH_DEPTH, bool FIRM, bool PEAKED>
 LANE_INLINE bool blend_block(const SlabSplat* slab, const uint16_t* item, const uint16_t* end, float left, float top,
                              const Row& row, float* channels) {
@@ -159,8 +162,8 @@ LANE_INLINE bool blend_block(const SlabSplat* slab, const uint16_t* item, const 
     return bits_above(transmittance, bound) == 0;
 }
 
-// Blend what has been dealt to the blocks. Returns whether all of them are finished; adds to `blended` how often a
-// splat was blended over a block.
+// Blend the splats in the lists of the blocks, and empty the lists. Returns whether all blocks are finished; adds the
+// number of blended pairs of a splat and a block to `blended`.
 template <bool WITH_DEPTH, bool FIRM, bool PEAKED>
 static OUT_OF_LINE bool blend_blocks(const Scratch& scratch, const Tile& tile, const Row& row, Blocks& blocks,
                                      uint32_t& blended) {
@@ -181,7 +184,7 @@ static OUT_OF_LINE bool blend_blocks(const Scratch& scratch, const Tile& tile, c
     return all_finished;
 }
 
-// Blend splats in their order. Returns how often one was blended over a block.
+// Blend splats in the order of their keys. Returns the number of blended pairs of a splat and a block.
 template <bool WITH_DEPTH, bool FIRM, bool PEAKED>
 static uint32_t blend_splats(const Tile& tile, const Row& row, const uint64_t* keys, uint32_t count,
                              const Scratch& scratch, Blocks& blocks) {

@@ -1,4 +1,5 @@
-// The groups of a scene that may show on a tile, at the level of detail that the camera asks for, from near to far.
+// Culling: selects the groups of Gaussians that may be visible on a tile, at the level of detail that the camera needs,
+// from near to far.
 #pragma once
 
 #include "frustum.h"
@@ -9,7 +10,7 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-// The groups of a cluster that do not miss the tile, as bits.
+// Bit mask of the groups of a cluster that may touch the tile.
 LANE_INLINE uint32_t groups_in_view(const Frustum& frustum, const Camera& camera, const GroupBounds& bounds,
                                     uint32_t groups) {
     Lanes members[6];
@@ -18,7 +19,7 @@ LANE_INLINE uint32_t groups_in_view(const Frustum& frustum, const Camera& camera
     return ~bits_above(missed, lanes(0.0f)) & ((2u << (groups - 1)) - 1);
 }
 
-// Append the groups of a part's cluster that may show on a tile; returns the new count.
+// Append the groups of one of a part's clusters that may be visible on the tile; returns the new count.
 LANE_INLINE uint32_t append_groups(const Row& row, uint32_t number, uint32_t c, Shown* groups, uint32_t count) {
     const Part& part = row.parts[number];
     const Cluster& cluster = part.scene->clusters[c];
@@ -28,7 +29,7 @@ LANE_INLINE uint32_t append_groups(const Row& row, uint32_t number, uint32_t c, 
     return count;
 }
 
-// Nodes of which nothing has been drawn yet, in the order of the parts.
+// Nodes whose subtrees have not been drawn yet, in the order of the parts.
 struct Branches {
     Branch* items;
     uint32_t count;
@@ -36,18 +37,19 @@ struct Branches {
     void add(const Branch& branch) { items[count++] = branch; }
 };
 
-constexpr float COARSEST = 4.0f;  // times the tolerance by which what is veiled may be displaced
-constexpr float OPEN = 0.5f;      // of the light: where less comes through a veil, what is behind it may be displaced more
-constexpr uint32_t STEP = 512;    // groups that are drawn between one look at what they hide and the next, about
+constexpr float COARSEST = 4.0f;  // veiled nodes may be displaced by at most this many times the tolerance
+constexpr float OPEN = 0.5f;      // nodes behind a veil that passes less than this fraction of the light may be coarser
+constexpr uint32_t STEP = 512;    // approximate number of groups drawn between two updates of the veil
 
-// Opening a node makes more groups of it; this is a guess, by which frames are divided into steps.
+// Make a branch. Descending into a node that is too coarse yields more groups than it has itself; the number given here
+// is an estimate, and only serves to divide frames into steps.
 LANE_INLINE Branch branch_of(uint32_t part, uint32_t c, const Cluster& node, float nearest, float displaced,
                              float tolerance) {
     const float opened = displaced > tolerance ? splatrl::min(displaced / tolerance, BEYOND) : 1.0f;
     return {part, c, nearest, float(node.groups) * opened};
 }
 
-// The nodes at the root, which come first.
+// Prefetch the nodes at the root of a tree, which come first in memory.
 LANE_INLINE void fetch_root(const SceneView& scene) {
     constexpr int LINES = 4;
     const char* clusters = reinterpret_cast<const char*>(scene.clusters);
@@ -58,7 +60,7 @@ LANE_INLINE void fetch_bounds(const GroupBounds& bounds) {
     for (const float(&member)[GROUP] : bounds.members) __builtin_prefetch(member);
 }
 
-// What culling reads of a branch.
+// Prefetch everything that culling reads of a branch.
 LANE_INLINE void fetch_branch(const Row& row, const Branch& branch) {
     const SceneView& scene = *row.parts[branch.part].scene;
     __builtin_prefetch(&scene.clusters[branch.cluster]);
@@ -66,7 +68,8 @@ LANE_INLINE void fetch_branch(const Row& row, const Branch& branch) {
     fetch_bounds(scene.group_bounds[branch.cluster]);
 }
 
-// The branches that may show on a tile: the highest nodes that would do behind a veil, or leaves.
+// Find the branches that may be visible on a tile: the highest nodes that are fine enough to be drawn behind a veil, or
+// leaves.
 LANE_INLINE void branch_out(const Row& row, const Tile& tile, Branches& branches) {
     branches.count = 0;
     for (uint32_t number = 0; number < row.count; ++number) {
@@ -93,9 +96,9 @@ LANE_INLINE void branch_out(const Row& row, const Tile& tile, Branches& branches
     }
 }
 
-// The depth up to which the next step draws, metres: all where few groups are left.
+// Depth in metres up to which the next step draws; BEYOND, which is everything, if few groups are left.
 LANE_INLINE float next_border(const Branches& branches) {
-    constexpr uint32_t BITS = 20, FIRST = 120 << (23 - BITS), BINS = 192;  // eight an octave, from 8 mm to 100 km
+    constexpr uint32_t BITS = 20, FIRST = 120 << (23 - BITS), BINS = 192;  // eight per octave, from 8 mm to 130 km
     float bins[BINS] = {}, nearer = 0.0f, behind = 0.0f;
     for (uint32_t i = 0; i < branches.count; ++i) {
         const float depth = splatrl::max(branches.items[i].nearest, NEAR_DEPTH);
@@ -117,9 +120,10 @@ LANE_INLINE float next_border(const Branches& branches) {
     return BEYOND;
 }
 
-// The groups that may show on a tile, in the order of the parts and their trees. What is behind `border` is put off.
-// Behind a veil, if there is one, a node may be displaced the more the less of it comes through, so that its error
-// weighs as much. What a branch and the groups of a cluster are tested by is fetched ahead, as memory may be far away.
+// Collect the groups that may be visible on a tile, in the order of the parts and their trees, and return their number.
+// Nodes beyond `border` are deferred to `later`. If there is a veil, a node behind it may be displaced more, the less
+// of its light comes through, so that its visible error stays the same. The data by which branches and the groups of a
+// cluster are tested is prefetched, because memory latency may be high.
 LANE_INLINE uint32_t cull(const Row& row, const Tile& tile, float border, const Veil* veil, const Branches& branches,
                           Branches& later, Shown* groups) {
     constexpr uint32_t AHEAD = 4;
@@ -149,7 +153,7 @@ LANE_INLINE uint32_t cull(const Row& row, const Tile& tile, float border, const 
                 continue;
             }
             if (displaced > scene.tolerance) {
-                const float most = OPEN * scene.tolerance / displaced;  // root mean square of the transmittance
+                const float most = OPEN * scene.tolerance / displaced;  // maximum RMS transmittance
                 if (veil == nullptr || displaced > COARSEST * scene.tolerance ||
                     seen_through(*veil, part.camera, tile, scene.boxes[c]) > most * most) {
                     ++c;

@@ -1,4 +1,4 @@
-// Registers of doubles, as wide as the instruction set has them.
+// Vectors of doubles, as wide as the registers of the instruction set.
 #pragma once
 
 #include <cmath>

@@ -1,4 +1,4 @@
-// The kernels of the fit, for one instruction set.
+// Kernels that fit Gaussians to photos, compiled once for each instruction set.
 #include "kernels/fit_bin.h"
 #include "kernels/fit_blend.h"
 #include "kernels/fit_loss.h"

@@ -1,4 +1,5 @@
-// The order of depth, and for each block of 4×4 pixels the list of splats that show on it, nearest first.
+// Sorts splats by depth and builds, for each block of 4×4 pixels, the list of splats that are visible on it, nearest
+// first.
 #pragma once
 
 #include "fit_kernel.h"
@@ -7,7 +8,7 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-// Radix sort by depth, least significant digit first; equal depths stay in the order of the model.
+// Radix sort by depth, least significant digit first; splats of equal depth keep the order of the model.
 static void sort_splats(const FitScratch& scratch, uint32_t count) {
     constexpr int DIGIT = 11, VALUES = 1 << DIGIT, PASSES = 3;
     uint32_t starts[PASSES][VALUES] = {};
@@ -32,7 +33,7 @@ static void sort_splats(const FitScratch& scratch, uint32_t count) {
     }
 }
 
-// An ellipse in which a splat shows, about its centre: |l11 dx + l12 dy|² + |l22 dy|² <= reach².
+// The ellipse in which a splat is visible, relative to its centre: |l11 dx + l12 dy|² + |l22 dy|² <= reach².
 struct Ellipse {
     float reach, tilt, inverse_l11, squared_l22, peak_y;
 
@@ -45,21 +46,22 @@ struct Ellipse {
         const float squared = reach * reach - squared_l22 * dy * dy;
         return squared > 0.0f ? __builtin_sqrtf(squared) : 0.0f;
     }
-    // The furthest to the right within rows [low, high], and to the left.
+    // Largest dx of the ellipse for dy in [low, high].
     float right(float low, float high) const {
         const float dy = peak_y < low ? low : peak_y > high ? high : peak_y;
         return (half(dy) - tilt * dy) * inverse_l11;
     }
+    // Smallest dx of the ellipse for dy in [low, high].
     float left(float low, float high) const {
         const float dy = -peak_y < low ? low : -peak_y > high ? high : -peak_y;
         return (-half(dy) - tilt * dy) * inverse_l11;
     }
 };
 
-constexpr uint32_t NO_SPAN = 1;  // the first block is 1, the last 0
+constexpr uint32_t NO_SPAN = 1;  // an empty span: its first block, 1, comes after its last, 0
 
 LANE_INLINE uint32_t span_of(float left, float right, int width) {
-    const float low = left - 0.501f, high = right - 0.499f;  // a thousandth of a pixel for rounding
+    const float low = left - 0.501f, high = right - 0.499f;  // a thousandth of a pixel of slack for rounding
     const int first = low <= 0.0f ? 0 : low >= float(width) ? width : int(__builtin_ceilf(low));
     const int last = high < 0.0f ? -1 : high >= float(width - 1) ? width - 1 : int(high);
     if (first > last) return NO_SPAN;

@@ -1,4 +1,5 @@
-// Blending of blocks of 4×4 pixels, front to back, and its backward: a lane a pixel, then a lane a splat.
+// Front-to-back blending of blocks of 4×4 pixels, with one lane per pixel, and its backward pass, which then sums over
+// pixels with one lane per splat.
 #pragma once
 
 #include "fit_kernel.h"
@@ -13,7 +14,7 @@ constexpr uint32_t FIT_AHEAD = 4;
 
 struct FitBlock {
     Lanes x, y;
-    size_t place;  // of its first pixel in a plane
+    size_t place;  // offset of its first pixel in a plane
     const uint32_t *list, *end;
 };
 
@@ -82,7 +83,7 @@ static void blend_all(const FitGrid& grid, const FitScratch& scratch) {
     }
 }
 
-// The moments of sixteen splats over a block: `turned_v` and `turned_share` are [pixels, splats].
+// Sum the moments of sixteen splats over a block, about its centre: `turned_v` and `turned_share` are [pixels, splats].
 LANE_INLINE void block_moments(const float* turned_v, const float* turned_share, const float* slopes, Lanes* out) {
     Lanes m[6];
     for (Lanes& moment : m) moment = lanes(0.0f);
@@ -107,21 +108,22 @@ LANE_INLINE void block_moments(const float* turned_v, const float* turned_share,
     }
 }
 
-// dL / d depth of sixteen splats over a block, through the agreement.
+// dL / d depth of sixteen splats, through the depth agreement, summed over a block.
 LANE_INLINE Lanes depth_moment(const float* turned_share, const float* slopes, const float* known,
                                const Lanes& depth) {
     Lanes sum = lanes(0.0f);
     for (int pixel = 0; pixel < LANES; ++pixel) {
         if (known[pixel] <= 0.0f) continue;
         const Lanes away = depth * known[pixel] - 1.0f;
-        const Lanes nearer = select_if_at_least(away, 0.0f, lanes(2.0f)) - 1.0f;  // the opposite of the slope's sign
+        const Lanes nearer = select_if_at_least(away, 0.0f, lanes(2.0f)) - 1.0f;  // minus the sign of the derivative
         const Lanes counted = select_if_at_least(1.0f - max(away, -away), 0.0f, nearer);
         sum = sum - load(turned_share + pixel * LANES) * counted * (known[pixel] * slopes[F_AGREEMENT * LANES + pixel]);
     }
     return sum;
 }
 
-// From the centre of the block to the centre of each splat: (ox, oy) is from the splat to the block.
+// Convert moments about the centre of the block to moments about the centre of each splat; (ox, oy) points from the
+// splat to the block.
 LANE_INLINE void recentre(const Lanes& ox, const Lanes& oy, Lanes* m) {
     const Lanes vx = m[M_VX] + ox * m[M_V], vy = m[M_VY] + oy * m[M_V];
     m[M_VXX] = m[M_VXX] + ox * (m[M_VX] + vx);
@@ -130,7 +132,7 @@ LANE_INLINE void recentre(const Lanes& ox, const Lanes& oy, Lanes* m) {
     m[M_VX] = vx, m[M_VY] = vy;
 }
 
-// Up to sixteen splats of a block's list.
+// Backpropagate through up to sixteen splats of a block's list, and add to their moments.
 template <bool KNOWN>
 LANE_INLINE void block_batch(const FitScratch& scratch, const FitBlock& at, const uint32_t* item, int count,
                              const float* slopes, FitBehind& behind) {

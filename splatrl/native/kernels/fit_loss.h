@@ -1,4 +1,5 @@
-// How unlike a view its photo is, and the slopes of that: L1, structural similarity (Wang et al. 2004), known depths.
+// The loss between a rendered view and its photo, and its gradient: L1, structural similarity (SSIM, Wang et al. 2004)
+// and known depths.
 #pragma once
 
 #include "fit_kernel.h"
@@ -9,13 +10,13 @@ namespace SPLATRL_ISA {
 
 constexpr float SSIM_C1 = 0.0001f, SSIM_C2 = 0.0009f;
 constexpr float WINDOW[SSIM_RADIUS + 1] = {0.26601171f, 0.21300554f, 0.10936069f,
-                                           0.03600077f, 0.00759874f, 0.00102838f};  // a Gaussian of 1.5 pixels
-constexpr int SSIM_EDGE = 16;  // zeros on both sides of a row
+                                           0.03600077f, 0.00759874f, 0.00102838f};  // Gaussian, sigma = 1.5 pixels
+constexpr int SSIM_EDGE = 16;  // zeros that pad a row on either side
 
-// The maps of one channel.
+// Window means of one channel: of the view x, the photo t, and their products.
 enum FitMap { P_X, P_T, P_XX, P_TT, P_XT, P_MAPS };
 
-// The window along rows: from `in` with SSIM_EDGE zeros before and after.
+// Apply the window along a row; `in` is padded with SSIM_EDGE zeros before and after.
 LANE_INLINE void smooth_row(const float* __restrict in, float* __restrict out, int width) {
     for (int i = 0; i < width; ++i) {
         float sum = WINDOW[0] * in[i];
@@ -24,7 +25,7 @@ LANE_INLINE void smooth_row(const float* __restrict in, float* __restrict out, i
     }
 }
 
-// The window along columns.
+// Apply the window along the columns, for row y; rows outside the image count as zeros.
 LANE_INLINE void smooth_column(const float* plane, const FitGrid& grid, int y, float* __restrict out) {
     const float* rows[2 * SSIM_RADIUS + 1];
     alignas(64) static constexpr float NOTHING[1 << 14] = {};
@@ -38,14 +39,14 @@ LANE_INLINE void smooth_column(const float* plane, const FitGrid& grid, int y, f
     }
 }
 
-constexpr int FIT_WIDEST = 1 << 13;  // pixels
+constexpr int FIT_WIDEST = 1 << 13;  // maximum width of an image, pixels
 
 struct FitRows {
     alignas(64) float lines[P_MAPS][FIT_WIDEST + 2 * SSIM_EDGE];
 };
 
-// Fill the maps P_X … P_XT, smoothed along rows, and the plain values in maps 8 (view) and 9 (photo). Where a pixel is
-// ignored, the photo shows what the view shows.
+// Fill the maps P_X … P_XT, smoothed along rows, and maps 8 (view, with its exposure) and 9 (photo) with the values
+// themselves. At ignored pixels the photo takes the value of the view.
 static void smooth_products(const FitGrid& grid, const float* view, const float* known, const FitTarget& target,
                             int channel, float* maps, FitRows& rows) {
     const float gain = target.exposure[2 * channel], offset = target.exposure[2 * channel + 1];
@@ -67,8 +68,8 @@ static void smooth_products(const FitGrid& grid, const float* view, const float*
     }
 }
 
-// The similarity by the mean, the second and the mixed moment of the window, smoothed along rows into maps 5, 6 and 7.
-// Returns the sum of the similarity.
+// Compute the derivatives of the similarity with respect to the window's mean, second moment and mixed moment, and
+// smooth them along rows into maps 5, 6 and 7. Returns the sum of the similarity.
 static double smooth_derivatives(const FitGrid& grid, float* maps, FitRows& rows) {
     float* const means[P_MAPS] = {rows.lines[0] + SSIM_EDGE, rows.lines[1] + SSIM_EDGE, rows.lines[2] + SSIM_EDGE,
                                   rows.lines[3] + SSIM_EDGE, rows.lines[4] + SSIM_EDGE};
@@ -101,7 +102,7 @@ static double smooth_derivatives(const FitGrid& grid, float* maps, FitRows& rows
     return total;
 }
 
-// The slopes of one channel. Adds to the loss.
+// Write the gradient with respect to one channel of the view, and add the channel's part of the loss.
 static void channel_slopes(const FitGrid& grid, const FitTarget& target, int channel, const float* view,
                            const float* known, float* maps, float* slopes, FitRows& rows, FitLoss& loss) {
     const float share = 1.0f / float(3 * grid.width * grid.height);
@@ -135,7 +136,8 @@ static void channel_slopes(const FitGrid& grid, const FitTarget& target, int cha
     loss.exposure[2 * channel + 1] = float(by_offset);
 }
 
-// One minus the agreement where depths are known; a mean over all pixels.
+// Return the depth loss and write its gradient: one minus the agreement at pixels with known depth, averaged over all
+// pixels.
 static float depth_slopes(const FitGrid& grid, const FitTarget& target, const FitScratch& scratch) {
     const float share = 1.0f / float(grid.width * grid.height);
     const float *found = scratch.image + F_AGREEMENT * grid.area();

@@ -1,4 +1,4 @@
-// A splat at a pixel, and its backward; sixteen pixels at a time, or one on a GPU.
+// Evaluates a splat at a pixel, and its backward pass: sixteen pixels at a time, or one on a GPU.
 #pragma once
 
 #include "fit_kernel.h"
@@ -18,18 +18,20 @@ LANE_INLINE Lanes alpha_of(const Lanes& exponent) {
     return select_if_at_least(exponent, LOG2_INVISIBLE_ANTIALIASED, min(exp2(exponent), MAX_ALPHA));
 }
 
-// How much a depth agrees with known ones, given by their inverses.
+// Agreement of a depth with known depths, which are given by their inverses: 1 where they are equal, falling linearly
+// to 0 at a relative error of 1.
 LANE_INLINE Lanes agreement(float depth, const Lanes& known) {
     const Lanes away = known * depth - 1.0f;
     return max(1.0f - max(away, -away), 0.0f);
 }
 
-// What pixels carry through the backward.
+// The state that pixels carry through the backward pass, from front to back: `total` is the dot product of a pixel's
+// gradient and its value, `before` the part of it that the splats so far account for.
 struct FitBehind {
     Lanes slopes[FIT_CHANNELS], known, total, before, transmittance;
 };
 
-// v = dL / d ln(alpha) of one splat at the pixels, and its share; moves on behind it.
+// Compute v = dL / d ln(alpha) of one splat at the pixels and its blending weight, and advance `behind` past the splat.
 template <bool KNOWN>
 LANE_INLINE void step_back(const FitSplat& splat, const Lanes& x, const Lanes& y, FitBehind& behind, Lanes& v,
                            Lanes& share) {

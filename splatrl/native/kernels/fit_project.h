@@ -1,4 +1,4 @@
-// From the parameters of Gaussians to splats; sixteen at a time, or one on a GPU.
+// Activates the parameters of Gaussians and evaluates their colours: sixteen at a time, or one on a GPU.
 #pragma once
 
 #include "fit_kernel.h"
@@ -21,9 +21,9 @@ LANE_INLINE void cross(const Lanes* a, const Lanes* b, Lanes* out) {
     out[2] = a[0] * b[1] - a[1] * b[0];
 }
 
-// Sixteen Gaussians, activated.
+// The activated parameters of sixteen Gaussians.
 struct Activated {
-    Vector<Lanes> offset;  // from the camera, world axes
+    Vector<Lanes> offset;  // mean relative to the camera, world axes
     Lanes quat[4], inverse_norm;
     Lanes rotation[9], scales[3], axes[9];
     Lanes opacity, log2_opacity;
@@ -63,7 +63,7 @@ LANE_INLINE Lanes inverse_length(const Vector<Lanes>& a) {
     return reciprocal_sqrt(max(a.x * a.x + a.y * a.y + a.z * a.z, 1e-30f));
 }
 
-// Colours before they are clamped at 0.
+// Evaluate the colours before they are clamped at 0.
 LANE_INLINE void raw_colors(const FitModel& model, size_t first, const Lanes* basis, Lanes* rgb) {
     const int harmonics = (model.degree + 1) * (model.degree + 1);
     for (int channel = 0; channel < 3; ++channel) {

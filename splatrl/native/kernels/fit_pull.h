@@ -1,4 +1,4 @@
-// The slopes of all parameters, from the moments of the splats of a view.
+// Gradients of all parameters, from the moments of the splats of a view.
 #pragma once
 
 #include "kernels/fit_turn.h"
@@ -7,7 +7,8 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-// Of all Gaussians, those of sixteen that no pixel shows have none; and of the pose: turn, then shift.
+// Write the gradients of all Gaussians' parameters to `out`, and that of the pose, turn then shift, to `pose_out`.
+// Sixteen Gaussians of which none is visible get zeros without being computed.
 LANE_INLINE void unproject_all(const FitModel& model, const Camera& camera, const FitScratch& scratch, float* out,
                                float* pose_out) {
     alignas(64) static constexpr float NOTHING[FIT_MOMENTS] = {};

@@ -1,4 +1,4 @@
-// Sixteen vectors as the rows of a matrix, turned to its columns.
+// Transposes a matrix of 16×16 floats.
 #pragma once
 
 #include <cstring>
@@ -9,7 +9,7 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-// out[column][row] = in[row][column]; both are aligned to 64 bytes and do not overlap.
+// out[column][row] = in[row][column]; both are aligned to 64 bytes and must not overlap.
 LANE_INLINE void turn(const float* in, float* out) {
 #if defined(SPLATRL_AVX512)
     __m512 a[16], b[16];

@@ -1,7 +1,7 @@
-// The backward of fit_project.h: from the moments of splats to the slopes of parameters.
+// Backward pass of the projection: from the moments of splats to the gradients of parameters.
 //
-// With W the second moments of v = dL / d ln(alpha) about the mean, Q the inverse covariance on the image and M = J R A,
-// of which the covariance is M Mᵀ + 0.3: dL/dM = (Q W Q - Σv Q) M + Σv d(½ ln det M Mᵀ)/dM.
+// Let M = J R A, so that the covariance on the image is M Mᵀ + 0.3 I; let Q be its inverse, and W the second moments of
+// v = dL / d ln(alpha) about the mean. Then dL/dM = (Q W Q - Σv Q) M + Σv d(½ ln det M Mᵀ)/dM.
 #pragma once
 
 #include "fit_kernel.h"
@@ -10,7 +10,7 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-// Slopes of one splat's shape: of the rows of M.
+// Gradient with respect to a splat's shape: the two rows of M.
 struct ShapeSlopes {
     Lanes x[3], y[3];
 };
@@ -38,7 +38,8 @@ LANE_INLINE ShapeSlopes shape_slopes(const Lanes* jx, const Lanes* jy, const Lan
     return out;
 }
 
-// dL/dq of a unit quaternion from dL/dR, made perpendicular to it, as normalising demands.
+// dL/dq of a quaternion from dL/dR. It is made perpendicular to the quaternion, whose length has no effect once it is
+// normalised.
 LANE_INLINE void quat_slopes(const Activated& at, const Lanes* g, Lanes* out) {
     const Lanes &w = at.quat[0], &x = at.quat[1], &y = at.quat[2], &z = at.quat[3];
     const Lanes a = g[7] - g[5], b = g[2] - g[6], c = g[3] - g[1];
@@ -51,7 +52,8 @@ LANE_INLINE void quat_slopes(const Activated& at, const Lanes* g, Lanes* out) {
     for (int i = 0; i < 4; ++i) out[i] = (raw[i] - at.quat[i] * along) * at.inverse_norm;
 }
 
-// Slopes of the harmonics, and through the direction from which they are seen, of the mean.
+// Write the gradients of the harmonics, and add to `mean` what comes through the viewing direction, which depends on
+// it.
 LANE_INLINE void color_slopes(const FitModel& model, const Activated& at, size_t first, const Lanes* moments,
                               Lanes* mean, float* out) {
     const Lanes inverse = inverse_length(at.offset);
@@ -77,13 +79,14 @@ LANE_INLINE void color_slopes(const FitModel& model, const Activated& at, size_t
     for (int i = 0; i < 3; ++i) mean[i] = mean[i] + (slope[i] - direction[i] * along) * inverse;
 }
 
-// `value` where low < a < high, else 0.
+// `value` where low <= a <= high, else 0.
 LANE_INLINE Lanes where_between(const Lanes& a, float low, float high, const Lanes& value) {
     return select_if_at_least(a, low, select_if_at_least(-a, -high, value));
 }
 
-// By the pose of the camera: a turn about its own place and then a shift, both along the axes of the world, are the
-// opposite motion of all Gaussians; but a turn leaves the directions from which harmonics are seen.
+// Gradient with respect to the camera's pose: a turn about its own position, then a shift, both along world axes. Each
+// amounts to the opposite motion of all Gaussians, except that a turn leaves the viewing directions of the harmonics as
+// they are.
 struct PoseSlopes {
     Lanes turn[3], shift[3];
 };

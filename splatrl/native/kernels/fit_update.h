@@ -1,4 +1,4 @@
-// One step of Adam (Kingma and Ba 2015), and the noise of MCMC (Kheradmand et al. 2024).
+// One step of Adam (Kingma and Ba 2015), and the noise of 3DGS-MCMC (Kheradmand et al. 2024).
 #pragma once
 
 #include "fit_kernel.h"
@@ -18,7 +18,7 @@ LANE_INLINE uint64_t mixed(uint64_t a) {  // splitmix64
     return a ^ (a >> 31);
 }
 
-// Nearly normal: the sum of four uniform numbers, of variance 1.
+// A nearly normal random number of variance 1: the scaled sum of four uniform ones.
 LANE_INLINE float normal_of(uint64_t bits) {
     const int sum = int(bits & 0xffff) + int(bits >> 16 & 0xffff) + int(bits >> 32 & 0xffff) + int(bits >> 48);
     return (float(sum) - 131070.0f) * (1.7320508f / 65536.0f);
@@ -49,7 +49,7 @@ LANE_INLINE void adam(const FitUpdate& update, size_t row, size_t at) {
     store(update.second_moments + place, second);
 }
 
-// Move one Gaussian at random along its own axes, the more the fainter it is.
+// Add noise with the shape of its covariance to the mean of one Gaussian. The weight is larger for fainter ones.
 LANE_INLINE void shake(const FitUpdate& update, size_t at, float weight) {
     float* values = update.values + at;
     float q[4], squared = 1e-30f, scale[3], random[3];

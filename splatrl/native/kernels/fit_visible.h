@@ -1,4 +1,4 @@
-// All Gaussians of a model to the splats of a view.
+// Projects all Gaussians of a model to the splats of a view.
 #pragma once
 
 #include "kernels/fit_project.h"
@@ -7,7 +7,7 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-// Keep those of sixteen projected splats that show; returns how many there are then.
+// Append those of sixteen projected splats that are visible; returns the new number of splats.
 LANE_INLINE uint32_t keep_visible(const FitScratch& scratch, const FitGrid& grid, const float* records, size_t first,
                                   uint32_t lanes_drawn, float near, uint32_t count, size_t* rows) {
     for (int lane = 0; lane < LANES; ++lane) {

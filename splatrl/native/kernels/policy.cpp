@@ -1,5 +1,5 @@
 // The loss of proximal policy optimisation over discrete actions (Schulman et al. 2017, eq. 9) with its gradient, and
-// Adam (Kingma and Ba 2015) on clipped gradients, for one instruction set.
+// Adam (Kingma and Ba 2015) with gradient clipping, compiled once for each instruction set.
 #include "policy.h"
 
 #include <algorithm>
@@ -24,7 +24,7 @@ static void add_times(float* __restrict to, const float* __restrict from, float 
     for (size_t i = 0; i < count; ++i) to[i] += factor * from[i];
 }
 
-// Advantages with mean 0 and standard deviation 1.
+// Normalise advantages to mean 0 and standard deviation 1; a single one stays as it is.
 static void normalise(const float* advantage, size_t count, float* out) {
     double mean = 0.0, square = 0.0;
     for (size_t i = 0; i < count; ++i) mean += double(advantage[i]);
@@ -64,7 +64,7 @@ static void loss(const PolicyFrames& frames, const PolicyHeads& heads, const Pol
         const float log_ratio = logits[chosen] - frames.log_prob[n], ratio = std::exp(log_ratio);
         const float clipped = std::min(std::max(ratio, least), most);
         const float free = ratio * advantage[n], held = clipped * advantage[n];
-        const float by_log_prob = free <= held ? -each * free : 0.0f;  // held ratios have no slope
+        const float by_log_prob = free <= held ? -each * free : 0.0f;  // clipped ratios have no gradient
         for (size_t a = 0; a < actions; ++a) {
             const float by_logit = by_log_prob * (float(a == chosen) - shares[a]) +
                                    weights.entropy_coeff * each * shares[a] * (logits[a] + entropy);

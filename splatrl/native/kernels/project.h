@@ -1,4 +1,4 @@
-// From groups of Gaussians to the splats of a tile: project, colour.
+// Projects groups of Gaussians to the splats of a tile, and evaluates their colours.
 #pragma once
 
 #include "kernel.h"
@@ -8,7 +8,7 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-// Colours relative to the background, as half floats.
+// Evaluate the colours of a group, relative to the background, as half floats.
 LANE_INLINE void shade(const SceneView& scene, uint32_t group, const Vector<Lanes>& offset, IntLanes* rgb) {
     const int harmonics = (scene.degree + 1) * (scene.degree + 1);
     const uint16_t* colors = scene.colors + size_t(group) * 3 * harmonics * GROUP;
@@ -28,17 +28,17 @@ LANE_INLINE void shade(const SceneView& scene, uint32_t group, const Vector<Lane
         rgb[channel] = to_halves(max(sums[channel], 0.0f) - scene.background[channel]);
 }
 
-// The first and the last pixel whose centre is in [middle - extent, middle + extent] and which is in [low, high]; the
-// last is before the first where there is none.
+// Find the first and the last pixel in [low, high] whose centre lies in [middle - extent, middle + extent]. If there is
+// none, the last comes before the first.
 template <class F>
 LANE_INLINE void pixels_between(const F& middle, const F& extent, int low, int high, F& first, F& last) {
     first = ceil(min(max(middle - extent - 0.5f, float(low)), float(high + 1)));
     last = floor(max(min(middle + extent - 0.5f, float(high)) + 1.0f, 0.0f)) - 1.0f;
 }
 
-// The numbers of a group.
+// The geometry of the sixteen Gaussians of a group.
 struct Group {
-    Vector<Lanes> offset;  // from the camera, world axes
+    Vector<Lanes> offset;  // means relative to the camera, world axes
     Lanes factor[6], log2_opacity;
     Merging<Lanes> merging;
 };
@@ -59,8 +59,9 @@ LANE_INLINE void read_merged(const MergedGroup& from, const float* position, Gro
     out.merging = {load_halves(from.members), load_halves(from.sums)};
 }
 
-// Depths in double precision, split into two floats, as the order of two Gaussians must not depend on rounding. What
-// single precision drops is given as bits in the order of the numbers. The means [3][GROUP] are relative to `origin`.
+// Compute depths in double precision, split into two floats, because the order of two Gaussians must not depend on
+// rounding. `rests`, the remainder that single precision drops, is given as bits that sort like the numbers. The means
+// [3][GROUP] are relative to `origin`.
 LANE_INLINE void exact_depths(const float* means, const float* origin, const Camera& camera, Lanes& depths,
                               IntLanes& rests) {
     const float* forward = camera.rotation + 6;
@@ -92,7 +93,7 @@ LANE_INLINE void exact_depths_of(const SceneView& scene, uint32_t group, const C
     exact_depths(means[0], merged.center, camera, depths, rests);
 }
 
-// The patches of sixteen splats that show on the pixels of these columns and rows.
+// Patches (see kernel.h) of sixteen splats that are visible on the pixels of these columns and rows.
 LANE_INLINE IntLanes patches_of(const Tile& tile, const Lanes& left, const Lanes& right, const Lanes& top,
                                 const Lanes& bottom) {
     const IntLanes first_column = to_ints((left - float(tile.left)) * (1.0f / BLOCK));
@@ -128,13 +129,14 @@ LANE_INLINE void fetch_group(const Row& row, const Shown& shown) {
     if (RANKED) __builtin_prefetch(scene.original_index + size_t(group) * GROUP);
 }
 
-// Groups whose footprints are computed at once: each alone would wait for its own results, if there are the registers.
+// Groups whose footprints are computed together, if there are enough registers: alone, each would stall on its own
+// intermediate results.
 constexpr uint32_t AT_ONCE = SPLATRL_REGISTER == LANES ? 4 : 1;
-constexpr uint32_t GROUPS_AHEAD = 4;  // some kilobytes, as memory may be far away
+constexpr uint32_t GROUPS_AHEAD = 4;  // prefetch distance: some kilobytes, because memory latency may be high
 static_assert(GROUPS_AHEAD + AT_ONCE <= SPARE, "the array has room to read ahead");
 
-// Append what a tile shows of some groups, at most AT_ONCE, after the first `count` splats. Returns the new number of
-// splats. However many there are, the same code computes them, so that they are rounded alike.
+// Append the splats of at most AT_ONCE groups that are visible on a tile after the first `count` splats. Returns the
+// new number of splats. The same code runs for any number of groups, so that all are rounded alike.
 template <bool ANTIALIASED, bool MERGED, bool RANKED>
 static uint32_t project_some(const Row& row, const Tile& tile, const Shown* groups, uint32_t some,
                              const Scratch& scratch, uint32_t count, bool& peaked) {
@@ -196,8 +198,8 @@ static uint32_t project_some(const Row& row, const Tile& tile, const Shown* grou
     return count;
 }
 
-// Project the groups that scratch names, after the first `count` splats. Returns the new number of splats; `peaked`
-// becomes true where one of them could exceed its peak.
+// Project the groups in `scratch.groups`, and append their splats after the first `count`. Returns the new number of
+// splats; sets `peaked` where the alpha of one of them could exceed its peak.
 template <bool ANTIALIASED, bool RANKED>
 static uint32_t project_groups(const Row& row, const Tile& tile, uint32_t groups, const Scratch& scratch,
                                uint32_t count, bool& peaked) {

@@ -1,6 +1,7 @@
-// Bodies against grids, for one instruction set. What the distance field says is read for several poses at a time, one
-// in each lane; the few of which it does not say enough are searched one after another. One file, although a long one:
-// its parts are templates over lanes and grids that nothing else uses, and that the compiler has to see together.
+// Collision queries of bodies against grids, compiled once for each instruction set. The distance field is read for
+// several poses at a time, one per lane; the few poses that it cannot decide are searched one after another. This is
+// one file, although a long one, because its parts are templates over lanes and grids that nothing else uses and that
+// the compiler has to see together.
 #include "query_kernels.h"
 
 #include "collision.h"
@@ -12,14 +13,14 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-constexpr int AT_ONCE = 32;  // queries that are prepared before they are answered, so that memory is fetched meanwhile
-constexpr double WHOLE = 4503599627370496.0;  // from 2^52 on doubles are whole, and hold that number in their lower bits
-constexpr double FAR_FROM_TOO_MANY_PARTS = 1000.0;  // voxels: a turn of such bodies is not cut into MOST_PARTS_OF_TURN
+constexpr int AT_ONCE = 32;  // queries that are prepared before any is answered, so that memory is fetched meanwhile
+constexpr double WHOLE = 4503599627370496.0;  // 2^52: from here on doubles are integers, held in their lower bits
+constexpr double FAR_FROM_TOO_MANY_PARTS = 1000.0;  // voxels: turns of smaller bodies stay below MOST_PARTS_OF_TURN
 
 typedef float Singles __attribute__((vector_size(4 * SPLATRL_DOUBLES)));
 typedef int32_t SinglesMask __attribute__((vector_size(4 * SPLATRL_DOUBLES)));
 
-// Queries whose grid is always the same,
+// All queries ask the same grid, the first.
 struct Same {
     const Asked& asked;
     const Fitted& operator()(size_t) const { return *asked.fitted[0]; }
@@ -29,7 +30,7 @@ struct Same {
     }
 };
 
-// or the one of the query's place. Lanes behind the last query repeat it.
+// Each query asks the grid that `places` gives it. Lanes beyond the last query repeat it.
 struct ByPlace {
     const Asked& asked;
     size_t last;
@@ -45,13 +46,13 @@ struct ByPlace {
 static inline Part larger(const Part& a, const Part& b) { return a < b ? b : a; }
 static inline Part smaller(const Part& a, const Part& b) { return b < a ? b : a; }
 
-// Of a number in [0, 2^51].
+// Floor of a, for a in [0, 2^51].
 static inline Part floor_of(const Part& a) {
     const Part nearest = (a + WHOLE) - WHOLE;
     return nearest > a ? nearest - 1.0 : nearest;
 }
 
-// The upper three rows of some poses, by entry.
+// The upper three rows of a block of poses, stored entry by entry.
 struct Rows {
     alignas(64) float at[12][AT_ONCE];
 
@@ -62,8 +63,8 @@ struct Rows {
     }
 };
 
-// Spread poses over lanes, four at a time; lanes behind the last pose repeat it. Returns whether all last rows are 0, 0,
-// 0, 1.
+// Transpose poses into lanes, four at a time; lanes beyond the last pose repeat it. Returns whether all last rows are
+// 0, 0, 0, 1.
 static bool spread(const float* poses, int count, Rows& rows) {
     QuadIndex right = {-1, -1, -1, -1};
     for (int first = 0; first < count || first % WIDTH != 0; first += 4) {
@@ -85,7 +86,7 @@ static bool spread(const float* poses, int count, Rows& rows) {
     return (right[0] & right[1] & right[2] & right[3]) != 0;
 }
 
-// Whether all poses are rigid: the arithmetic of `is_pose_by_fours`, whose verdict on each it is.
+// Whether all poses are rigid, by the arithmetic of `is_pose_by_fours`, so that the two agree on every pose.
 static bool all_rigid(const Rows& rows, int count) {
     SinglesMask right = SinglesMask{} == SinglesMask{};
     const auto small = [](const Singles& a) { return (a <= ORTHONORMAL) & (a >= -ORTHONORMAL); };
@@ -111,7 +112,7 @@ static bool all_rigid(const Rows& rows, int count) {
     return all;
 }
 
-// Points of some queries, voxels.
+// Positions of a block of queries, in voxels.
 struct Points {
     alignas(64) double at[3][AT_ONCE];
 };
@@ -128,13 +129,13 @@ static void positions(const In& in, size_t begin, int count, const Rows& rows, P
     }
 }
 
-// Where some points are in their grids, as for `nearby`: for a register of them,
+// Where one register of points lies in their grids, as `nearby` needs it.
 struct Place {
-    Part outside, to_center;  // distances, squared
+    Part outside, to_center;  // squared distances to the grid and to the centre of the voxel
     Mask voxel;
 };
 
-// and for a block.
+// Where a block of points lies in their grids: the members of Place, for each point.
 struct Places {
     alignas(64) double outside[AT_ONCE], to_center[AT_ONCE];
     alignas(64) int64_t voxel[AT_ONCE];
@@ -179,7 +180,7 @@ static void find(const In& in, size_t begin, int count, const Points& points, Pl
     }
 }
 
-// What `nearby` says about points; where one is within a solid voxel, 0.
+// Bounds on the distance to anything solid, as in `nearby`; both are 0 for a point within a solid voxel.
 struct Near {
     Part at_least, at_most;
 };
@@ -206,26 +207,26 @@ static inline Near nears(const In& in, size_t begin, int first, const Places& pl
     return near_of(load(places.outside + first), load(places.to_center + first), steps);
 }
 
-// Whether balls surely touch something.
+// Mask of the balls that certainly touch something.
 static inline Mask surely(const Near& near, const Part& radius) {
     return (near.at_most <= radius - MARGIN) | (near.at_most == 0.0);
 }
 
-// Indices of some queries of a block.
+// Indices of the queries of a block that are still undecided.
 struct Left {
     int at[AT_ONCE + WIDTH];
     int count = 0;
 
-    // Without a branch: what is left cannot be predicted.
+    // Branch-free, because which queries are left cannot be predicted.
     void add(int i, bool is_left) {
         at[count] = i;
         count += is_left;
     }
 };
 
-constexpr int PARTS = 2 * Balls::COUNT > WIDTH ? 2 * Balls::COUNT / WIDTH : 1;  // registers for the balls of a body
+constexpr int PARTS = 2 * Balls::COUNT > WIDTH ? 2 * Balls::COUNT / WIDTH : 1;  // registers for a body's balls
 
-// The centres of a body's balls at a pose, some of them.
+// The centres of one register of a body's balls, at a pose.
 static inline void centers(const Balls& balls, const Pose& pose, int part, Part (&out)[3]) {
     for (int axis = 0; axis < 3; ++axis) {
         out[axis] = pose.position[axis] + Part{};
@@ -233,22 +234,23 @@ static inline void centers(const Balls& balls, const Pose& pose, int part, Part 
     }
 }
 
-// Which lanes have balls within a body, and not balls around it.
+// Mask of the lanes that hold balls within a body, rather than balls that cover it.
 static inline Mask kinds(int part) {
     Mask out;
     for (int i = 0; i < WIDTH; ++i) out[i] = -int64_t(WIDTH * part + i < Balls::COUNT);
     return out;
 }
 
-// What balls are asked on a way: the balls within a body at its start, and the balls that cover it halfway, with the
-// least distance at which they are free.
+// A lookup for the balls of a moving body: where the balls within it are at the start and the balls that cover it
+// halfway, and the least distance to anything solid at which the latter stay free for the whole move.
 struct Asking {
     Place place;
     Part least;
 };
 
-// While a body turns by at most half a turn and moves, the centre of a ball stays within a ball whose diameter is what
-// the turn and the way move it. The search grows bodies that turn: so far away, it finds nothing either.
+// Prepare the lookup for a move. While a body moves and turns by at most half a turn, the centre of each of its balls
+// stays within a ball whose diameter is how far the translation and the turn move it. The exact search grows a turning
+// body by a slack; the least distance includes this, so that the search would not find anything either.
 static inline Asking asking_on_way(const Fitted& fitted, const Pose& start, const Pose& end, int part) {
     Part from[3], to[3], size[3], turned{};
     const Vec3 way = between(start.position, end.position);
@@ -261,16 +263,16 @@ static inline Asking asking_on_way(const Fitted& fitted, const Pose& start, cons
         size[axis] = double(fitted.grid.size[axis]) + Part{};
         from[axis] = is_within ? from[axis] : 0.5 * (from[axis] + to[axis]);
     }
-    const double turning = same(start.rotation, end.rotation) ? 0.0 : 2.0 * TURN_SLACK;  // √3 of it and some
+    const double turning = same(start.rotation, end.rotation) ? 0.0 : 2.0 * TURN_SLACK;  // √3 times the slack, and more
     return {place_in(from, size), fitted.balls.around + 0.5 * norm(way) + 0.5 * root(turned) + turning + MARGIN};
 }
 
-// Settle what balls say for sure of some moves, which may end where they start: calls hit(query) or free(query), or adds
-// to `rest`.
+// Decide those moves for which the balls suffice: calls hit(query) or free(query), and adds all others to `rest`. A
+// move may end where it starts.
 template <class In, class Hit, class Free>
 static void try_balls(const In& in, size_t begin, const float* starts, const float* ends, const Left& open, Left& rest,
                       const Hit& hit, const Free& free) {
-    if (open.count == 0 || !in(begin).balls.some) {  // which is the same in all grids
+    if (open.count == 0 || !in(begin).balls.some) {  // `some` is the same for all grids
         rest = open;
         return;
     }
@@ -309,7 +311,7 @@ static void try_balls(const In& in, size_t begin, const float* starts, const flo
     }
 }
 
-// The positions of a block of poses; false where one of the queries may have to be refused.
+// Compute the positions of a block of poses; false if one of the queries may have to be refused.
 template <class In>
 static bool ready(const In& in, size_t begin, int count, const float* poses, Points& points) {
     for (int i = 0; i < count; ++i)
@@ -320,7 +322,7 @@ static bool ready(const In& in, size_t begin, int count, const float* poses, Poi
     return right && all_rigid(rows, count);
 }
 
-// The first query of a block that cannot be answered.
+// The first query of a block that cannot be answered, or `end` if there is none.
 template <class In>
 static size_t refused(const In& in, size_t begin, size_t end, const float* poses, const float* others) {
     for (size_t i = begin; i < end; ++i)
@@ -360,7 +362,8 @@ static size_t collide(const In& in, const float* poses, bool* hits, size_t from,
     return end;
 }
 
-// Moves; answer(i, fraction) is called once for each. With `any`, a fraction below 1 says only that something is hit.
+// Sweep moves, and call answer(i, fraction) for each; a second call for the same i replaces the first. With `any`, a
+// fraction below 1 says only that something is hit.
 template <bool any, class In, class Answer>
 static size_t move(const In& in, const float* starts, const float* ends, size_t first_row, size_t end,
                    const Answer& answer) {
@@ -411,7 +414,7 @@ static size_t move(const In& in, const float* starts, const float* ends, size_t 
     return end;
 }
 
-// Call work(in) with what says which grid a query asks.
+// Call work(in), where `in` gives the grid that each query asks.
 template <class Work>
 static size_t asking(const Asked& asked, size_t end, const Work& work) {
     return asked.places == nullptr ? work(Same{asked}) : work(ByPlace{asked, end - 1});
@@ -428,7 +431,7 @@ static size_t sweeps(const Asked& asked, const float* starts, const float* ends,
 
 static size_t free_fractions(const Asked& asked, const float* starts, const float* ends, float* shares, size_t begin,
                              size_t end) {
-    // rounded down, so a move that touches stays below 1
+    // rounded down, so that the fraction of a move that touches something stays below 1
     const auto answer = [&](size_t i, double fraction) { shares[i] = rounded_down(fraction); };
     return asking(asked, end, [&](const auto& in) { return move<false>(in, starts, ends, begin, end, answer); });
 }

@@ -1,4 +1,4 @@
-// Many beams at once, for one instruction set.
+// Casts many lidar beams at once, compiled once for each instruction set.
 #include "ray_kernels.h"
 
 #include <cmath>
@@ -8,13 +8,13 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-constexpr int LANES = 16;  // rays that go on side by side, so that they wait for memory together
+constexpr int LANES = 16;  // rays that advance side by side, so that their memory accesses overlap
 constexpr int PARTS = LANES / WIDTH;
-constexpr int AT_ONCE = 512;  // rays that are prepared at once
+constexpr int AT_ONCE = 512;  // rays that are prepared together
 
 template <int COUNT>
 struct alignas(64) Rays {
-    double t[COUNT], last[COUNT];  // voxels: how far a ray is, and where it ends
+    double t[COUNT], last[COUNT];  // voxels: how far along a ray is, and where it ends
     double from[3][COUNT], way[3][COUNT], inverse[3][COUNT], index[3][COUNT];
 };
 
@@ -24,7 +24,7 @@ static inline RayAxis<Part> axis_of(const Rays<COUNT>& rays, int axis, int first
             load(rays.index[axis] + first)};
 }
 
-// Rays that stand where they enter the grid.
+// Prepare rays, each at the point where it enters the grid.
 static void prepare(const RayGrid& grid, const Beams& beams, size_t begin, int count, double reach,
                     Rays<AT_ONCE>& rays) {
     for (int i = 0; i < count; ++i) {
@@ -44,7 +44,7 @@ static void prepare(const RayGrid& grid, const Beams& beams, size_t begin, int c
         }
         for (int i = 0; i < WIDTH; ++i) length[i] = std::sqrt(squares[i]);
         for (int axis = 0; axis < 3; ++axis) {
-            const Part way = load(rays.way[axis] + first) / length;  // what a rotation is off by rounding cancels
+            const Part way = load(rays.way[axis] + first) / length;  // removes the rotation's rounding error
             store(rays.way[axis] + first, way);
             store(rays.inverse[axis] + first, inverse_of(way));
             clip(axis_of(rays, axis, first), grid.size[axis], t, last);
@@ -58,19 +58,19 @@ static void prepare(const RayGrid& grid, const Beams& beams, size_t begin, int c
     }
 }
 
-// The lanes of rays under way, which take the next ray where theirs ends.
+// Rays in flight, one per lane. A lane whose ray has ended takes the next waiting one.
 struct Flight {
     const RayGrid& grid;
     const Rays<AT_ONCE>& waiting;
-    const double nowhere;  // stands for the voxel of a ray that is over: its room is 0
+    const double nowhere;  // stands for the voxel of a ray that has ended: its room is 0
     int count, next = 0, open = 0;
     Rays<LANES> rays{};
     Part room[PARTS]{};
     int which[LANES]{};
-    bool ends = false;  // whether some lane has no room
+    bool ends = false;  // whether the ray of some lane has no room, and so has ended
 
     void take(int lane) {
-        const int ray = next < count ? next : count - 1;  // a lane without a ray repeats the last one, unheard
+        const int ray = next < count ? next : count - 1;  // an idle lane repeats the last ray; its result is ignored
         which[lane] = next < count ? next : -1;
         open += next < count;
         ++next;
@@ -84,7 +84,7 @@ struct Flight {
         }
     }
 
-    // Look up where the rays are. Doubles from 2^52 on are whole numbers, and hold them in their lower bits.
+    // Look up the room of the rays' voxels. Doubles from 2^52 on are integers, held in their lower bits.
     void look(int first, const Part& places) {
         constexpr double WHOLE = 4503599627370496.0;
         constexpr int64_t LOW = (int64_t(1) << 52) - 1;

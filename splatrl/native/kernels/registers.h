@@ -1,4 +1,4 @@
-// Floats in one register, for kernels whose vectors need not be of sixteen.
+// A single register of floats, for kernels whose vectors need not have sixteen lanes.
 #pragma once
 
 #include <cstring>
@@ -8,7 +8,7 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-// One register, of which a vector of sixteen may need several.
+// One register; a vector of sixteen lanes may take several.
 using Register = FloatPart;
 constexpr int WIDTH = SPLATRL_REGISTER;
 

@@ -1,4 +1,4 @@
-// One tile, start to end, for one instruction set.
+// Renders one tile from start to finish, compiled once for each instruction set.
 #include <ctime>
 #include <utility>
 
@@ -10,8 +10,8 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-// Adds up the milliseconds of processor time that this thread spends in each stage: other work on the machine does not
-// count. Asking for the time takes a good part of a microsecond, so it is only asked where it is wanted.
+// Accumulates the CPU time in milliseconds that this thread spends in each stage; other work on the machine does not
+// count. Reading the clock takes a good part of a microsecond, so it is read only where it is asked for.
 class Stopwatch {
 public:
     explicit Stopwatch(bool runs) : runs_(runs), last_(runs ? now() : 0.0) {}
@@ -38,7 +38,7 @@ private:
     double last_;
 };
 
-// Draws from near to far, in steps: what is in front veils what is behind, which then needs fewer Gaussians.
+// Draw from near to far, in steps: what is in front veils what lies behind, which then needs fewer Gaussians.
 template <bool ANTIALIASED, bool WITH_DEPTH>
 static Effort render(const Row& row, const Tile& whole, Tile& tile, const Scratch& scratch) {
     Effort effort{};
@@ -61,7 +61,7 @@ static Effort render(const Row& row, const Tile& whole, Tile& tile, const Scratc
     Blocks blocks;
     start_tile<WITH_DEPTH>(scratch, blocks, tile, row.background);
     Veil veil;
-    uint32_t blended = 0;  // splats
+    uint32_t blended = 0;  // splats blended so far
     for (bool first = true, more = true; more; first = false) {
         const float border = stepped ? next_border(branches) : BEYOND;
         const uint32_t groups = cull(row, tile, border, first ? nullptr : &veil, branches, later, scratch.groups);

@@ -1,4 +1,5 @@
-// One depth order for the whole image, nearest first; equal depths in the order of parts, then of their own indices.
+// Sorts splats nearest first, in one depth order for the whole image; equal depths in the order of parts, then by index
+// within each.
 #pragma once
 
 #include "kernel.h"
@@ -7,7 +8,7 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-// Whether splat `a` is blended before splat `b`: by depth in double precision, then in the order of parts and scenes.
+// Whether splat `a` is blended before splat `b`: by depth in double precision, then by part and index.
 LANE_INLINE bool before(const uint64_t* ties, uint64_t a, uint64_t b) {
     return a >> 32 != b >> 32 ? a < b : ties[uint32_t(a)] < ties[uint32_t(b)];
 }
@@ -23,7 +24,7 @@ static void sift_down(const uint64_t* ties, uint64_t* heap, uint32_t root, uint3
     heap[root] = key;
 }
 
-// Heapsort, for walls of equal depth.
+// Heapsort, for long runs of equal depth, such as walls seen face-on.
 static void order_by_heap(const uint64_t* ties, uint64_t* keys, uint32_t count) {
     for (uint32_t root = count / 2; root-- > 0;) sift_down(ties, keys, root, count);
     for (uint32_t last = count - 1; last > 0; --last) {
@@ -34,8 +35,8 @@ static void order_by_heap(const uint64_t* ties, uint64_t* keys, uint32_t count) 
     }
 }
 
-// Order runs of keys that agree in the bits that were sorted by. Single precision alone leaves many where Gaussians
-// lie on a grid, as in quantised files. `found` has room for `count` numbers.
+// Sort runs of keys that agree in the bits sorted so far. Single precision alone leaves many where Gaussians lie on a
+// grid, as in quantised files. `found` has room for `count` numbers.
 static void order_ties(const uint64_t* ties, uint64_t* keys, uint32_t count, uint32_t low, int unsorted, uint32_t* found) {
     constexpr uint32_t LONG = 24, FETCH_TIES = 16;
     uint32_t tied = 0;  // keys that agree with the one before them
@@ -61,7 +62,7 @@ static void order_ties(const uint64_t* ties, uint64_t* keys, uint32_t count, uin
             continue;
         }
         const uint32_t first = at - 1;
-        if (more == 1) {  // nearly always, and a guess which one is nearer would be wrong half of the time
+        if (more == 1) {  // the usual case; branch-free, because guessing which is nearer fails half the time
             const uint64_t a = keys[first], b = keys[at];
             const bool nearer = ties[uint32_t(b)] < ties[uint32_t(a)];
             const uint64_t turned = (a ^ b) & -uint64_t((b >> 32 < a >> 32) | ((b >> 32 == a >> 32) & nearer));
@@ -78,7 +79,8 @@ static void order_ties(const uint64_t* ties, uint64_t* keys, uint32_t count, uin
     }
 }
 
-// Bring keys nearer than a border in front of the others, each in the order in which they are. Returns how many.
+// Move the keys that are nearer than `border` in front of the others, both in the order that they have. Returns how
+// many are nearer.
 static uint32_t bring_near(const Scratch& scratch, uint64_t* keys, uint32_t count, float border) {
     uint32_t bits;
     std::memcpy(&bits, &border, sizeof(bits));
@@ -94,9 +96,9 @@ static uint32_t bring_near(const Scratch& scratch, uint64_t* keys, uint32_t coun
     return near;
 }
 
-// Radix sort by the leading bits in which the depths differ, least significant digit first: where they are RANKED, by 22,
-// and then the ties are ordered. Else they are told apart to their 130,000th, in the same way on every tile, and those
-// that agree stay in the order in which they come.
+// Radix sort by the leading bits in which the depths differ, least significant digit first. If RANKED, 22 bits are
+// sorted and then the ties. Otherwise depths are resolved to one part in 130,000, in the same way on every tile, and
+// keys that agree keep their order.
 template <bool RANKED>
 static void sort_by_depth(const Scratch& scratch, uint64_t* keys, uint32_t count) {
     constexpr int MOST = 11, VALUES = 1 << MOST, ALIKE = 6;

@@ -1,4 +1,4 @@
-// The kernels of the plane sweep, for one instruction set.
+// Kernels of plane-sweep stereo, compiled once for each instruction set.
 #include "stereo.h"
 
 #include <algorithm>
@@ -9,17 +9,17 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-constexpr float NEVER = 1e9f;              // cost of what cannot be
-constexpr float UNSEEN = 0.7f;             // cost of a place outside of a neighbour
-constexpr float FLAT = 1e-4f;              // variance at and below which a window says little
-constexpr float STEP_COST = 0.3f;          // of one level of depth between neighbouring pixels
-constexpr float JUMP_COST = 2.0f;          // of any more, on one colour
-constexpr float LEAST_JUMP_COST = 0.45f;   // across an edge
-constexpr float EDGE = 10.0f;              // how fast the difference of two pixels makes an edge
-constexpr float SOUNDING_COST = 0.25f;     // of a level away from what is known, and at most six times that
+constexpr float NEVER = 1e9f;              // cost of what is impossible
+constexpr float UNSEEN = 0.7f;             // cost of a place outside a neighbour's image
+constexpr float FLAT = 1e-4f;              // variance at or below which a window carries little information
+constexpr float STEP_COST = 0.3f;          // of a difference of one depth level between adjacent pixels
+constexpr float JUMP_COST = 2.0f;          // of any larger difference, where both pixels have the same colour
+constexpr float LEAST_JUMP_COST = 0.45f;   // of any larger difference across an edge
+constexpr float EDGE = 10.0f;              // how fast JUMP_COST decays with the difference of two pixels
+constexpr float SOUNDING_COST = 0.25f;     // per level away from a known depth, up to MOST_LEVELS of them
 constexpr float MOST_LEVELS = 6.0f;
 
-// A window's sum along rows, then along columns, of what lies within the image.
+// Sum the window around each pixel, along rows and then along columns; only pixels within the image count.
 static void window_sums(const float* __restrict in, int width, int height, float* __restrict line,
                         float* __restrict out) {
     constexpr int R = STEREO_RADIUS;
@@ -43,7 +43,7 @@ static void window_sums(const float* __restrict in, int width, int height, float
     }
 }
 
-// One over the number of pixels in each window.
+// The reciprocal of the number of pixels in each window.
 static void window_shares(int width, int height, float* out) {
     for (int y = 0; y < height; ++y)
         for (int x = 0; x < width; ++x) {
@@ -53,14 +53,15 @@ static void window_shares(int width, int height, float* out) {
         }
 }
 
-// Where the pixels of a photo lie in a neighbour: turn · (column, row, 1) + inverse depth · shift.
+// Maps the pixels of a photo to a neighbour, in homogeneous coordinates: turn · (column, row, 1) + inverse depth ·
+// shift.
 struct Warp {
     float turn[9], shift[3];
 };
 
 static Warp warp_between(const StereoPhotos& photos, size_t from, size_t to) {
     const float *a = photos.camera_to_world + 16 * from, *b = photos.camera_to_world + 16 * to, *K = photos.K;
-    double relative[9], away[3];  // of camera `from` as camera `to` sees it
+    double relative[9], away[3];  // pose of camera `from` in the frame of camera `to`
     for (int i = 0; i < 3; ++i) {
         away[i] = 0.0;
         for (int k = 0; k < 3; ++k) away[i] += double(b[4 * k + i]) * (double(a[4 * k + 3]) - double(b[4 * k + 3]));
@@ -82,7 +83,8 @@ static Warp warp_between(const StereoPhotos& photos, size_t from, size_t to) {
     return out;
 }
 
-// Draw a neighbour as the photo would see it if all were at one inverse depth.
+// Warp a neighbour to the photo's view, as if everything were at one inverse depth. `outside` is 1 where a pixel falls
+// outside the neighbour.
 static void draw_warped(const StereoPhotos& photos, const Warp& warp, size_t neighbour, float inverse,
                         float* __restrict out, float* __restrict outside) {
     const float* __restrict image = photos.grey + neighbour * photos.area();
@@ -115,7 +117,8 @@ static void draw_warped(const StereoPhotos& photos, const Warp& warp, size_t nei
     }
 }
 
-// Costs of all inverse depths into `volume` [area, depths].
+// Write the matching costs of all inverse depths to `volume` [area, depths]: one minus the normalised cross-correlation
+// of the windows, averaged over the STEREO_BEST neighbours that agree best.
 static void match(const StereoPhotos& photos, const StereoTask& task, const StereoScratch& scratch) {
     const size_t area = photos.area();
     const int width = photos.width, height = photos.height;
@@ -182,20 +185,22 @@ static void prefer_soundings(const StereoPhotos& photos, const StereoTask& task,
     }
 }
 
-// One step of a path from a pixel to the next: out = cost + the cheapest way from `before`, relative to its best.
+// One step of a path from a pixel to the next: out = cost + the cheapest transition from `before`, relative to the
+// minimum of `before`.
 static void step(const float* __restrict cost, const float* __restrict before, int depths, float jump,
                  float* __restrict out, float* __restrict total) {
     float least = before[0];
     for (int d = 1; d < depths; ++d) least = std::min(least, before[d]);
     const float most = least + jump;
-    for (int d = 0; d < depths; ++d) {  // `before` has one large value before it and one behind
+    for (int d = 0; d < depths; ++d) {  // `before` is padded with one large value on either side
         const float beside = std::min(before[d - 1], before[d + 1]) + STEP_COST;
         out[d] = cost[d] + std::min(std::min(before[d], beside), most) - least;
     }
     for (int d = 0; d < depths; ++d) total[d] += out[d];
 }
 
-// Add the costs along the paths in one direction: `next` pixels on, `lines` of them side by side.
+// Add the costs along the paths in one direction: `lines` parallel paths, `side` apart in memory, along which pixels
+// are `next` apart.
 static void smooth(const StereoTask& task, const StereoScratch& scratch, const float* grey, size_t first, ptrdiff_t next,
                    int length, ptrdiff_t side, int lines) {
     constexpr int MOST = 256;
@@ -235,7 +240,7 @@ static void sweep(const StereoPhotos& photos, const StereoTask& task, const Ster
         for (size_t d = 1; d < depths; ++d)
             if (costs[d] < costs[best]) best = d;
         float place = float(best);
-        if (best > 0 && best + 1 < depths) {  // the lowest point of a parabola
+        if (best > 0 && best + 1 < depths) {  // refined to the lowest point of a parabola
             const float bend = costs[best - 1] - 2.0f * costs[best] + costs[best + 1];
             const float off = 0.5f * (costs[best - 1] - costs[best + 1]) / std::max(bend, 1e-6f);
             place += std::min(std::max(off, -0.5f), 0.5f);

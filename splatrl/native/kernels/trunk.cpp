@@ -1,5 +1,5 @@
-// The kernels of the convolutional network, for one instruction set. Each sum lives in registers: a kernel holds as
-// many vectors of sixteen as there are registers for, so a weight that is read once serves several pixels or images.
+// Kernels of the convolutional network, compiled once for each instruction set. All sums are kept in registers, as many
+// as there are, so that a weight that is read once serves several pixels or images.
 #include "trunk.h"
 
 #include <algorithm>
@@ -10,7 +10,7 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-// Sums that fit into registers beside what they are made from.
+// Sums that fit into the registers beside their operands.
 #if defined(SPLATRL_AVX512)
 constexpr int SUMS = 24;
 #else
@@ -19,7 +19,7 @@ constexpr int SUMS = 12;
 
 #define UNROLL _Pragma("GCC unroll 32")
 
-// Call work.template run<N>(begin) for parts of [0, count) of at most MOST, as even as can be.
+// Call work.template run<size>(begin), with the size, from 1 to MOST, as a template argument.
 template <int MOST, class Work>
 LANE_INLINE void in_parts_of(int count, int size, int begin, const Work& work) {
     if constexpr (MOST > 0) {
@@ -30,6 +30,7 @@ LANE_INLINE void in_parts_of(int count, int size, int begin, const Work& work) {
     }
 }
 
+// Split [0, count) into parts of at most MOST, as evenly as possible, and call work.template run<size>(begin) for each.
 template <int MOST, class Work>
 LANE_INLINE void in_parts(int count, const Work& work) {
     const int parts = (count + MOST - 1) / MOST;
@@ -45,8 +46,7 @@ struct Width {
     static constexpr int value = REGISTERS;
 };
 
-// Call work(Width<N>(), first) for N registers of the channels at a time.
-
+// Call work(Width<N>(), first) for N registers of the channels at a time: the largest N up to 3 that divides them.
 template <class Work>
 LANE_INLINE void in_widths(int channels, const Work& work) {
     const int registers = channels / WIDTH;
@@ -58,7 +58,7 @@ LANE_INLINE void in_widths(int channels, const Work& work) {
         for (int v = 0; v < registers; ++v) work(Width<1>(), v * WIDTH);
 }
 
-// Some pixels of a row of outputs.
+// Computes some pixels of a row of the output.
 template <int WIDE>
 struct ForwardRow {
     const Convolution& shape;
@@ -99,7 +99,7 @@ static void convolve(const Convolution& shape, const float* image, const float* 
         });
 }
 
-// The gradient of some weights of a row of the window: a sum over the pixels of the output.
+// Computes the gradient of some weights of one row of the window: a sum over the pixels of the output.
 template <int WIDE>
 struct WeightGradient {
     const Convolution& shape;
@@ -146,11 +146,12 @@ static void add_gradients(const Convolution& shape, const float* image, const fl
     }
 }
 
-// What some pixels of a row of outputs add to the slopes of the row of the image under a row of their windows.
+// Adds what some pixels of a row of the output contribute to the gradient of a row of the image, through one row of
+// their windows.
 template <int WIDE>
 struct BackwardRow {
     const Convolution& shape;
-    const float *slope, *weights;  // from the row's first pixel; [out, run] from the first number of the run
+    const float *slope, *weights;  // from the row's first pixel; [out, run] from the run's first number
     float* out;                    // from the first number of the first window's run
 
     template <int PIXELS>
@@ -176,7 +177,7 @@ struct BackwardRow {
     }
 };
 
-// Slopes of what a convolution read, from those of what it gave.
+// Gradient of a convolution's input, from that of its output.
 static void convolve_back(const Convolution& shape, const float* slope, const float* weights, float* out) {
     const size_t line = size_t(shape.width) * size_t(shape.in), wide = size_t(shape.wide());
     const size_t outs = size_t(shape.out), run = size_t(shape.run());
@@ -194,10 +195,11 @@ static void convolve_back(const Convolution& shape, const float* slope, const fl
 
 constexpr int DENSE_OUTS = SUMS / 4;
 constexpr int DENSE_IMAGES = SUMS / DENSE_OUTS;
-constexpr int STRIP = 3;  // registers of what the dense layer reads, backwards
+constexpr int STRIP = 3;  // registers of the dense layer's input, in the backward pass
 constexpr int STRIP_ROWS = SUMS / STRIP;
 
-// Some features of some images: products of vectors of what was read, summed at the end.
+// Computes some features of some images: products are accumulated in vectors along the input, which are summed at the
+// end.
 template <int OUTS>
 struct DenseForward {
     size_t flat, features, first;
@@ -237,7 +239,7 @@ struct DenseForwards {
     }
 };
 
-// rows[r][strip] (+)= sum over n of factors[n, r] · columns[n, strip]: slopes of what was read, or of the weights.
+// out[r, strip] = sum over n of factors[n, r] · columns[n, strip]: the gradient of the input, or of the weights.
 template <int WIDE>
 struct DenseProduct {
     const float *factors, *columns;
@@ -261,7 +263,7 @@ struct DenseProduct {
     }
 };
 
-// Strips of [begin, end), each by all rows.
+// Run the product that make(Width<N>(), k) returns over all rows, for strips of N registers that cover [begin, end).
 template <class Make>
 LANE_INLINE void in_strips(size_t begin, size_t end, int rows, const Make& make) {
     size_t k = begin;
@@ -281,7 +283,7 @@ static void forward(const TrunkShape& shape, const PackedTrunk& packed, const Tr
                                                        weights.dense_bias, layers.hidden, int(count)});
 }
 
-// Slopes before a ReLU: those after it where it let something through.
+// Gradient before a ReLU: that after it, where the ReLU's output is positive.
 LANE_INLINE void through(const float* after, float* slope, size_t count) {
     for (size_t i = 0; i < count; i += WIDTH) {
         const Register given = get(slope + i), passed = get(after + i);

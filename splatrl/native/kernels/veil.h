@@ -1,4 +1,4 @@
-// How much of what lies behind shows through what has been blended over a tile.
+// The veil of a tile: how much of what lies behind shows through what has been blended so far.
 #pragma once
 
 #include "kernel.h"
@@ -7,7 +7,7 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-// The mean squared transmittance of blocks, summed over all that are above and to the left.
+// Summed-area table of the mean squared transmittance of the blocks.
 struct Veil {
     float sums[ACROSS + 1][ACROSS + 1];
 };
@@ -20,7 +20,7 @@ LANE_INLINE float mean_square(const Lanes& a) {
     return values[0] * (1.0f / LANES);
 }
 
-// The veil of what has been blended into these pixels.
+// Compute the veil of what has been blended into these pixels; finished blocks count as opaque.
 LANE_INLINE void draw_veil(const float* pixels, const bool* finished, Veil& veil) {
     for (int i = 0; i <= ACROSS; ++i) veil.sums[0][i] = veil.sums[i][0] = 0.0f;
     for (int y = 0; y < ACROSS; ++y) {
@@ -33,8 +33,9 @@ LANE_INLINE void draw_veil(const float* pixels, const bool* finished, Veil& veil
     }
 }
 
-// The first and the last block of a tile, in a row or a column of so many pixels, that a range behind the near plane is
-// seen on: its middle and half its length, metres, and the inverse depths of its nearest and its farthest end.
+// Find the first and the last block, along one axis of a tile of so many pixels, onto which a range beyond the near
+// plane projects. The range is given by its middle and half its length, metres, and the inverse depths of its nearest
+// and its farthest end.
 LANE_INLINE void blocks_between(float middle, float half, float nearest, float farthest, float focal, float origin,
                                 int pixels, int& first, int& last) {
     const float low = middle - half, high = middle + half;
@@ -45,7 +46,7 @@ LANE_INLINE void blocks_between(float middle, float half, float nearest, float f
     last = int(splatrl::min(splatrl::max(to, 0.0f), end)) / BLOCK;
 }
 
-// The mean squared transmittance over the blocks that a box behind the near plane is seen on.
+// The mean squared transmittance over the blocks onto which a box beyond the near plane projects.
 LANE_INLINE float seen_through(const Veil& veil, const Camera& camera, const Tile& tile, const Box& box) {
     float middle[3], half[3];
     for (int row = 0; row < 3; ++row) {

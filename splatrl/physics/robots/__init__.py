@@ -1,4 +1,4 @@
-"""Robots and things that come with splatrl, as MJCF, and how they walk."""
+"""Robots and things that come with splatrl, as MJCF files, and the weights of their gaits."""
 
 from pathlib import Path
 
@@ -6,19 +6,19 @@ FOLDER = Path(__file__).parent
 
 
 def mjcf_path(name: str) -> Path:
-    """The file of a robot or thing: one of splatrl's own by its name, or a path.
+    """Return the MJCF file of a robot or thing, given by a path or as the name of one of splatrl's own.
 
     Raises:
-        FileNotFoundError: for neither.
+        FileNotFoundError: if there is neither.
     """
     return _own_or_path(name, "xml", "a file of MJCF")
 
 
 def gait_path(name: str) -> Path:
-    """The file of the weights by which a robot walks: one of splatrl's own by the robot's name, or a path.
+    """Return the file of the weights with which a robot walks, given by a path or as the name of one of splatrl's own.
 
     Raises:
-        FileNotFoundError: for neither.
+        FileNotFoundError: if there is neither.
     """
     return _own_or_path(name, "npz", "a file of weights")
 

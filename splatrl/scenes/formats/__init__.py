@@ -1,4 +1,4 @@
-"""Splat files: PLY, compressed PLY, SPZ, .splat and SOG."""
+"""Readers and writers of splat files: PLY, compressed PLY, SPZ, .splat and SOG."""
 
 from splatrl.scenes.formats.reading import read_gaussians
 from splatrl.scenes.formats.writing import write_gaussians

@@ -1,4 +1,4 @@
-"""Compressed PLY of PlayCanvas and SuperSplat: chunks of 256 Gaussians, each quantised between its own bounds."""
+"""Reads the compressed PLY of PlayCanvas and SuperSplat: chunks of 256 Gaussians, each quantised to its own bounds."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ BOUNDS = tuple(
 
 
 def is_compressed(header: PlyHeader) -> bool:
-    """Whether a PLY file holds packed Gaussians in chunks."""
+    """Return whether a PLY file holds packed Gaussians in chunks."""
     vertex = header.elements.get("vertex")
     return "chunk" in header.elements and vertex is not None and "packed_position" in vertex.properties
 
@@ -25,11 +25,11 @@ def is_compressed(header: PlyHeader) -> bool:
 def read_compressed_ply(path: Path, header: PlyHeader) -> Gaussians:
     """Read a compressed PLY file.
 
-    Everything that gsply's compiled loops take for granted is checked first, because they do not check bounds.
+    Everything that gsply's compiled loops assume is checked first, because they do not check array bounds.
 
     Raises:
-        ValueError: for another layout, or a size other than the header promises.
-        ImportError: without the extra ``gsply``.
+        ValueError: if the layout is not supported, or the file's size does not match its header.
+        ImportError: if the extra ``gsply`` is not installed.
     """
     gsply = extra_module("gsply", path)
     if header.format != "binary_little_endian":

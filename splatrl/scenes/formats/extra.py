@@ -1,4 +1,4 @@
-"""The optional library gsply, which decodes the formats that only it reads."""
+"""Access to the optional library gsply, which decodes the formats that splatrl does not decode itself."""
 
 import importlib
 from pathlib import Path
@@ -14,10 +14,10 @@ from splatrl.scenes.gaussians import Gaussians
 def extra_module(name: str, path: Path) -> ModuleType:
     """Import a module that the extra ``gsply`` installs.
 
-    It is imported only for the first file that needs it, because its compiler takes seconds to start.
+    It is imported only when the first file needs it, because its compiler takes seconds to start.
 
     Raises:
-        ImportError: without the extra; says how to install it.
+        ImportError: if the extra is not installed; the message says how to install it.
     """
     try:
         return importlib.import_module(name)
@@ -26,7 +26,7 @@ def extra_module(name: str, path: Path) -> ModuleType:
 
 
 def from_gsply(path: Path, decoded: Any) -> Gaussians:
-    """Gaussians from what gsply decoded: log scales, logits and harmonics [N, K, 3] without degree 0."""
+    """Build Gaussians from gsply's output: log scales, opacity logits and harmonics [N, K, 3] above degree 0."""
     sh = np.concatenate([decoded.sh0[:, None, :], decoded.shN], 1)
     stored = (decoded.means, decoded.quats, decoded.scales, decoded.opacities, sh)
     return activated(path, *(np.ascontiguousarray(values, np.float32) for values in stored))

@@ -1,25 +1,25 @@
-"""How much a compressed splat file may hold, so that a few bytes cannot ask for gigabytes."""
+"""Limits on the unpacked size of compressed splat files, so that a few bytes cannot demand gigabytes."""
 
 from pathlib import Path
 
 MAX_INFLATION = 16.0
-"""Bytes that a byte of a compressed file may unpack to: real SPZ and SOG files stay below 8."""
+"""Maximum unpacked bytes per byte of a compressed file; real SPZ and SOG files stay below 8."""
 SLACK = 1 << 20
-"""Bytes that any file may unpack to."""
+"""Additional unpacked bytes that every file may have, however small it is."""
 
 
 def check_inflation(path: Path, what: str, unpacked: int, held: int, most: float) -> None:
-    """Refuse a file that promises more than it can really hold.
+    """Refuse a file that declares more data than its size can plausibly hold.
 
     Args:
-        path: of the file.
-        what: the field that promises it, for the message.
-        unpacked: bytes that it promises.
-        held: bytes of the file.
-        most: bytes that one of the file's may become.
+        path: path of the file.
+        what: the field that declares the size, for the message.
+        unpacked: declared size after unpacking, bytes.
+        held: size of the file, bytes.
+        most: maximum unpacked bytes per byte of the file.
 
     Raises:
-        ValueError: names the file, the field, and the key that raises the limit.
+        ValueError: if the limit is exceeded; the message names the file, the field, and the key that raises the limit.
     """
     if unpacked > most * held + SLACK:
         raise ValueError(

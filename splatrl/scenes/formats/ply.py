@@ -1,4 +1,4 @@
-"""3DGS PLY as Inria's code, nerfstudio, gsplat and others write it; splatrl itself writes Inria's layout."""
+"""Reads 3DGS PLY as written by Inria's code, nerfstudio, gsplat and others, and writes Inria's layout."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ def read_ply(path: Path, max_inflation: float) -> Gaussians:
     header = read_ply_header(path)
     if is_compressed(header):
         return read_compressed_ply(path, header)
-    rest = np.array(_checked_fields(path, header), object).reshape(3, -1).T  # the file keeps channels together
+    rest = np.array(_checked_fields(path, header), object).reshape(3, -1).T  # the file stores harmonics by channel
     groups = (MEANS, QUATS, SCALES, ("opacity",), (*SH0, *rest.ravel()))
     doubles = {"double", "float64"} & {header.elements["vertex"].properties[name] for name in MEANS}
     dtypes = [np.float64 if doubles else np.float32, *[np.float32] * (len(groups) - 1)]
@@ -37,14 +37,14 @@ def read_ply(path: Path, max_inflation: float) -> Gaussians:
 
 
 def write_ply(path: Path, gaussians: Gaussians) -> None:
-    """Write Gaussians in Inria's layout.
+    """Write Gaussians as PLY in Inria's layout.
 
     Args:
-        path: to write to.
-        gaussians: in any frame.
+        path: the file to write.
+        gaussians: Gaussians in any frame.
 
     Raises:
-        ValueError: for values that have no finite log.
+        ValueError: if a value to store is not finite, such as the log of a scale of 0.
     """
     sh = gaussians.sh.detach().cpu()
     values = {
@@ -72,7 +72,7 @@ def _rest(count: int) -> tuple[str, ...]:
 
 
 def _checked_fields(path: Path, header: PlyHeader) -> tuple[str, ...]:
-    """Check that every field is there; return the names of the harmonics above degree 0."""
+    """Check that all fields are present and return the names of the harmonics above degree 0."""
     if "vertex" not in header.elements:
         raise ValueError(f"{path}: expected an element vertex, got {', '.join(header.elements) or 'none'}")
     properties = header.elements["vertex"].properties

@@ -1,4 +1,4 @@
-"""The header of a PLY file, checked before memory is allocated for what it promises."""
+"""The header of a PLY file, checked before memory is allocated for the rows that it declares."""
 
 import re
 from dataclasses import dataclass, field
@@ -14,14 +14,14 @@ SIZES |= {"int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 
 
 @dataclass
 class PlyElement:
-    """One table: how many rows it promises, and its columns' types by name; a list's type is ``list``."""
+    """One table of a PLY file: its declared number of rows, and the types of its columns by name, lists as ``list``."""
 
     count: int
     properties: dict[str, str] = field(default_factory=dict)
 
     @property
     def size(self) -> int | None:
-        """Bytes of the table in a binary file; None where it has lists, whose lengths are only in the rows."""
+        """Size of the table in a binary file, bytes; None if it has lists, whose lengths are only in the rows."""
         if "list" in self.properties.values():
             return None
         return self.count * sum(SIZES[kind] for kind in self.properties.values())
@@ -29,7 +29,7 @@ class PlyElement:
 
 @dataclass
 class PlyHeader:
-    """Format and tables of a PLY file, and the lengths of its header and of the file in bytes."""
+    """Format and tables of a PLY file, and the sizes of its header and of the whole file in bytes."""
 
     format: PlyFormat
     elements: dict[str, PlyElement]
@@ -37,24 +37,24 @@ class PlyHeader:
     file_size: int
 
     def check_size(self, path: Path) -> None:
-        """Refuse a file that does not hold what its header promises, as far as that can be told without reading it."""
+        """Refuse a file whose size contradicts its header, as far as can be told without reading the rows."""
         held = self.file_size - self.size
         sizes = [element.size for element in self.elements.values()]
         if self.format != "ascii" and None not in sizes:
             promised = sum(size for size in sizes if size is not None)
             if held != promised:
                 raise ValueError(f"{path}: expected {promised} bytes after the header, got {held}")
-        else:  # each value takes a byte or more
+        else:  # each value takes at least one byte
             least = sum(element.count * max(1, len(element.properties)) for element in self.elements.values())
             if held < least:
                 raise ValueError(f"{path}: expected {least} bytes or more after the header, got {held}")
 
 
 def read_ply_header(path: Path) -> PlyHeader:
-    """Read the header of a PLY file, strictly.
+    """Parse the header of a PLY file strictly.
 
     Raises:
-        ValueError: for a file that does not begin with a PLY header.
+        ValueError: if the file does not begin with a valid PLY header.
     """
     with path.open("rb") as stream:
         start = stream.read(MAX_HEADER)

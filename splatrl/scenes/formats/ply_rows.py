@@ -1,4 +1,4 @@
-"""The vertices of a PLY file, read without the rows of other elements."""
+"""Reads the vertices of a PLY file without the rows of other elements."""
 
 import io
 import itertools
@@ -17,27 +17,28 @@ TYPES |= {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
 
 
 BLOCK = 1 << 14
-"""Rows that are read at once, so that a file is never held whole beside what it becomes."""
+"""Rows read per batch, so that the raw file is never held whole in memory beside the result."""
 Names = Sequence[Sequence[str]]
 Dtypes = Sequence[np.dtype[Any]]
 
 
 def vertex_columns(path: Path, header: PlyHeader, groups: Names, dtypes: Sequence[DTypeLike]) -> list[NDArray[Any]]:
-    """Some properties of a file's vertices.
+    """Read selected properties of a file's vertices.
 
-    Lists, whose lengths are only in the rows, are refused in the vertices and before them, and not read after them.
+    Lists, whose lengths are only in the rows, are refused in the vertices and, in binary files, in the elements before
+    them. Elements after the vertices are not read.
 
     Args:
-        path: of the file.
-        header: of the file; it has an element vertex with these properties.
-        groups: names of the properties, of each array of the result, in order.
-        dtypes: of each array; a double that is too large for it becomes infinite.
+        path: path of the file.
+        header: header of the file, with an element vertex that has these properties.
+        groups: names of the properties in each array of the result, in order.
+        dtypes: dtype of each array; a double that is too large for it becomes infinite.
 
     Returns:
-        Of each group [N, len(names)], contiguous.
+        One contiguous array [N, len(names)] per group.
 
     Raises:
-        ValueError: for a file that does not hold the rows that its header promises.
+        ValueError: if the file does not hold the rows that its header declares.
     """
     header.check_size(path)
     vertex = header.elements["vertex"]

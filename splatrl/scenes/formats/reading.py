@@ -1,4 +1,4 @@
-"""One reader for every splat file: the file's ending says which format it is in."""
+"""One reader for all splat files; a file's extension selects the format."""
 
 import os
 import pkgutil
@@ -16,15 +16,15 @@ from splatrl.scenes.formats.limits import MAX_INFLATION
 from splatrl.scenes.gaussians import Gaussians
 
 Reader = Callable[[Path, float], Gaussians]
-"""Reads an existing, non-empty file, a byte of which may unpack to so many where the format is compressed."""
+"""Function that reads an existing, non-empty file, given the maximum unpacked bytes per byte of a compressed one."""
 
 META = "meta.json"
-"""The file of an unpacked SOG that names the others."""
+"""Name of the file in an unpacked SOG bundle that lists the others."""
 
 
 @cache
 def readers() -> dict[str, Reader]:
-    """File ending → reader, of every module beside this one that has ``READERS``: a new format is a new module."""
+    """Return the readers by file extension, from ``READERS`` of the sibling modules: a new format is a new module."""
     names = sorted(info.name for info in pkgutil.iter_modules([str(Path(__file__).parent)]))
     modules = [import_module(f"splatrl.scenes.formats.{name}") for name in names if name != "reading"]
     return {ending: read for module in modules for ending, read in vars(module).get("READERS", {}).items()}
@@ -33,20 +33,20 @@ def readers() -> dict[str, Reader]:
 def read_gaussians(
     path: str | os.PathLike[str], max_inflation: float = MAX_INFLATION, transform: Tensor | None = None
 ) -> Gaussians:
-    """Read a splat file, in the file's own frame and unit, or in another one.
+    """Read a splat file, in the file's own frame and unit or in another frame.
 
     Args:
         path: a .ply (3DGS as trainers write it, or compressed), .spz (version 2 to 4), .splat or .sog file, or the
             folder or the meta.json of an unpacked SOG. SOG, compressed PLY and SPZ 4 need the extra:
             ``pip install 'splatrl[gsply]'``.
-        max_inflation: bytes that a byte of a compressed file may unpack to; more than ``MAX_INFLATION`` is rarely real.
-        transform: [4, 4] similarity from the file's frame to that of the result. Places that a PLY holds as doubles are
-            moved as doubles, so that georeferenced ones keep their millimetres.
+        max_inflation: maximum unpacked bytes per byte of a compressed file; real files rarely exceed ``MAX_INFLATION``.
+        transform: [4, 4] similarity from the file's frame to that of the result. Positions that a PLY stores as doubles
+            are transformed in double precision, so that georeferenced ones keep millimetre accuracy.
 
     Raises:
-        FileNotFoundError: where there is no such file.
-        ValueError: for a file that is not what its ending says, is damaged, or holds no visible Gaussian.
-        ImportError: for SOG, compressed PLY and SPZ 4 without the extra.
+        FileNotFoundError: if there is no such file.
+        ValueError: if the file does not match its extension, is damaged, or holds no visible Gaussian.
+        ImportError: for SOG, compressed PLY and SPZ 4 if the extra is not installed.
     """
     path = Path(path)
     if path.is_dir():
@@ -72,7 +72,7 @@ def read_gaussians(
 
 
 def _warn_of_distance(path: Path, gaussians: Gaussians) -> None:
-    """Warn of Gaussians so far from the origin that single precision rounds their places: georeferenced ones."""
+    """Warn if Gaussians are so far from the origin, as georeferenced ones are, that float32 rounds their positions."""
     away = float(gaussians.means.abs().amax(1).median())
     step = float(np.spacing(np.float32(away)))
     if step > float(gaussians.scales.amax(1).median()):

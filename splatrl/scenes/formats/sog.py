@@ -1,4 +1,4 @@
-"""PlayCanvas's SOG, version 2: lossless WebP textures, one pixel per Gaussian, and a meta.json, zipped or not."""
+"""Reads PlayCanvas's SOG version 2: lossless WebP textures, one pixel per Gaussian, and a meta.json, zipped or not."""
 
 import io
 import zipfile
@@ -14,21 +14,21 @@ from splatrl.scenes.formats.limits import check_inflation
 from splatrl.scenes.gaussians import Gaussians
 
 TEXTURES = {"means": 2, "quats": 1, "scales": 1, "sh0": 1}
-"""How many textures each attribute has, with one pixel per Gaussian."""
+"""Number of textures per attribute, each with one pixel per Gaussian."""
 
 MAX_PALETTE = 1 << 16
 UNPACKED = 64
-"""Bytes of a Gaussian, as SPZ counts them: real bundles take 15 or more."""
+"""Unpacked bytes per Gaussian, about as many as in SPZ; real bundles take 15 or more on disk."""
 
 
 def read_sog(path: Path, max_inflation: float) -> Gaussians:
     """Read a .sog bundle of version 2.
 
-    Everything that gsply's compiled loops take for granted is checked first, because they do not check bounds.
+    Everything that gsply's compiled loops assume is checked first, because they do not check array bounds.
 
     Raises:
-        ValueError: for a damaged bundle, another version or textures that do not fit ``count``.
-        ImportError: without the extra ``gsply``.
+        ValueError: for a damaged bundle, another version, or textures that do not match ``count``.
+        ImportError: if the extra ``gsply`` is not installed.
     """
     _extra(path)
     data = path.read_bytes()
@@ -38,11 +38,11 @@ def read_sog(path: Path, max_inflation: float) -> Gaussians:
 
 
 def read_unpacked_sog(path: Path, max_inflation: float) -> Gaussians:
-    """Read the files of a SOG bundle beside its meta.json; the same as from the bundle.
+    """Read an unpacked SOG bundle from its meta.json and the files beside it, with the same result as from the bundle.
 
     Raises:
-        ValueError: as by ``read_sog``, or for a texture that is not beside the meta.json.
-        ImportError: without the extra ``gsply``.
+        ValueError: as in ``read_sog``, or for a texture that is not beside the meta.json.
+        ImportError: if the extra ``gsply`` is not installed.
     """
     _extra(path)
     entries = {"meta.json": path.read_bytes()}
@@ -61,7 +61,7 @@ def read_unpacked_sog(path: Path, max_inflation: float) -> Gaussians:
 
 
 def _decoded(path: Path, bundle: bytes) -> Gaussians:
-    """The Gaussians of a bundle that has been checked."""
+    """Decode the Gaussians of a bundle that has already been checked."""
     reader, images = _extra(path)
     try:
         return from_gsply(path, reader.sogread(bundle))
@@ -77,7 +77,7 @@ def _unzip(path: Path, data: bytes) -> dict[str, bytes]:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as bundle:
             promised = sum(entry.file_size for entry in bundle.infolist())
-            if promised > 2 * len(data) + (1 << 20):  # textures are compressed already: a real bundle hardly grows
+            if promised > 2 * len(data) + (1 << 20):  # textures are already compressed: real bundles hardly grow
                 raise zipfile.BadZipFile(f"entries of {promised} bytes are more than {len(data)} bytes can hold")
             return {name: bundle.read(name) for name in bundle.namelist()}
     except (zipfile.BadZipFile, zlib.error) as error:
@@ -95,7 +95,7 @@ def _meta(path: Path, entries: dict[str, bytes]) -> dict[str, Any]:
 
 
 def _check(path: Path, meta: dict[str, Any], entries: dict[str, bytes], size: int, inflation: float) -> None:
-    """Check that every field that decoding reads exists, has its type and agrees with the textures."""
+    """Check that every field that the decoder reads exists, has the right type and agrees with the textures."""
     count = meta.get("count")
     if type(count) is not int or count < 1:
         raise ValueError(f"{path}: count: expected a whole number of at least 1, got {count!r:.80}")
@@ -144,7 +144,7 @@ def _numbers(path: Path, meta: dict[str, Any], name: str, key: str, count: int) 
 
 
 def _sizes(path: Path, meta: dict[str, Any], name: str, count: int, entries: dict[str, bytes]) -> list[tuple[int, int]]:
-    """Width and height that the headers of a section's textures promise."""
+    """Return the width and height that the headers of a section's textures declare."""
     files = _section(path, meta, name).get("files")
     if not isinstance(files, list) or len(files) != count or not all(isinstance(file, str) for file in files):
         raise ValueError(f"{path}: {name}.files: expected {count} names, got {files!r:.80}")
@@ -153,7 +153,7 @@ def _sizes(path: Path, meta: dict[str, Any], name: str, count: int, entries: dic
         head = entries.get(file, b"")[:25]
         if len(head) < 25 or (head[:4], head[8:16], head[20]) != (b"RIFF", b"WEBPVP8L", 0x2F):
             raise ValueError(f"{path}: {file}: expected a lossless WebP texture, got {head[:16]!r}")
-        bits = int.from_bytes(head[21:25], "little")  # 14 bits of width - 1, then of height - 1
+        bits = int.from_bytes(head[21:25], "little")  # 14 bits of width - 1, then 14 of height - 1
         sizes.append(((bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1))
     return sizes
 

@@ -1,4 +1,4 @@
-"""The .splat format of web viewers: 32 bytes per Gaussian, no header, no harmonics above degree 0."""
+"""Reads the .splat format of web viewers: 32 bytes per Gaussian, no header, no harmonics above degree 0."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ RECORD = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4),
 
 
 def read_splat(path: Path, max_inflation: float) -> Gaussians:
-    """Read a .splat file: plain scales, colour and opacity in bytes, quaternions wxyz as ``128 q + 128``."""
+    """Read a .splat file: linear scales, 8-bit colour and opacity, and wxyz quaternions stored as ``128 q + 128``."""
     size = path.stat().st_size
     if size % RECORD.itemsize:
         raise ValueError(f"{path}: expected a multiple of {RECORD.itemsize} bytes, got {size}")

@@ -1,9 +1,9 @@
-"""Niantic's SPZ, versions 2 to 4: quantised Gaussians, one attribute after another.
+"""Reads Niantic's SPZ, versions 2 to 4: quantised Gaussians, stored one attribute after another.
 
-Versions 2 and 3 are one gzip stream; version 4 has a plain header, vendors' records, a table of contents, and a
-Zstandard stream for each attribute. The format is described at https://github.com/nianticlabs/spz. Positions and
-harmonics stay in the axes of the file (x right, y up, z back where its writer follows the format's advice); the order
-and signs of the harmonics are those of 3DGS, with the colour channel varying fastest.
+Versions 2 and 3 are a single gzip stream; version 4 has an uncompressed header, vendor records, a table of contents,
+and one Zstandard stream per attribute. The format is described at https://github.com/nianticlabs/spz. Positions and
+harmonics keep the axes of the file (x right, y up, z back if its writer follows the format's advice); the order and
+signs of the harmonics are those of 3DGS, with the colour channel varying fastest.
 """
 
 import struct
@@ -22,21 +22,21 @@ from splatrl.scenes.gaussians import Gaussians, checked_gaussians
 MAGIC = b"NGSP"
 HEADER = struct.Struct("<4sIIBBBB")
 HEADER_4 = struct.Struct("<4sIIBBBBI12x")
-"""As ``HEADER``, with the number of streams for the reserved byte, and where the table of contents begins."""
+"""Like ``HEADER``, with the number of streams in place of the reserved byte, then the table of contents' offset."""
 ENTRY = struct.Struct("<QQ")
-"""Of the table of contents: bytes of a stream, and bytes that it unpacks to."""
-COLOR_SCALE = 0.15  # of the degree-0 harmonics, so that colours a little out of range fit a byte
+"""Entry of the table of contents: packed and unpacked size of a stream, bytes."""
+COLOR_SCALE = 0.15  # scale of the degree-0 harmonics: colours slightly out of range still fit a byte
 BLOCK = 1 << 16
-"""Gaussians that are decoded together."""
+"""Gaussians decoded per batch."""
 PIECE = 1 << 20
-"""Bytes that are unpacked at once."""
-HAS_EXTENSIONS = 0x2  # vendors' records may follow the attributes
+"""Maximum number of bytes unpacked at a time."""
+HAS_EXTENSIONS = 0x2  # flag: vendor records may follow the attributes
 
 Bytes = NDArray[np.uint8]
 
 
 class Header(NamedTuple):
-    """What the first 16 bytes say."""
+    """Fields of the first 16 bytes."""
 
     magic: bytes
     version: int
@@ -48,7 +48,7 @@ class Header(NamedTuple):
 
     @property
     def widths(self) -> dict[str, int]:
-        """Bytes per Gaussian of each attribute, in the order of the file."""
+        """Bytes per Gaussian of each attribute, in file order."""
         rotation = 3 if self.version == 2 else 4
         harmonics = 3 * ((self.sh_degree + 1) ** 2 - 1)
         return {"positions": 9, "alphas": 1, "colors": 3, "scales": 3, "rotations": rotation, "sh": harmonics}
@@ -58,7 +58,7 @@ def read_spz(path: Path, max_inflation: float) -> Gaussians:
     """Read an SPZ file of version 2, 3 or 4.
 
     Raises:
-        ValueError: for another version, a damaged stream or a size other than the header promises.
+        ValueError: for another version, a damaged stream, or a size that does not match the header.
     """
     with path.open("rb") as stream:
         version_4 = stream.read(len(MAGIC)) == MAGIC
@@ -92,7 +92,7 @@ def read_spz(path: Path, max_inflation: float) -> Gaussians:
 
 
 def _unpack(path: Path, stream: BinaryIO, max_inflation: float) -> tuple[Header, Bytes]:
-    """Header and attributes; unpacks no more than the header promises, and refuses one that promises too much."""
+    """Unpack the header and attributes of versions 2 and 3: no more than the header declares, if that is plausible."""
     held = path.stat().st_size
     inflater = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
     try:
@@ -115,7 +115,7 @@ def _unpack(path: Path, stream: BinaryIO, max_inflation: float) -> tuple[Header,
 
 
 def _inflated(inflater: Any, stream: BinaryIO, most: int) -> Bytes:
-    """The next bytes of a gzip stream, a piece at a time; fewer only where it ends."""
+    """Return the next ``most`` bytes of a gzip stream, unpacked piece by piece; fewer only if the stream ends."""
     found, filled = np.empty(most, np.uint8), 0
     while filled < most and not inflater.eof:
         packed = inflater.unconsumed_tail or stream.read(PIECE)
@@ -128,7 +128,7 @@ def _inflated(inflater: Any, stream: BinaryIO, most: int) -> Bytes:
 
 
 def _join(path: Path, stream: BinaryIO, max_inflation: float) -> tuple[Header, Bytes]:
-    """Header and attributes of version 4, as ``_unpack`` gives those of the others."""
+    """Unpack the header and attributes of version 4, in the form that ``_unpack`` returns for the other versions."""
     data = stream.read()
     if len(data) < HEADER_4.size:
         raise ValueError(f"{path}: header: expected {HEADER_4.size} bytes, got {len(data)}")
@@ -168,7 +168,7 @@ def _checked(path: Path, header: Header, versions: tuple[int, ...]) -> Header:
 
 
 def _positions(packed: Bytes, fractional_bits: int) -> NDArray[np.float32]:
-    """24-bit signed fixed point, little endian: [N, 9] → [N, 3]."""
+    """Decode positions in 24-bit signed fixed point, little endian: [N, 9] → [N, 3]."""
     wide = np.zeros((len(packed), 3, 4), np.uint8)
     wide[:, :, 1:] = packed.reshape(-1, 3, 3)  # in the upper bytes, so that the shift extends the sign
     fixed = wide.reshape(-1, 12).view("<i4") >> 8
@@ -176,17 +176,17 @@ def _positions(packed: Bytes, fractional_bits: int) -> NDArray[np.float32]:
 
 
 def _first_three(packed: Bytes) -> NDArray[np.float32]:
-    """Version 2 rotations, x, y, z in a byte each and w ≥ 0: [N, 3] → wxyz [N, 4]."""
+    """Decode version 2 rotations, with x, y and z in one byte each and w ≥ 0: [N, 3] → wxyz [N, 4]."""
     xyz = packed / np.float32(127.5) - np.float32(1.0)
     w = np.sqrt(np.maximum(0.0, 1.0 - (xyz * xyz).sum(1, keepdims=True)))
     return np.concatenate([w, xyz], 1).astype(np.float32)
 
 
 def _smallest_three(packed: Bytes) -> NDArray[np.float32]:
-    """Version 3 rotations: [N, 4] → wxyz [N, 4].
+    """Decode rotations of versions 3 and 4: [N, 4] → wxyz [N, 4].
 
-    A little-endian word: two bits say which of x, y, z, w is the largest, which is left out and positive; the others
-    follow from the upper bits down, each a sign and 9 bits of magnitude over √½.
+    Each is a little-endian word. The upper two bits say which of x, y, z, w is largest; that component is omitted and
+    positive. The others follow from the upper bits down, each as a sign bit and 9 bits of magnitude relative to √½.
     """
     word = np.ascontiguousarray(packed).view("<u4")[:, 0]
     largest = (word >> 30).astype(np.intp)

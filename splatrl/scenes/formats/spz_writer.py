@@ -14,9 +14,9 @@ from splatrl.scenes.formats.spz import COLOR_SCALE, HEADER, PIECE, Header
 from splatrl.scenes.gaussians import Gaussians
 
 VERSION = 3
-FRACTIONAL_BITS = 12  # of a position, as other writers have them: a quarter of a millimetre
-ANTIALIASED = 0x1  # a flag: trained so, and to be drawn so
-LARGEST = 2**23 - 1  # of a position in its 24 bits
+FRACTIONAL_BITS = 12  # fractional bits of a position, as in other writers: a quarter of a millimetre
+ANTIALIASED = 0x1  # flag: trained with antialiasing, and to be rendered with it
+LARGEST = 2**23 - 1  # largest position in 24-bit signed fixed point
 
 Bytes = NDArray[np.uint8]
 
@@ -24,14 +24,14 @@ Bytes = NDArray[np.uint8]
 def write_spz(path: Path, gaussians: Gaussians, antialiased: bool = True) -> None:
     """Write Gaussians as SPZ, a fifth to a quarter of the size of a PLY file.
 
-    The file appears whole or not at all, and the same Gaussians give the same bytes. Rounded are positions to 1/4096
-    (coarser beyond 2 km), logs of scales to 1/16, opacities and colours to 1/255 of their range, harmonics to 1/128,
-    rotations to 0.3°. Harmonics above degree 0 are cut to ±1, and scales to e^-10 to e^6.
+    The file is written atomically, and the same Gaussians give the same bytes. Positions are rounded to 1/4096
+    (coarser beyond 2 km), log scales to 1/16, opacities and colours to 1/255 of their range, harmonics to 1/128, and
+    rotations to 0.3°. Harmonics above degree 0 are clamped to ±1, and scales to the range from e^-10 to e^6.
 
     Args:
-        path: to write to.
-        gaussians: in any frame.
-        antialiased: whether they are to be drawn so.
+        path: the file to write.
+        gaussians: Gaussians in any frame.
+        antialiased: whether they are to be rendered with antialiasing.
 
     Raises:
         ValueError: for values that are not finite, scales that are not above 0, or positions beyond what the format can
@@ -52,7 +52,7 @@ def write_spz(path: Path, gaussians: Gaussians, antialiased: bool = True) -> Non
     header = Header(b"NGSP", VERSION, len(gaussians), gaussians.sh_degree, bits, ANTIALIASED if antialiased else 0, 0)
     fixed = (values["means"] * 2.0**bits).round().to(torch.int32).numpy().astype("<i4")
     parts = [
-        fixed.view(np.uint8).reshape(-1, 4)[:, :3],  # 24 bits of each
+        fixed.view(np.uint8).reshape(-1, 4)[:, :3],  # the lower 24 bits of each
         _bytes(255.0 * values["opacities"]),
         _bytes(255.0 * (COLOR_SCALE * values["sh"][:, 0] + 0.5)),
         _bytes(16.0 * (values["scales"] + 10.0)),
@@ -63,7 +63,7 @@ def write_spz(path: Path, gaussians: Gaussians, antialiased: bool = True) -> Non
         packed.write(HEADER.pack(*header))
         for part in parts:
             content = np.ascontiguousarray(part).reshape(-1)
-            for first in range(0, len(content), PIECE):  # Ctrl-C is answered between them
+            for first in range(0, len(content), PIECE):  # Ctrl-C takes effect between pieces
                 packed.write(content[first : first + PIECE].data)
 
 
@@ -72,7 +72,7 @@ def _bytes(values: Tensor) -> Bytes:
 
 
 def _smallest_three(quats: Tensor) -> Bytes:
-    """Rotations wxyz [N, 4] → [N, 4] bytes: which of x, y, z, w is the largest, and the others over √½."""
+    """Encode rotations wxyz [N, 4] → [N, 4] bytes: which of x, y, z, w is largest, and the others relative to √½."""
     xyzw = np.roll(torch.nn.functional.normalize(quats, dim=1).numpy(), -1, axis=1)
     largest = np.abs(xyzw).argmax(1)
     left_out = np.arange(4) == largest[:, None]

@@ -8,7 +8,7 @@ from torch import Tensor
 from splatrl.scenes.gaussians import Gaussians, checked_gaussians
 
 EDGE = 1e-9
-"""Opacities are kept this far from 0 and 1, so that logits are finite; in float32, 1 is read back as 1."""
+"""Minimum distance of opacities from 0 and 1, so that logits are finite; in float32, 1 is still read back as 1."""
 
 Floats = NDArray[np.float32]
 
@@ -21,12 +21,12 @@ def activated(
     opacity_logits: Floats,
     sh: Floats,
 ) -> Gaussians:
-    """Gaussians from the values that a file stores.
+    """Build Gaussians from the values that a file stores.
 
     Args:
-        source: what the values came from, for the messages.
-        means: [N, 3], or float64 where the file holds doubles.
-        quats: [N, 4] wxyz, any length.
+        source: origin of the values, for error messages.
+        means: [N, 3], float64 if the file stores doubles.
+        quats: [N, 4] wxyz, of any length.
         log_scales: [N, 3].
         opacity_logits: [N].
         sh: [N, K, 3].
@@ -42,5 +42,5 @@ def activated(
 
 
 def opacity_logits(opacities: Tensor) -> Tensor:
-    """The logits that a file stores for opacities: [N] float64, finite even for 0 and 1."""
+    """Return the logits that a file stores for opacities: [N] float64, finite even for 0 and 1."""
     return opacities.double().clamp(EDGE, 1 - EDGE).logit()

@@ -1,4 +1,4 @@
-"""One writer for every splat file: the file's ending says in which format."""
+"""One writer for all splat files; a file's extension selects the format."""
 
 import os
 from pathlib import Path
@@ -11,16 +11,16 @@ ENDINGS = (".ply", ".spz")
 
 
 def write_gaussians(path: str | os.PathLike[str], gaussians: Gaussians, antialiased: bool = True) -> None:
-    """Write Gaussians to a splat file, which appears whole or not at all.
+    """Write Gaussians to a splat file atomically.
 
-    A PLY file has Inria's layout, which every viewer and editor of splats opens, and the values themselves up to the
-    float32 rounding of logs and logits; Gaussians of opacity 0 are written, and readers drop them. SPZ is a fifth
-    to a quarter of that, and rounds.
+    A PLY file has Inria's layout, which every splat viewer and editor opens, and keeps the values up to the float32
+    rounding of logs and logits; Gaussians of opacity 0 are written, but readers drop them. SPZ takes a fifth to a
+    quarter of the space but rounds the values.
 
     Args:
-        path: to write to; ends in .ply or .spz.
-        gaussians: in any frame.
-        antialiased: whether they are to be drawn so; only SPZ can say it.
+        path: the file to write; its name ends in .ply or .spz.
+        gaussians: Gaussians in any frame.
+        antialiased: whether they are to be rendered with antialiasing; only SPZ can store this.
 
     Raises:
         ValueError: for another file extension, or for values that the format cannot store.

@@ -1,4 +1,4 @@
-"""A generated town: streets of houses and yards in square blocks, as a scene in blocks."""
+"""A generated town: streets, houses and yards on square plots, as a scene in blocks."""
 
 from splatrl.scenes.town.source import town
 

@@ -1,4 +1,4 @@
-"""Builds the blocks of a generated town: streets, houses, yards, light."""
+"""Builds the blocks of a generated town: streets, houses, yards and light."""
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -26,25 +26,25 @@ from splatrl.scenes.yards.style import Style
 from splatrl.scenes.yards.turning import turned, turned_solid
 
 STEP = 0.08
-"""Between the surfels of streets, metres; a whole number of them is as wide as a block."""
+"""Spacing of the surfels of streets, metres; a block is a whole number of them wide."""
 LAWN = 0.1
-"""Between those of the ground around houses, metres."""
+"""Spacing of the surfels of the ground around houses, metres."""
 BLADES = 160
-"""Of grass on a square metre there."""
+"""Blades of grass per square metre of the ground around houses."""
 AT_ONCE = 16384
-"""Surfels on which light falls at once."""
+"""Surfels shaded per batch; bounds memory."""
 EGG = Egg(1.2, 0.6, (0.12, 0.12, 0.16), 1)
-"""The red egg, near the crossing in the middle."""
+"""The red egg, near the central crossing."""
 CROSSING = (
     Piece(IN_THE_WAY["planter"], (0.95, 0.4, 0.55), 0.0, -0.75, 0),
     Piece(IN_THE_WAY["crates"], (0.4, 0.36, 0.56), -0.7, 0.0, 1),
     Piece(IN_THE_WAY["barrel"], (0.4, 0.4, 0.68), 0.55, 1.3, 0),
 )
-"""Things that stand there, two of them across the borders of blocks."""
+"""Things that stand at the central crossing, two of them across borders between blocks."""
 
 
 def block_gaussians(seed: int, column: int, row: int) -> Gaussians:
-    """The Gaussians of a block: about 100,000, spherical harmonics of degree 0, world frame, metres."""
+    """Generate the Gaussians of a block: about 100,000, spherical harmonics of degree 0, world frame, metres."""
     plot = drawn_plot(seed, column, row)
     rng = np.random.default_rng([seed, 22, column + 500, row + 500])
     parts = [streets(plot, seed), lawn(plot, rng), *garden(plot, rng), *crossing(plot, seed)]
@@ -64,7 +64,7 @@ def block_gaussians(seed: int, column: int, row: int) -> Gaussians:
 
 
 def around_gaussians(seed: int, columns: Sequence[int], rows: Sequence[int]) -> Gaussians:
-    """The sky over the blocks of these columns and rows, and the country around them."""
+    """Generate the sky over the blocks of these columns and rows, and the countryside around them."""
     rng, style = np.random.default_rng([seed, 23]), drawn_plot(seed, 0, 0).style
     outline = (SIZE * columns[0], SIZE * rows[0], SIZE * (columns[-1] + 1), SIZE * (rows[-1] + 1))
     scale = max(1.0, 2.2 * max(map(abs, outline)) / RADIUS)
@@ -74,12 +74,12 @@ def around_gaussians(seed: int, columns: Sequence[int], rows: Sequence[int]) -> 
 
 
 def streets(plot: Plot, seed: int) -> Surfels:
-    """Roadways with lines and crossings, and pavements of slabs, up to the middles of the streets around a block."""
+    """Build the streets around a block up to their centre lines: marked roadways with crossings, and slab pavements."""
     rng = np.random.default_rng([seed, 24, round(plot.corner[0]) + 10**5, round(plot.corner[1]) + 10**5])
-    common = np.random.default_rng([seed, 25])  # stains go on across the borders of blocks
+    common = np.random.default_rng([seed, 25])  # shared, so that stains continue across the borders of blocks
     whole = Rectangle((*plot.corner, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), SIZE, SIZE)
     st, size = whole.cells(STEP)
-    off = np.minimum(st, SIZE - st)  # to the nearest middle of a street along y, and along x
+    off = np.minimum(st, SIZE - st)  # distance to the nearest centre line of a street along y, and along x
     st, off = st[off.min(1) < STREET], off[off.min(1) < STREET]
     points, away, along = whole.points(st), off.min(1), off.max(1)
     roadway = away < ROADWAY
@@ -98,7 +98,7 @@ def streets(plot: Plot, seed: int) -> Surfels:
 
 
 def lawn(plot: Plot, rng: Rng) -> Surfels:
-    """The ground of the plot around houses and yard, with grass."""
+    """Build the ground of a plot around its houses and yard, with grass."""
     inner, style = SIZE - 2 * STREET, plot.style
     corner = (plot.corner[0] + STREET, plot.corner[1] + STREET)
     whole = Rectangle((*corner, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), inner, inner)
@@ -117,7 +117,7 @@ def lawn(plot: Plot, rng: Rng) -> Surfels:
 
 
 def garden(plot: Plot, rng: Rng) -> list[Surfels]:
-    """The yard: ground, what encloses it, and what stands in it."""
+    """Build the yard of a plot: its ground, its enclosure, and the things in it."""
     yard, style, (x, y) = plot.yard, plot.style, plot.garden
     parts = [ground(yard.laid, style, rng)]
     parts += [turned(SIDES[s.name].build(s.box, style, rng), s.x, s.y, s.quarters) for s in yard.sides]
@@ -129,7 +129,7 @@ def garden(plot: Plot, rng: Rng) -> list[Surfels]:
 
 
 def house(size: Size, style: Style, rng: Rng, walls: tuple[float, float, float]) -> Surfels:
-    """A house with windows on all sides and a door in its front, which looks towards -y."""
+    """Build a house with windows on all sides and a door in its front, which faces -y."""
     wide, deep, height = size
     parts = list[Surfels]()
     for face in faces(*_corners(size), "-y+x+y-x"):
@@ -149,7 +149,7 @@ def house(size: Size, style: Style, rng: Rng, walls: tuple[float, float, float])
 
 
 def crossing(plot: Plot, seed: int) -> list[Surfels]:
-    """What a block has of the things on the crossing in the middle: those surfels whose middles are in it."""
+    """Build a block's part of the things on the central crossing: the surfels whose centres lie in the block."""
     if max(map(abs, plot.corner)) > SIZE:
         return []
     rng, style = np.random.default_rng([seed, 26]), drawn_plot(seed, 0, 0).style
@@ -160,7 +160,7 @@ def crossing(plot: Plot, seed: int) -> list[Surfels]:
 
 
 def things(plot: Plot) -> list[Solid]:
-    """What is solid in the yard of a block, and the trunks, world frame."""
+    """Return the solids in a block's yard and the trunks of its trees, world frame."""
     x, y = plot.garden
     yard = [side.solid for side in plot.yard.sides] + [each for piece in plot.yard.pieces for each in piece.solids]
     trunks = [
@@ -177,7 +177,7 @@ def _corners(size: Size) -> tuple[tuple[float, float, float], tuple[float, float
 
 
 def _open(plot: Plot, points: Array) -> NDArray[np.bool_]:
-    """Which points of a plot lie neither in its yard nor under its houses."""
+    """Return a mask of the points of a plot that lie neither in its yard nor under its houses."""
     x0, y0, x1, y1 = plot.yard.laid.outline
     x, y = plot.garden
     rects = [(x0 + x, y0 + y, x1 + x, y1 + y)] + [
@@ -188,7 +188,7 @@ def _open(plot: Plot, points: Array) -> NDArray[np.bool_]:
 
 
 def _near(plot: Plot, solid: Solid, reach: float = 10.0) -> bool:
-    """Whether a thing is near enough to a block to shade it."""
+    """Return whether a solid is near enough to a block to cast a shadow into it."""
     return all(
         low < corner + SIZE + reach and high > corner - reach
         for low, high, corner in zip(solid.low, solid.high, plot.corner, strict=False)
@@ -196,7 +196,7 @@ def _near(plot: Plot, solid: Solid, reach: float = 10.0) -> bool:
 
 
 def _nothing() -> list[Solid]:
-    """A thing that shades nothing."""
+    """Return a solid below the ground, which shades nothing, for scenes without occluders."""
     return [Solid("nothing", (0.0, 0.0, -2.0), (0.1, 0.1, -1.9))]
 
 

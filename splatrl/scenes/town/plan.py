@@ -1,7 +1,7 @@
-"""Where everything stands in a block of a generated town, drawn by the town's seed and the place of the block.
+"""The layout of a block of a generated town, drawn from the town's seed and the block's position.
 
-A block is 20 m wide. The middles of streets run along its borders; inside them lies a plot with two houses and a yard,
-which is laid out by the code of generated yards. World frame, metres, ground at z = 0; the four blocks in the middle
+A block is 20 m wide. The centre lines of streets run along its borders; inside them lies a plot with two houses and a
+yard, which is laid out by the code for generated yards. World frame, metres, ground at z = 0; the four central blocks
 meet at the origin, where two streets cross.
 """
 
@@ -30,26 +30,26 @@ from splatrl.scenes.yards.sides import SIDES
 from splatrl.scenes.yards.style import MOODS, Style, drawn_style
 
 SIZE = 20.0
-"""Of a block, metres."""
+"""Side of a block, metres."""
 ROADWAY, STREET = 2.1, 3.0
-"""Half the width of a roadway, and of a street with its pavements, metres."""
+"""Half the width of a roadway, and of a whole street with its pavements, metres."""
 GATE = 1.4
-"""Width of the way into a yard, metres."""
+"""Width of the gate of a yard, metres."""
 GARDEN = (-2.6, 2.6)
-"""Middle of the yard from the middle of the block, metres."""
+"""Centre of the yard relative to the centre of the block, x and y, metres."""
 SHIFTED = 500
-"""Added to the numbers of blocks, since seeds are not negative."""
+"""Added to the column and row of a block in seeds, which must not be negative."""
 
 
 @dataclass(frozen=True, eq=False)
 class Yard:
-    """What stands in the yard of a block, in the frame of the yard.
+    """The contents of a block's yard, in the yard's own frame.
 
     Attributes:
-        sides: what encloses it, but for a gate in the south.
-        pieces: things in it.
+        sides: the enclosure, with a gate in the south.
+        pieces: things in the yard.
         beds: strips of flowers.
-        laid: what the ground is laid with.
+        laid: layout of the ground's surfaces.
     """
 
     sides: tuple[Side, ...]
@@ -60,14 +60,14 @@ class Yard:
 
 @dataclass(frozen=True, eq=False)
 class Plot:
-    """What stands in a block.
+    """The contents of a block.
 
     Attributes:
-        corner: x and y of its lower left corner, world, metres.
-        style: what it is made in.
-        yard: the yard.
-        houses: two of them, world frame.
-        trees: in the yard and along the street, world frame.
+        corner: x and y of the block's lower left corner, world frame, metres.
+        style: its materials, colours and light.
+        yard: its yard.
+        houses: its two houses, world frame.
+        trees: trees in the yard and along the streets, world frame.
     """
 
     corner: tuple[float, float]
@@ -78,12 +78,12 @@ class Plot:
 
     @property
     def garden(self) -> tuple[float, float]:
-        """Middle of the yard, world, metres."""
+        """Centre of the yard, world frame, metres."""
         return self.corner[0] + SIZE / 2 + GARDEN[0], self.corner[1] + SIZE / 2 + GARDEN[1]
 
 
 def light_and_sky(seed: int) -> tuple[Light, SkyLook]:
-    """The light on a town, and its sky: at noon under scattered clouds, with the sun from where the seed says."""
+    """Return a town's light and sky: noon under scattered clouds, with the direction of the sun drawn from the seed."""
     style = drawn_style(np.random.default_rng([seed, 20]))
     mood = MOODS[1]
     azimuth, elevation = np.arctan2(style.light.sun[1], style.light.sun[0]), np.radians(52.0)
@@ -95,12 +95,12 @@ def light_and_sky(seed: int) -> tuple[Light, SkyLook]:
 
 @cache
 def drawn_plot(seed: int, column: int, row: int) -> Plot:
-    """Draw what stands in a block.
+    """Draw the contents of a block.
 
     Args:
-        seed: of the town, from 0.
-        column: of the block, whose lower left corner is at x = 20 · column.
-        row: likewise along y.
+        seed: seed of the town, at least 0.
+        column: column of the block, whose lower left corner is at x = 20 · column.
+        row: row of the block, likewise along y.
     """
     rng = np.random.default_rng([seed, 21, column + SHIFTED, row + SHIFTED])
     light, sky = light_and_sky(seed)
@@ -116,7 +116,7 @@ def drawn_plot(seed: int, column: int, row: int) -> Plot:
     middle = corner[0] + SIZE / 2, corner[1] + SIZE / 2
     for tree in drawn_trees(outline, taken, rng)[0]:
         trees.append(replace(tree, x=tree.x + middle[0] + GARDEN[0], y=tree.y + middle[1] + GARDEN[1]))
-    for x, y in ((-3.5, -7.45), (3.2, 7.45), (-7.45, 4.0), (7.45, -4.4)):  # on the pavements
+    for x, y in ((-3.5, -7.45), (3.2, 7.45), (-7.45, 4.0), (7.45, -4.4)):  # trees on the pavements
         if rng.random() < 0.6:
             tall, crown = rng.uniform(2.6, 3.4), rng.uniform(0.9, 1.3)
             trees.append(Tree(middle[0] + x, middle[1] + y, float(rng.uniform(0.07, 0.11)), float(tall), float(crown)))
@@ -124,12 +124,12 @@ def drawn_plot(seed: int, column: int, row: int) -> Plot:
 
 
 def neighbours(seed: int, column: int, row: int) -> list[Plot]:
-    """A block and the eight around it, whether they are built or not: their houses and trees cast shadows into it."""
+    """Draw a block and the eight around it, in the town or not: their houses and trees cast shadows into the block."""
     return [drawn_plot(seed, column + x, row + y) for x in (-1, 0, 1) for y in (-1, 0, 1)]
 
 
 def house_solids(plot: Plot) -> list[Solid]:
-    """The boxes of the houses of a block, with half of their roofs."""
+    """Return the bounding boxes of a block's houses, including about half of their roofs."""
     solids = [house.solid for house in plot.houses]
     return [replace(solid, high=(*solid.high[:2], solid.high[2] + 1.0)) for solid in solids]
 
@@ -140,7 +140,7 @@ def _outline(rng: Rng) -> Rect:
 
 
 def _sides(outline: Rect, rng: Rng) -> tuple[Side, ...]:
-    """What encloses a yard: north, west, south to both sides of the gate, and east."""
+    """Draw the enclosure of a yard: north, west, south on both sides of the gate, and east."""
     x0, y0, x1, y1 = outline
     names = [name for name in SIDES if name != "facade"]
     north, west, south, east = (names[i] for i in rng.choice(len(names), 4, replace=False))
@@ -156,7 +156,7 @@ def _sides(outline: Rect, rng: Rng) -> tuple[Side, ...]:
 
 
 def _houses(middle: tuple[float, float], rng: Rng) -> tuple[House, ...]:
-    """One whose front looks to the street in the south, and one that looks to the street in the east."""
+    """Draw two houses: one that faces the street in the south, and one that faces the street in the east."""
     heights = [float(height) for height in rng.choice([2.9, 3.2, 5.4, 5.6], 2)]
     south = (float(rng.uniform(6.4, 7.8)), float(rng.uniform(4.2, 4.7)), heights[0])
     east = (float(rng.uniform(6.8, 8.8)), float(rng.uniform(3.9, 4.3)), heights[1])

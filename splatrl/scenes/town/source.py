@@ -1,4 +1,4 @@
-"""A generated town as a scene: made once, block by block, and kept in the user's cache directory."""
+"""A generated town as a scene, generated once, block by block, and kept in the user's cache directory."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -18,24 +18,25 @@ from splatrl.scenes.town.plan import SIZE
 from splatrl.values import require_number
 
 MOST = 31
-"""Blocks along a side of a town, at most."""
+"""Maximum number of blocks along each side of a town."""
 HEIGHT = 9.0
-"""Of blocks, metres."""
+"""Height of a block's bounds, metres."""
 MIDDLE: Bounds = ((-10.0, -10.0, 0.0), (10.0, 10.0, 3.0))
-"""Where robots are unless another place is asked for, metres."""
+"""Default bounds of the region for robots, world frame, metres."""
 
 
 def town(seed: int = 0, blocks: int = 10, bounds: Sequence[Sequence[float]] | None = None) -> BlockScene:
-    """A generated town: streets around square blocks of 20 m, each with two houses, a yard and trees of its own.
+    """Generate a town: streets around square blocks of 20 m, each with two houses, a yard and trees of its own.
 
-    A block has about 100,000 Gaussians. It takes seconds to make one and 1 MB to keep it; the whole town is kept in the
-    user's cache directory. The same numbers give the same bytes. Two streets cross at the origin, where four blocks
-    meet and a red egg stands; on the command line ``scene=town`` sets it as the goal.
+    A block has about 100,000 Gaussians, takes seconds to generate and needs 1 MB of disk space; the whole town is kept
+    in the user's cache directory. The same arguments give the same bytes. Two streets cross at the origin, where four
+    blocks meet and a red egg stands; on the command line, ``scene=town`` sets it as the goal.
 
     Args:
-        seed: from 0.
-        blocks: along each side of the town, 1 to 31.
-        bounds: lower and upper corner of where robots are, world, metres; None takes the 20 × 20 m around the crossing.
+        seed: seed of the town, at least 0.
+        blocks: number of blocks along each side of the town, 1 to 31.
+        bounds: lower and upper corner of the region for robots, world frame, metres; None takes the 20 × 20 m around
+            the crossing.
 
     Raises:
         ValueError: for a seed or a number of blocks out of range, or empty bounds.
@@ -50,7 +51,7 @@ def town(seed: int = 0, blocks: int = 10, bounds: Sequence[Sequence[float]] | No
 
 
 def _make(folder: Path, seed: int, blocks: int) -> None:
-    """Write a town; blocks that are there already, of an interrupted run, are kept."""
+    """Write a town; blocks that an interrupted run has already written are kept."""
     folder.mkdir(parents=True, exist_ok=True)
     numbers = range(-(blocks // 2), blocks - blocks // 2)
     places = [(column, row) for column in numbers for row in numbers]
@@ -85,6 +86,6 @@ def _name(column: int, row: int) -> str:
 
 @functools.cache
 def _source_digest() -> str:
-    """Fingerprint of the generator's own code, so that another version never meets its towns."""
+    """Return a fingerprint of the generator's source, so that no other version ever uses its cached towns."""
     folders = Path(__file__).parent, *(Path(__file__).parents[1] / room for room in ("yard", "yards"))
     return digest_of(path for folder in folders for path in sorted(folder.glob("*.py")))

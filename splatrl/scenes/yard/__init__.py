@@ -1,4 +1,4 @@
-"""The generator behind ``splatrl.scenes.backyard``: a yard in the sun, made in seconds, with a red egg to find."""
+"""The generator behind ``splatrl.scenes.backyard``: a sunny yard, generated in seconds, with a red egg to find."""
 
 from splatrl.scenes.yard.generator import backyard_gaussians
 from splatrl.scenes.yard.layout import EGG, backyard_obstacles

@@ -1,4 +1,4 @@
-"""Where the small things of the backyard have been moved to, for a yard that nobody has trained in."""
+"""Alternative places for the small things of the backyard, for a yard that no policy was trained in."""
 
 from dataclasses import dataclass
 from math import pi
@@ -10,12 +10,12 @@ from splatrl.scenes.yard.surfels import Surfels
 
 @dataclass(frozen=True)
 class Shift:
-    """How a thing has been moved from where ``layout`` puts it: turned about its own vertical, then shifted.
+    """A thing's displacement from its place in ``layout``: a turn about its own vertical axis, then a shift.
 
     Attributes:
-        x: metres; so is ``y``.
-        y: metres.
-        turn: radians, counter-clockwise; only of things that still fill the same box.
+        x: shift along x, metres.
+        y: shift along y, metres.
+        turn: angle in radians, counter-clockwise; used only for things that fill the same box afterwards.
     """
 
     x: float = 0.0
@@ -24,7 +24,7 @@ class Shift:
 
 
 STEP = 0.05
-"""Metres: things move by whole steps, so they fill voxels of that size as they did before."""
+"""Unit of movement, metres: things move by whole steps, so they fill voxels of that size in the same way as before."""
 REACHES = {
     "wood pile": ((-10, -4), (-8, 10), (0.0, 0.0)),
     "shrub pot": ((-4, 10), (9, 14), (0.5, 2 * pi)),
@@ -32,9 +32,9 @@ REACHES = {
     "rain barrel": ((-5, 10), (1, 8), (0.5, 2 * pi)),
     "bench": ((0, 2), (3, 12), (0.0, 0.0)),
 }
-"""Least and greatest x and y (steps) and turn (radians) of each thing that moves. None comes nearer to the robots'
-bodies: pile and pot, which stand within their reach, leave it, and the pots on the table change places inside the box
-that they fill."""
+"""Minimum and maximum x and y (steps) and turn (radians) of each thing that moves. None of them comes closer to the
+robots' bodies: the pile and the pot, which stand within reach, move out of it, and the pots on the table swap places
+inside the box that they fill."""
 BELONGS_TO = {
     **{name: name for name in ("wood pile", "shrub pot", "rain barrel", "pots on the table")},
     "shrub": "shrub pot",
@@ -45,10 +45,10 @@ BELONGS_TO = {
 
 
 def clutter_moves(clutter: int) -> dict[str, Shift]:
-    """How each thing in ``REACHES`` has been moved.
+    """Return the displacement of each thing in ``REACHES``.
 
     Args:
-        clutter: 0 leaves everything where ``layout`` puts it; every other number moves all of them elsewhere.
+        clutter: 0 leaves everything where ``layout`` puts it; every other number moves all these things elsewhere.
 
     Raises:
         ValueError: for a number below 0.
@@ -66,15 +66,15 @@ def clutter_moves(clutter: int) -> dict[str, Shift]:
 
 
 def moved(part: Surfels, center: tuple[float, float], move: Shift) -> Surfels:
-    """The surfels of a thing where it has been moved to.
+    """Return the surfels of a thing after its displacement.
 
     Args:
-        part: surfels of the thing, before light falls on them.
-        center: x and y about which it turns, metres.
-        move: how.
+        part: surfels of the thing, before lighting.
+        center: x and y of the axis about which it turns, metres.
+        move: the displacement.
     """
     if move == Shift():
-        return part  # to the byte
+        return part  # identical to the byte
     cos, sin = np.cos(move.turn), np.sin(move.turn)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     middle = np.array([*center, 0.0])

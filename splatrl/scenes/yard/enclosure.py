@@ -1,4 +1,4 @@
-"""What encloses the yard, and what looks over it: hedge, fence, brick wall, shed, garage and a house."""
+"""The enclosure of the yard and what rises above it: hedge, fence, brick wall, shed, garage and a house."""
 
 from dataclasses import fields
 
@@ -16,13 +16,13 @@ GLASS = (0.36, 0.46, 0.55)
 
 
 def panel(face: Rectangle, at: tuple[float, float], size: tuple[float, float], lift: float = 0.02) -> Rectangle:
-    """A part of a face, a little in front of it: lower left corner and size in metres on the face."""
+    """Return a part of a face, slightly in front of it, given its lower left corner and size in metres on the face."""
     x, y, z = (float(v) for v in face.points(np.array([at]), lift)[0])
     return Rectangle((x, y, z), face.right, face.up, *size)
 
 
 def cut(part: Surfels, hole: Rectangle) -> Surfels:
-    """A face without what lies behind a panel, which would show through where the face is seen at a slant."""
+    """Remove the surfels of a face behind a panel, which would show through when the face is seen at a slant."""
     away = part.means - np.asarray(hole.corner)
     along, up = away @ np.asarray(hole.right), away @ np.asarray(hole.up)
     kept = ~((along > 0) & (along < hole.width) & (up > 0) & (up < hole.height))
@@ -30,7 +30,7 @@ def cut(part: Surfels, hole: Rectangle) -> Surfels:
 
 
 def hedge(rng: Rng) -> Surfels:
-    """A clipped hedge: leaves over dark faces."""
+    """Build a clipped hedge: leaves over dark faces."""
     side, top, far = faces(HEDGE.low, HEDGE.high, "-x+z+x")
     parts = []
     deep = Solid(
@@ -50,7 +50,7 @@ def hedge(rng: Rng) -> Surfels:
 
 
 def fence(rng: Rng) -> Surfels:
-    """Upright boards of honey-coloured wood on two rails."""
+    """Build a fence: upright boards of honey-coloured wood on two rails."""
     (front, back) = faces(FENCE.low, FENCE.high, "-y+y")
     wood = (0.76, 0.55, 0.31)
     parts = [boards(front, rng, wood, 0.125, (0.042, 0.11)), boards(back, rng, wood, 0.125, (0.13, 0.2))]
@@ -61,7 +61,7 @@ def fence(rng: Rng) -> Surfels:
 
 
 def walls(rng: Rng) -> Surfels:
-    """The brick wall in the west, the pale wall and the garage in the south."""
+    """Build the brick wall in the west, and the pale wall and the garage in the south."""
     near, far, top = faces(BRICK_WALL.low, BRICK_WALL.high, "+x-x+z")
     parts = [
         brickwork(near, rng, (0.23, 0.08), (2, 1), BRICK, (0.60, 0.54, 0.49)),
@@ -76,7 +76,7 @@ def walls(rng: Rng) -> Surfels:
 
 
 def shed(rng: Rng) -> Surfels:
-    """A white wooden shed with a blue door and a window under a dark roof."""
+    """Build a white wooden shed with a blue door and a window under a dark roof."""
     white = (0.88, 0.88, 0.85)
     front, *sides = faces(SHED.low, SHED.high, "+y+x-x-y")
     door, window = panel(front, (1.25, 0.02), (0.75, 1.6)), ((0.3, 0.75), (0.6, 0.6))
@@ -100,7 +100,7 @@ def shed(rng: Rng) -> Surfels:
 def framed(
     face: Rectangle, at: tuple[float, float], size: tuple[float, float], rng: Rng, step: float = 0.05
 ) -> list[Surfels]:
-    """A window: dark glass with a frame and a cross in front of it."""
+    """Build a window: dark glass with a frame and crossed glazing bars in front of it."""
     frame: Color = (0.93, 0.93, 0.91)
     glass = panel(face, at, size)
     bars = [
@@ -114,7 +114,7 @@ def framed(
 
 
 def house(rng: Rng) -> Surfels:
-    """The neighbours' house behind the brick wall: plaster, windows and a tiled roof."""
+    """Build the neighbours' house behind the brick wall: plaster, windows and a tiled roof."""
     front, *sides = faces(HOUSE.low, HOUSE.high, "+x+y-y")
     wall, *parts = [plaster(face, rng, (0.93, 0.87, 0.72), 0.28, 0.03) for face in (front, *sides)]
     for along in (0.9, 3.2, 5.6):
@@ -134,5 +134,5 @@ def house(rng: Rng) -> Surfels:
 
 
 def enclosure(rng: Rng) -> Surfels:
-    """Everything around the yard."""
+    """Build everything around the yard."""
     return join([build(rng) for build in (hedge, fence, walls, shed, house)])

@@ -27,7 +27,7 @@ PINE = (0.70, 0.53, 0.33)
 
 
 def garden_wall(rng: Rng, solid: Solid = GARDEN_WALL, palette: tuple[Color, Color] = SAND) -> Surfels:
-    """A free-standing wall along y, one brick thick, under slabs of stone."""
+    """Build a free-standing wall along y, one brick thick, capped with stone slabs."""
     low, high = solid.low, solid.high
     under = (high[0], high[1], high[2] - 0.045)
     long, short = faces(low, under, "+x-x"), faces(low, under, "+y-y")
@@ -40,7 +40,7 @@ def garden_wall(rng: Rng, solid: Solid = GARDEN_WALL, palette: tuple[Color, Colo
 
 
 def table(rng: Rng) -> Surfels:
-    """A low garden table of painted wood."""
+    """Build a low garden table of painted wood."""
     paint = (0.86, 0.86, 0.82)
     top, *rims = faces(TABLE_TOP.low, TABLE_TOP.high, "+z+x-x+y-y-z")
     parts = [boards(top, rng, paint, 0.07, (0.018, 0.028), upright=False, contrast=0.35)]
@@ -51,7 +51,7 @@ def table(rng: Rng) -> Surfels:
 
 
 def table_pots(rng: Rng) -> Surfels:
-    """Two flower pots on the table."""
+    """Build two flower pots on the table."""
     parts = []
     x, y, z = TABLE_TOP.low[0], TABLE_TOP.low[1], TABLE_TOP.high[2]
     parts.append(pot((x + 0.13, y + 0.13, z), 0.065, 0.11, (0.25, 0.42, 0.62), rng, 0.014))
@@ -67,7 +67,7 @@ def table_pots(rng: Rng) -> Surfels:
 
 
 def pot(foot: tuple[float, float, float], radius: float, height: float, color: Color, rng: Rng, step: float) -> Surfels:
-    """A flower pot with a rim, filled with soil."""
+    """Build a flower pot with a rim, filled with soil."""
     rim, base = 0.16 * height, 0.74 * radius
     outline = [
         (base, 0.0),
@@ -84,7 +84,7 @@ def pot(foot: tuple[float, float, float], radius: float, height: float, color: C
 
 
 def shrub_pot(rng: Rng) -> Surfels:
-    """A large blue pot with a lavender bush that hides what is behind."""
+    """Build a large blue pot with a lavender bush that hides what is behind it."""
     (x0, y0, _), (x1, y1, height) = SHRUB_POT.low, SHRUB_POT.high
     x, y, radius = (x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) / 2
     green = ((0.30, 0.42, 0.28), (0.52, 0.62, 0.42))
@@ -98,7 +98,7 @@ def shrub_pot(rng: Rng) -> Surfels:
 
 
 def wood_pile(rng: Rng, solid: Solid = WOOD_PILE) -> Surfels:
-    """Split logs, stacked: their pale ends look into the yard."""
+    """Build a stack of split logs whose pale ends face into the yard."""
     (x0, y0, _), (x1, y1, z1) = solid.low, solid.high
     inside = ((x0 + 0.01, y0 + 0.035, 0.0), (x1 - 0.03, y1 - 0.035, z1 - 0.05))
     dark = (0.20, 0.14, 0.10)
@@ -119,7 +119,7 @@ def wood_pile(rng: Rng, solid: Solid = WOOD_PILE) -> Surfels:
 
 
 def log(foot: tuple[float, float, float], radius: float, length: float, rng: Rng) -> Surfels:
-    """The end of a log that points along +x: bark around pale, ringed wood."""
+    """Build the end of a log that points along +x: bark around pale, ringed wood."""
     bark = lathe(foot, [(radius, 0.0), (radius, length)], 0.024, lying=True)
     end = lathe(foot, [(radius, length), (0.001, length)], 0.014, lying=True)
     out = np.linalg.norm(end.means[:, 1:] - np.asarray(foot)[1:], axis=1) / radius
@@ -129,7 +129,7 @@ def log(foot: tuple[float, float, float], radius: float, length: float, rng: Rng
 
 
 def egg(rng: Rng) -> Surfels:
-    """The goal: a red egg with a soft shine, on a grey stone."""
+    """Build the goal: a red egg with a soft highlight, on a grey stone."""
     shell = eggshell(EGG, EGG_RADII, np.array([-0.75, -0.25, 0.6]), rng)
     (x0, y0, _), (x1, y1, height) = EGG_STONE.low, EGG_STONE.high
     return join([shell, plinth((x0 + x1) / 2, (y0 + y1) / 2, height, (0.62, 0.61, 0.58), rng)])
@@ -138,9 +138,9 @@ def egg(rng: Rng) -> Surfels:
 def eggshell(
     center: tuple[float, float, float], radii: tuple[float, float, float], to_light: Array, rng: Rng
 ) -> Surfels:
-    """A red egg, narrower above, whose soft shine is on the side of the light."""
+    """Build a red egg, narrower at the top, with a soft highlight on the side of the light."""
     angles = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 25)
-    pointed = 1 - 0.13 * np.sin(angles)  # narrower above
+    pointed = 1 - 0.13 * np.sin(angles)  # narrower at the top
     outline = [
         (max(0.002, radii[0] * float(np.cos(a) * p)), radii[2] * float(np.sin(a)))
         for a, p in zip(angles, pointed, strict=True)
@@ -152,7 +152,7 @@ def eggshell(
 
 
 def plinth(x: float, y: float, height: float, color: Color, rng: Rng) -> Surfels:
-    """The stone under an egg."""
+    """Build the stone under an egg."""
     stone = lathe(
         (x, y, 0.0),
         [(0.105, 0.0), (0.11, 0.5 * height), (0.09, height - 0.012), (0.07, height), (0.003, height)],
@@ -163,7 +163,7 @@ def plinth(x: float, y: float, height: float, color: Color, rng: Rng) -> Surfels
 
 
 def rain_barrel(rng: Rng, solid: Solid = RAIN_BARREL, color: Color = (0.16, 0.40, 0.36)) -> Surfels:
-    """A barrel with dark hoops."""
+    """Build a barrel with dark hoops."""
     (x0, y0, _), (x1, y1, height) = solid.low, solid.high
     radius = (x1 - x0) / 2
     outline = [(0.86 * radius, 0.0), (radius, 0.5 * height), (0.86 * radius, height), (0.01, height)]
@@ -174,7 +174,7 @@ def rain_barrel(rng: Rng, solid: Solid = RAIN_BARREL, color: Color = (0.16, 0.40
 
 
 def bench(rng: Rng) -> Surfels:
-    """A pine bench along the brick wall."""
+    """Build a pine bench along the brick wall."""
     parts = []
     for solid in BENCH:
         parts += [boards(face, rng, PINE, 0.1, (0.05, 0.06), upright=False) for face in faces(solid.low, solid.high)]
@@ -182,7 +182,7 @@ def bench(rng: Rng) -> Surfels:
 
 
 def furniture(rng: Rng, clutter: int = 0) -> Surfels:
-    """Everything that stands in the yard, where ``clutter`` has put it."""
+    """Build everything that stands in the yard, in the places that ``clutter`` gives."""
     moves = clutter_moves(clutter)
     things = [
         (garden_wall, GARDEN_WALL),
@@ -203,7 +203,7 @@ def furniture(rng: Rng, clutter: int = 0) -> Surfels:
 
 
 def roof(eaves: Rectangle, rng: Rng, color: Color, step: tuple[float, float]) -> Surfels:
-    """Rows of tiles up a slope, each row darker at its lower edge."""
+    """Build a roof: rows of tiles up a slope, every other row darker."""
     st, size = eaves.cells(step[0], step[1])
     row = (st[:, 1] / size[1]).astype(int)
     tone = 0.12 * rng.normal(size=len(st)) - 0.14 * (row % 2)

@@ -1,4 +1,4 @@
-"""Puts the backyard together: things, then light, then sky."""
+"""Assembles the backyard: things, then light, then sky."""
 
 import numpy as np
 import torch
@@ -18,14 +18,15 @@ from splatrl.spherical_harmonics import C0
 
 
 def backyard_gaussians(seed: int = 0, clutter: int = 0) -> Gaussians:
-    """A backyard of 6 × 6 m in the sun: lawn, hedge, fence, brick wall, shed, trees, things in the way, a red egg.
+    """Generate a sunny backyard of 6 × 6 m: lawn, hedge, fence, brick wall, shed, trees, obstacles and a red egg.
 
-    The task in it is the same for every seed; leaves, grain, clouds and the place of the trees vary. The same
-    numbers give the same bytes.
+    The task in it is the same for every seed; leaves, grain, clouds and the places of the trees vary. The same
+    arguments give the same bytes.
 
     Args:
-        seed: from 0.
-        clutter: from 0; any other number moves pots, wood pile, barrel and bench, none of them towards the robots.
+        seed: seed of the yard, at least 0.
+        clutter: number of the arrangement, at least 0; any number above 0 moves pots, wood pile, barrel and bench, none
+            of them towards the robots.
 
     Returns:
         About 50,000 Gaussians, spherical harmonics of degree 0, world frame, metres, ground at z = 0.
@@ -45,7 +46,7 @@ def backyard_gaussians(seed: int = 0, clutter: int = 0) -> Gaussians:
 
 
 def beds(rng: Rng) -> list[Surfels]:
-    """Yellow and white flowers before the fence, violet ones before the brick wall."""
+    """Build beds of yellow and white flowers in front of the fence, and violet and white ones by the brick wall."""
     yellow, white, violet = (0.96, 0.79, 0.16), (0.95, 0.94, 0.90), (0.55, 0.35, 0.78)
     north = bed((-2.6, 1.6), (2.6, 2.97), (yellow, yellow, white), 19, rng)
     west = bed((-2.97, -2.65), (0.4, 2.4), (violet, violet, white), 10, rng)
@@ -53,7 +54,7 @@ def beds(rng: Rng) -> list[Surfels]:
 
 
 def orchard(seed: int, rng: Rng) -> list[Surfels]:
-    """The two trees of the yard, an apple tree and a darker one, and those beyond it."""
+    """Build the two trees of the yard, an apple tree and a darker one, and the trees beyond it."""
     apple, dark = ((0.28, 0.43, 0.14), (0.52, 0.64, 0.25)), ((0.16, 0.33, 0.14), (0.36, 0.52, 0.24))
     far = ((0.24, 0.38, 0.17), (0.42, 0.54, 0.28))
     kinds = [(2100, apple), (1700, dark)] + [(420, far)] * 6
@@ -61,7 +62,7 @@ def orchard(seed: int, rng: Rng) -> list[Surfels]:
 
 
 def to_gaussians(part: Surfels) -> Gaussians:
-    """Surfels whose light is baked, as Gaussians."""
+    """Convert surfels with baked light to Gaussians."""
     sh = torch.from_numpy((part.colors - 0.5) / C0).float().unsqueeze(1)
     return Gaussians(
         means=torch.from_numpy(part.means).float(),

@@ -9,20 +9,20 @@ from splatrl.scenes.yard.plants import grass, lawn_colors, shrub
 from splatrl.scenes.yard.surfels import THICKNESS, Array, Rectangle, Surfels, join, lathe, painted, surfels
 
 NEAR = 1.8
-"""Half width of the part of the lawn that robots see from close by, metres."""
+"""Half width of the part of the lawn that robots see up close, metres."""
 STONES = ((-0.75, -2.45), (-0.72, -1.95), (-0.62, -1.45), (-0.55, -0.95), (-0.58, -0.45), (-0.66, 0.08), (-0.6, 0.6))
 """Centres of the stepping stones that lead from the shed's door into the yard, metres."""
 
 
 def square(half: float) -> Rectangle:
-    """The square on the ground around the origin."""
+    """Return the square on the ground around the origin with this half width."""
     return Rectangle((-half, -half, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), 2 * half, 2 * half)
 
 
 def turf(rng: Rng) -> Surfels:
-    """The lawn: a layer of ground without gaps, finer in the middle, and blades of grass.
+    """Build the lawn: a layer of ground without gaps, finer in the middle, and blades of grass.
 
-    Small overlapping surfels close the ground: large ones this near a camera would smear over the image.
+    The ground consists of small overlapping surfels: large ones this close to a camera would smear across the image.
     """
     parts = []
     for half, inner, step, blades, length in ((NEAR, 0.0, 0.057, 8000, 0.055), (HALF_WIDTH, NEAR, 0.12, 3600, 0.085)):
@@ -38,12 +38,12 @@ def turf(rng: Rng) -> Surfels:
 
 
 def on_stones(points: Array, radius: float) -> NDArray[np.bool_]:
-    """Which points lie within a radius of the centre of a stepping stone, [N] bool."""
+    """Return a mask of the points within a radius of the centre of a stepping stone, [N] bool."""
     return (np.linalg.norm(points[:, None, :2] - np.array(STONES), axis=-1) < radius).any(1)
 
 
 def stones(rng: Rng) -> Surfels:
-    """Flat grey stones in the grass."""
+    """Build flat grey stepping stones in the grass."""
     parts = []
     for x, y in STONES:
         disc = lathe((x, y, 0.016), [(0.195, -0.016), (0.18, 0.0), (0.003, 0.004)], 0.032)
@@ -55,7 +55,7 @@ def stones(rng: Rng) -> Surfels:
 def bed(
     x: tuple[float, float], y: tuple[float, float], blossom_colors: tuple[Color, ...], count: int, rng: Rng
 ) -> Surfels:
-    """A strip of soil with flowers in it."""
+    """Build a strip of soil with flowers in it."""
     soil = Rectangle((x[0], y[0], 0.015), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), x[1] - x[0], y[1] - y[0])
     st, size = soil.cells(0.06)
     dirt = shades((0.30, 0.22, 0.16), 0.2 * rng.normal(size=len(st)))
@@ -70,7 +70,7 @@ def bed(
 
 
 def flowers(foot: tuple[float, float], color: Color, rng: Rng) -> Surfels:
-    """A clump of flowers: leaves below, blossoms on top."""
+    """Build a clump of flowers: leaves below, blossoms on top."""
     height = rng.uniform(0.16, 0.3)
     green = shrub(
         (*foot, 0.5 * height), (0.13, 0.13, 0.5 * height), 45, 0.05, ((0.22, 0.38, 0.15), (0.36, 0.52, 0.22)), rng
@@ -83,7 +83,7 @@ def flowers(foot: tuple[float, float], color: Color, rng: Rng) -> Surfels:
 
 
 def country(rng: Rng, reach: float) -> Surfels:
-    """The land outside the yard: rings of ever larger surfels out to ``reach`` metres."""
+    """Build the land outside the yard: rings of increasingly large surfels out to ``reach`` metres."""
     rings: list[Surfels] = []
     radius = HALF_WIDTH
     while radius < reach:

@@ -1,9 +1,9 @@
-"""Where everything stands in the backyard.
+"""The layout of the backyard: where everything stands.
 
-World frame, metres, ground at z = 0. The yard is 6 m wide: a hedge in the east (+x), a wooden fence in the north
-(+y), a brick wall in the west and a shed in the south. Robots stay within a metre of the middle along x
-and y, and what they can touch there stands in the same place for every seed; only the trees move with the seed. What
-``clutter`` moves is in ``clutter.py``.
+World frame, metres, ground at z = 0. The yard is 6 m wide, with a hedge in the east (+x), a wooden fence in the north
+(+y), a brick wall in the west and a shed in the south. Robots stay within a metre of the centre along x and y, and
+everything that they can touch there stands in the same place for every seed; only the trees move with the seed.
+``clutter.py`` lists what ``clutter`` moves.
 """
 
 from dataclasses import dataclass
@@ -17,17 +17,17 @@ EGG = (1.25, 0.4, 0.41)
 EGG_RADII = (0.12, 0.12, 0.16)
 """Half extents of the egg, metres."""
 HALF_WIDTH = 3.0
-"""Distance from the centre to what encloses the yard, metres."""
+"""Distance from the centre to the enclosure of the yard, metres."""
 
 
 @dataclass(frozen=True)
 class Solid:
-    """A solid thing as the axis-aligned box around it.
+    """A solid thing, represented by its axis-aligned bounding box.
 
     Attributes:
-        name: what it is.
-        low: lowest corner, metres, world frame.
-        high: highest corner, metres, world frame.
+        name: name of the thing.
+        low: lower corner of the box, metres, world frame.
+        high: upper corner of the box, metres, world frame.
     """
 
     name: str
@@ -40,10 +40,11 @@ class Tree:
     """A tree.
 
     Attributes:
-        x: place of the trunk, metres; so is ``y``.
-        trunk_radius: metres.
+        x: x of the trunk, metres.
+        y: y of the trunk, metres.
+        trunk_radius: radius of the trunk, metres.
         crown_height: height of the crown's centre, metres.
-        crown_radius: metres.
+        crown_radius: radius of the crown, metres.
     """
 
     x: float
@@ -81,7 +82,7 @@ BENCH = (
 
 
 def trees(seed: int) -> tuple[Tree, ...]:
-    """Two trees in the yard's corners, then six beyond it; each seed moves them a little."""
+    """Return two trees in corners of the yard, then six beyond it; each seed moves them slightly."""
     shift = np.random.default_rng([seed, 1]).uniform(-1.0, 1.0, (8, 3))
     yard = [(2.25, 2.2, 0.11, 2.3, 0.95), (-2.3, -2.2, 0.09, 2.1, 0.8)]
     beyond = [
@@ -100,7 +101,7 @@ def trees(seed: int) -> tuple[Tree, ...]:
 
 
 def table_legs() -> list[Solid]:
-    """The four legs of the table."""
+    """Return the four legs of the table."""
     (x0, y0, _), (x1, y1, z1) = TABLE_TOP.low, TABLE_TOP.high
     return [
         Solid("table leg", (x, y, 0.0), (x + 0.04, y + 0.04, z1 - 0.05))
@@ -110,7 +111,7 @@ def table_legs() -> list[Solid]:
 
 
 def solids(seed: int, clutter: int = 0) -> list[Solid]:
-    """Everything solid in the yard and around it, trunks included, the house left out."""
+    """Return everything solid in and around the yard, including the trunks of its trees but not the house."""
     moves = clutter_moves(clutter)
     trunks = [
         Solid(
@@ -126,7 +127,7 @@ def solids(seed: int, clutter: int = 0) -> list[Solid]:
 
 
 def moved_solid(solid: Solid, moves: dict[str, Shift]) -> Solid:
-    """The box of a solid where its thing has been moved to."""
+    """Return the box of a solid after the displacement of the thing that it belongs to."""
     move = moves.get(BELONGS_TO.get(solid.name, ""), Shift())
     (x0, y0, z0), (x1, y1, z1) = solid.low, solid.high
     return Solid(solid.name, (x0 + move.x, y0 + move.y, z0), (x1 + move.x, y1 + move.y, z1))
@@ -135,14 +136,14 @@ def moved_solid(solid: Solid, moves: dict[str, Shift]) -> Solid:
 def backyard_obstacles(
     seed: int = 0, clutter: int = 0
 ) -> list[tuple[str, tuple[float, float, float], tuple[float, float, float]]]:
-    """The ground truth for collision: what is solid in ``backyard_gaussians(seed, clutter)``.
+    """Return the ground truth for collision: what is solid in ``backyard_gaussians(seed, clutter)``.
 
     Args:
-        seed: the one that the scene was made with.
-        clutter: likewise.
+        seed: seed that the scene was made with.
+        clutter: clutter that the scene was made with.
 
     Returns:
-        Name, lowest and highest corner of the box around each thing, metres, world frame. Each thing fills its
+        Name, and lower and upper corner of the bounding box, of each thing, metres, world frame. A thing fills its
         box; a round one fills the ellipse or ellipsoid in it. The ground and the grass are not in the list.
     """
     return [(solid.name, solid.low, solid.high) for solid in solids(seed, clutter)]

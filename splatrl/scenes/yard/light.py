@@ -13,18 +13,18 @@ SUN = np.array([-0.50, -0.47, 0.73])
 SUN_COLOR = np.array([1.0, 0.93, 0.78]) * 1.62
 SKY_COLOR = np.array([0.62, 0.74, 0.95]) * 0.9
 GROUND_COLOR = np.array([0.50, 0.52, 0.34]) * 0.35
-"""Light that the lawn reflects onto what faces it."""
+"""Light that the lawn reflects onto surfaces that face it."""
 
 
 @dataclass(frozen=True)
 class Light:
-    """What light falls on a yard.
+    """The light that falls on a yard.
 
     Attributes:
         sun: [3] unit vector to the sun.
         sun_color: [3] linear light of the sun on a surface that faces it.
-        sky_color: [3] of the open sky.
-        ground_color: [3] that the ground reflects onto what faces it.
+        sky_color: [3] linear light of the open sky.
+        ground_color: [3] linear light that the ground reflects onto surfaces that face it.
     """
 
     sun: Array
@@ -35,21 +35,21 @@ class Light:
 
 SUNNY = Light(SUN, SUN_COLOR, SKY_COLOR, GROUND_COLOR)
 PENUMBRA = 0.035
-"""Spread of the directions to the sun, whose shadows are averaged."""
+"""Spread of the directions to the sun over which shadows are averaged."""
 RAYS = 5
 CONTACT = 0.16
-"""Metres over which the ground hides the sky from a thing's foot, and a thing hides it from the ground."""
+"""Metres over which the ground occludes the sky at a thing's foot, and a thing occludes it on the ground."""
 
 
 @dataclass(frozen=True)
 class Occluders:
-    """What casts shadows: boxes, which are opaque, and crowns, which let some light through.
+    """Everything that casts shadows: boxes, which are opaque, and tree crowns, which let some light through.
 
     Attributes:
-        low: [B, 3] corners of boxes, metres.
-        high: [B, 3].
-        centers: [C, 3] of crowns, metres.
-        radii: [C, 3] half extents, metres.
+        low: [B, 3] lower corners of the boxes, metres.
+        high: [B, 3] upper corners of the boxes, metres.
+        centers: [C, 3] centres of the crowns, metres.
+        radii: [C, 3] half extents of the crowns, metres.
     """
 
     low: Array
@@ -59,7 +59,7 @@ class Occluders:
 
 
 def occluders(solids: list[Solid], trees: tuple[Tree, ...], shrink: float = 0.012) -> Occluders:
-    """Occluders a little smaller than the things, so that a surface does not shade itself."""
+    """Build occluders slightly smaller than the things, so that a surface does not shadow itself."""
     return Occluders(
         low=np.array([s.low for s in solids]) + shrink,
         high=np.array([s.high for s in solids]) - shrink,
@@ -69,10 +69,10 @@ def occluders(solids: list[Solid], trees: tuple[Tree, ...], shrink: float = 0.01
 
 
 def in_box(points: Array, direction: Array, blockers: Occluders) -> NDArray[np.bool_]:
-    """Whether a ray from each point enters a box, [N] bool (slab test); what lies in a box is not shaded by it."""
+    """Return whether a ray from each point enters a box, [N] bool (slab test); a box never shades points inside it."""
     safe = np.where(np.abs(direction) < 1e-6, 1e-6, direction)
     hit = np.zeros(len(points), bool)
-    scaled = np.ascontiguousarray((points / safe).T)  # [3, N]: the reductions below run along memory
+    scaled = np.ascontiguousarray((points / safe).T)  # [3, N]: the reductions below run along contiguous memory
     for low, high in zip(blockers.low / safe, blockers.high / safe, strict=True):
         first, second = low[:, None] - scaled, high[:, None] - scaled
         enter, leave = np.minimum(first, second).max(0), np.maximum(first, second).min(0)
@@ -81,7 +81,7 @@ def in_box(points: Array, direction: Array, blockers: Occluders) -> NDArray[np.b
 
 
 def through_crowns(points: Array, direction: Array, blockers: Occluders) -> Array:
-    """Share of light that reaches each point through the crowns, [N]: less, the longer its path through leaves."""
+    """Return the fraction of light that reaches each point through tree crowns, [N]: longer paths let less through."""
     share = np.ones(len(points))
     for center, radii in zip(blockers.centers, blockers.radii, strict=True):
         start, way = (points - center) / radii, direction / radii
@@ -93,7 +93,7 @@ def through_crowns(points: Array, direction: Array, blockers: Occluders) -> Arra
 
 
 def sunlight(points: Array, blockers: Occluders, sun: Array = SUN) -> Array:
-    """Share of the sun's disc that each point sees, [N] in [0, 1]."""
+    """Return the fraction of the sun's disc that each point sees, [N] in [0, 1]."""
     total = np.zeros(len(points))
     for ray in range(RAYS):
         angle = 2 * np.pi * ray / RAYS
@@ -104,7 +104,7 @@ def sunlight(points: Array, blockers: Occluders, sun: Array = SUN) -> Array:
 
 
 def openness(points: Array, normals: Array, blockers: Occluders) -> Array:
-    """Share of the sky that is visible near contacts, [N]: things' feet and the ground around them are darker."""
+    """Return the visible fraction of the sky near contacts, [N]: the feet of things and the ground there are darker."""
     height = np.maximum(points[:, 2], 0.0)
     flat = np.maximum(normals[:, 2], 0.0)
     foot = 1 - 0.45 * (1 - flat) * np.exp(-height / CONTACT)
@@ -114,18 +114,18 @@ def openness(points: Array, normals: Array, blockers: Occluders) -> Array:
 
 
 def to_linear(srgb: Array) -> Array:
-    """sRGB in [0, 1] to linear light."""
+    """Convert sRGB in [0, 1] to linear light."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
 def to_srgb(linear: Array) -> Array:
-    """Linear light to sRGB in [0, 1]; highlights roll off rather than clip."""
+    """Convert linear light to sRGB in [0, 1]; highlights roll off rather than clip."""
     rolled = np.where(linear < 0.6, linear, 0.6 + 0.4 * np.tanh((linear - 0.6) / 0.4))
     return np.where(rolled <= 0.0031308, 12.92 * rolled, 1.055 * np.maximum(rolled, 1e-9) ** (1 / 2.4) - 0.055)
 
 
 def lit(part: Surfels, blockers: Occluders, light: Light = SUNNY) -> Surfels:
-    """The surfels as they look in the light of the yard (Lambert's law, one bounce from the ground)."""
+    """Return the surfels with the light of the yard baked in (Lambert's law, one bounce from the ground)."""
     straight = np.linalg.norm(part.normals, axis=1)
     facing = np.clip(part.normals @ light.sun + (1 - straight), 0.0, 1.0)
     sun = facing * sunlight(part.means + 0.01 * part.normals, blockers, light.sun)

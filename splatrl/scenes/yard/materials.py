@@ -1,4 +1,4 @@
-"""What surfaces are made of: noise, bricks, boards and plaster."""
+"""Materials of surfaces: noise, bricks, boards and plaster."""
 
 import numpy as np
 
@@ -9,16 +9,16 @@ Color = tuple[float, float, float]
 
 
 def waves(points: Array, rng: Rng, wavelength: float, count: int = 10) -> Array:
-    """Smooth noise of zero mean and unit variance: plane waves of random directions and phases.
+    """Return smooth noise of zero mean and unit variance: a sum of plane waves with random directions and phases.
 
     Args:
-        points: [N, 3] metres.
-        rng: drawn from once for each call.
-        wavelength: metres.
-        count: waves.
+        points: [N, 3] positions, metres.
+        rng: generator of the waves; every call draws new ones.
+        wavelength: nominal wavelength, metres.
+        count: number of waves.
 
     Returns:
-        [N].
+        [N] noise at the points.
     """
     directions = rng.normal(size=(count, 3))
     directions *= (
@@ -28,18 +28,18 @@ def waves(points: Array, rng: Rng, wavelength: float, count: int = 10) -> Array:
 
 
 def shades(color: Color | Array, brightness: Array) -> Array:
-    """A colour made brighter or darker: [N] relative changes -> [N, 3]."""
+    """Brighten or darken a colour: [N] relative changes -> [N, 3]."""
     return np.clip(np.asarray(color) * (1 + brightness)[:, None], 0.0, 1.0)
 
 
 def mixed(first: Color, second: Color, share: Array) -> Array:
-    """Colours between two: share [N] of the second, clipped to [0, 1] -> [N, 3]."""
+    """Mix two colours: fraction [N] of the second, clipped to [0, 1] -> [N, 3]."""
     part = np.clip(share, 0.0, 1.0)[:, None]
     return (1 - part) * np.asarray(first) + part * np.asarray(second)
 
 
 def plaster(rectangle: Rectangle, rng: Rng, color: Color, step: float, stain: float = 0.06) -> Surfels:
-    """An even surface with stains."""
+    """Build an even surface with stains."""
     st, size = rectangle.cells(step)
     points = rectangle.points(st)
     brightness = stain * waves(points, rng, 12 * step) + 0.5 * stain * rng.normal(size=len(st))
@@ -54,15 +54,15 @@ def brickwork(
     palette: tuple[Color, Color],
     mortar: Color = (0.70, 0.67, 0.62),
 ) -> Surfels:
-    """Bricks in running bond, with lines of mortar drawn over their edges.
+    """Build bricks in running bond, with lines of mortar drawn over their edges.
 
     Args:
-        rectangle: the face.
-        rng: for colours.
-        brick: width and height with one joint each, metres.
-        splits: surfels in a brick, along and up.
+        rectangle: face to cover.
+        rng: generator of the colours.
+        brick: width and height of a brick with one joint each, metres.
+        splits: number of surfels in a brick, along and up.
         palette: two colours between which bricks vary.
-        mortar: its colour.
+        mortar: colour of the mortar.
     """
     bricks = bond(rectangle, brick)
     joint = 0.16 * brick[1]
@@ -86,10 +86,10 @@ def brickwork(
 
 
 def bond(rectangle: Rectangle, brick: tuple[float, float]) -> Array:
-    """Running bond: each row of bricks is shifted by half of one, and ends with cut ones.
+    """Lay bricks in running bond: every other row is shifted by half a brick, and rows end with cut bricks.
 
     Returns:
-        [N, 4] middle along and up, width and height, metres on the rectangle.
+        [N, 4] centre along and up, width and height of each brick, metres on the rectangle.
     """
     rows = round(rectangle.height / brick[1])
     tall = rectangle.height / rows
@@ -111,12 +111,12 @@ def boards(
     upright: bool = True,
     contrast: float = 1.0,
 ) -> Surfels:
-    """Wooden boards side by side, each with its own tone, grain along it and dark gaps between.
+    """Build wooden boards side by side, each with its own tone and grain along it, and dark gaps between them.
 
     Args:
-        rectangle: the face.
-        rng: for tones and grain.
-        color: of the wood.
+        rectangle: face to cover.
+        rng: generator of tones and grain.
+        color: colour of the wood.
         board: width of a board, metres.
         cell: size of a surfel across and along the grain, metres.
         upright: whether boards run up the rectangle rather than along it.
@@ -137,7 +137,7 @@ def boards(
 
 
 def turned(rectangle: Rectangle) -> Rectangle:
-    """The same rectangle, read from its lower right corner: up becomes right and left becomes up."""
+    """Return the same rectangle described from its lower right corner: up becomes right, and left becomes up."""
     corner = np.asarray(rectangle.corner) + rectangle.width * np.asarray(rectangle.right)
     x, y, z = (float(v) for v in -np.asarray(rectangle.right))
     a, b, c = (float(v) for v in corner)

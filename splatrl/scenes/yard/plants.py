@@ -8,15 +8,15 @@ from splatrl.scenes.yard.surfels import Array, Surfels, frames, join, lathe, pai
 
 
 def leaves(points: Array, outward: Array, depth: Array, size: float, palette: tuple[Color, Color], rng: Rng) -> Surfels:
-    """Leaves that face roughly outward, darker the deeper they sit.
+    """Build leaves that face roughly outward and are darker the deeper they sit.
 
     Args:
-        points: [N, 3] metres.
-        outward: [N, 3] unit vectors.
+        points: [N, 3] centres of the leaves, metres.
+        outward: [N, 3] unit vectors that point out of the plant.
         depth: [N] in [0, 1], 0 at the surface of the plant.
         size: half a leaf's length, metres.
         palette: two colours between which leaves vary.
-        rng: for colours, sizes and directions.
+        rng: generator of colours, sizes and directions.
     """
     count = len(points)
     facing = outward + 0.8 * rng.normal(size=(count, 3))
@@ -28,7 +28,7 @@ def leaves(points: Array, outward: Array, depth: Array, size: float, palette: tu
 
 
 def ball(center: Array, radii: Array, count: int, rng: Rng, shell: float = 0.55) -> tuple[Array, Array, Array]:
-    """Points in the outer part of an ellipsoid: positions [N, 3], outward directions [N, 3] and depths [N]."""
+    """Draw points in the outer part of an ellipsoid: positions [N, 3], outward directions [N, 3] and depths [N]."""
     outward = rng.normal(size=(count, 3))
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     radius = rng.uniform(shell**2, 1.0, count) ** 0.5
@@ -43,7 +43,7 @@ def shrub(
     palette: tuple[Color, Color],
     rng: Rng,
 ) -> Surfels:
-    """A round bush around a dark core, which lets no light through."""
+    """Build a round bush around a dark core that lets no light through."""
     middle, extent = np.asarray(center), np.asarray(radii)
     core, outward, _ = ball(middle, 0.7 * extent, max(12, count // 12), rng)
     width = 0.3 * float(extent.min())
@@ -64,7 +64,7 @@ def blossoms(
     color: Color,
     rng: Rng,
 ) -> Surfels:
-    """Blossoms on the surface of a bush."""
+    """Build blossoms on the surface of a bush."""
     points, outward, _ = ball(np.asarray(center), 1.04 * np.asarray(radii), count, rng, shell=0.85)
     tone = shades(color, 0.1 * rng.normal(size=count))
     return surfels(points, frames(outward, rng.normal(size=3)), (size, size, 0.7 * size), tone, 0.6 * outward)
@@ -72,11 +72,11 @@ def blossoms(
 
 BARK = (0.42, 0.33, 0.25)
 GREENS = ((0.27, 0.42, 0.13), (0.60, 0.60, 0.27))
-"""Of a lawn: fresh and dry."""
+"""Colours of a lawn: fresh and dry."""
 
 
 def tree(spec: Tree, count: int, palette: tuple[Color, Color], rng: Rng, bark_color: Color = BARK) -> Surfels:
-    """A tree: bark, branches and a crown of overlapping balls of leaves."""
+    """Build a tree: a trunk with bark, and a crown of overlapping balls of leaves."""
     top = spec.crown_height
     step = 0.7 * spec.trunk_radius
     profile = [(1.5 * spec.trunk_radius, 0.0), (spec.trunk_radius, 0.25), (0.75 * spec.trunk_radius, top)]
@@ -97,13 +97,13 @@ def tree(spec: Tree, count: int, palette: tuple[Color, Color], rng: Rng, bark_co
 
 
 def grass(points: Array, length: float, rng: Rng, greens: tuple[Color, Color] = GREENS) -> Surfels:
-    """Blades of grass at points on the lawn, which lean and are lighter at the top.
+    """Build blades of grass at points on the lawn, which lean and are lighter than the ground below.
 
     Args:
-        points: [N, 3] feet, metres.
-        length: of a blade, metres.
-        rng: for lean, length and colour.
-        greens: fresh and dry.
+        points: [N, 3] feet of the blades, metres.
+        length: nominal length of a blade, metres.
+        rng: generator of lean, length and colour.
+        greens: colours of fresh and dry grass.
     """
     count = len(points)
     blade = rng.normal(scale=(0.45, 0.45, 0.0), size=(count, 3)) + np.array([0.0, 0.0, 1.0])
@@ -117,7 +117,7 @@ def grass(points: Array, length: float, rng: Rng, greens: tuple[Color, Color] = 
 
 
 def lawn_colors(points: Array, rng: Rng, greens: tuple[Color, Color] = GREENS) -> Array:
-    """Greens of a lawn at points on it: large patches, drier spots and fine grain, [N, 3] sRGB."""
+    """Return the greens of a lawn at points on it: large patches, drier spots and fine grain, [N, 3] sRGB."""
     fixed = np.random.default_rng(20)  # blades and the ground beneath them share their patches
     flat = points * np.array([1.0, 1.0, 0.0])
     dry = 0.28 + 0.16 * waves(flat, fixed, 1.6) + 0.12 * waves(flat, fixed, 0.45) + 0.1 * rng.normal(size=len(points))

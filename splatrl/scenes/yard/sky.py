@@ -1,4 +1,4 @@
-"""The sky: a dome of large Gaussians that no view can look past."""
+"""The sky: a dome of large Gaussians without gaps, so that no view sees past it."""
 
 from dataclasses import dataclass
 
@@ -8,19 +8,19 @@ from splatrl.scenes.yard.materials import Color, Rng, mixed, waves
 from splatrl.scenes.yard.surfels import Surfels, frames, surfels
 
 RADIUS = 30.0
-"""Metres."""
+"""Radius of the dome, metres."""
 COUNT = 1500
 
 
 @dataclass(frozen=True)
 class SkyLook:
-    """How a sky looks.
+    """The appearance of a sky.
 
     Attributes:
-        horizon: its colour at the horizon, sRGB.
-        zenith: its colour overhead, sRGB.
+        horizon: colour at the horizon, sRGB.
+        zenith: colour overhead, sRGB.
         cloud: colour of clouds, sRGB.
-        clear: how clear it is: clouds stand where noise of unit variance is above this.
+        clear: clearness of the sky: clouds appear where noise of roughly unit variance exceeds this.
     """
 
     horizon: Color = (0.80, 0.88, 0.95)
@@ -33,9 +33,9 @@ BLUE = SkyLook()
 
 
 def sky(rng: Rng, look: SkyLook = BLUE) -> Surfels:
-    """A dome, pale at the horizon, with a few clouds; it is its own light."""
+    """Build a dome, pale at the horizon, with a few clouds; it emits its own light."""
     index = np.arange(COUNT) + 0.5
-    height = 1.06 * index / COUNT - 0.06  # sine of the elevation, even in area, a little below the horizon
+    height = 1.06 * index / COUNT - 0.06  # sine of the elevation: uniform in area, from just below the horizon
     azimuth = index * np.pi * (3 - np.sqrt(5))
     level = np.sqrt(1 - height**2)
     directions = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), height], -1)

@@ -1,4 +1,4 @@
-"""Surfels: the flat Gaussians that the backyard is made of, before light falls on them."""
+"""Surfels: the flat Gaussians that the backyard is made of, before and after lighting."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 THICKNESS = 0.004
 """Standard deviation of a surfel along its normal, metres."""
 OVERLAP = 0.68
-"""Standard deviation over spacing: neighbours close every gap, and details stay sharp."""
+"""Ratio of standard deviation to spacing, at which neighbours close every gap and details stay sharp."""
 OPAQUE = 0.96
 
 
@@ -23,8 +23,8 @@ class Surfels:
         means: [N, 3] metres, world frame.
         axes: [N, 3, 3] rotations; column k is the direction of ``scales[:, k]``, column 2 the thin one.
         scales: [N, 3] standard deviations, metres.
-        colors: [N, 3] sRGB in [0, 1]: what the surface reflects, or once lit what is seen.
-        normals: [N, 3] the surface's direction for lighting; the shorter it is than 1, the more light shines through
+        colors: [N, 3] sRGB in [0, 1]: the surface's reflectance or, once lit, its visible colour.
+        normals: [N, 3] surface normals for lighting; the shorter a normal is than 1, the more light shines through
             from all sides.
         opacities: [N].
     """
@@ -41,16 +41,16 @@ class Surfels:
 
 
 def join(parts: Iterable[Surfels]) -> Surfels:
-    """All surfels of the parts, in their order."""
+    """Concatenate the surfels of the parts in order."""
     listed = list(parts)
     return Surfels(*(np.concatenate([getattr(part, field.name) for part in listed]) for field in fields(Surfels)))
 
 
 def frames(normals: Array, along: Array) -> Array:
-    """Rotations whose third column is the normal and whose first is as near to ``along`` as that allows.
+    """Return rotations whose third column is the normal and whose first is as close to ``along`` as that allows.
 
     Args:
-        normals: [N, 3], any length but zero.
+        normals: [N, 3], of any length but zero.
         along: [N, 3] or [3], not parallel to the normal.
 
     Returns:
@@ -70,7 +70,7 @@ def surfels(
     normals: Array | None = None,
     opacity: float = OPAQUE,
 ) -> Surfels:
-    """Surfels whose scales, colours and axes may be shared; the normals are the third axes unless given."""
+    """Build surfels whose scales, colours and axes may be shared; the normals default to the third axes."""
     count = len(means)
     axes = np.broadcast_to(axes, (count, 3, 3))
     return Surfels(
@@ -102,7 +102,7 @@ class Rectangle:
     height: float
 
     def cells(self, step: float, tall: float | None = None) -> tuple[Array, tuple[float, float]]:
-        """Centres [N, 2] of a grid of whole cells, of about ``step`` by ``tall`` metres, and their size."""
+        """Return the centres [N, 2] of a grid of whole cells of about ``step`` by ``tall`` metres, and their size."""
         columns = max(1, round(self.width / step))
         rows = max(1, round(self.height / (tall or step)))
         size = (self.width / columns, self.height / rows)
@@ -110,7 +110,7 @@ class Rectangle:
         return np.stack([s.ravel(), t.ravel()], -1), size
 
     def points(self, st: Array, lift: float | Array = 0.0) -> Array:
-        """World positions [N, 3] of points [N, 2] on the rectangle, ``lift`` metres in front of it."""
+        """Return the world positions [N, 3] of points [N, 2] on the rectangle, ``lift`` metres in front of it."""
         right, up = np.asarray(self.right), np.asarray(self.up)
         lifted = np.asarray(lift)[..., None] * np.cross(right, up)
         return np.asarray(self.corner) + st[:, :1] * right + st[:, 1:] * up + lifted
@@ -118,13 +118,13 @@ class Rectangle:
     def surfels(
         self, st: Array, size: Array | tuple[float, float], colors: Array, lift: float | Array = 0.0
     ) -> Surfels:
-        """Surfels that cover cells.
+        """Build surfels that cover cells.
 
         Args:
             st: [N, 2] centres of the cells.
-            size: [N, 2] or two sizes of the cells, metres.
+            size: width and height of each cell, [N, 2], or of all cells, metres.
             colors: [N, 3] sRGB.
-            lift: metres in front of the rectangle.
+            lift: distance in front of the rectangle, metres.
         """
         right, up = np.asarray(self.right), np.asarray(self.up)
         axes = np.stack([right, up, np.cross(right, up)], -1)
@@ -136,7 +136,7 @@ class Rectangle:
 def faces(
     low: tuple[float, float, float], high: tuple[float, float, float], sides: str = "+x-x+y-y+z"
 ) -> list[Rectangle]:
-    """Sides of a box as rectangles seen from outside; ``sides`` names them by sign and axis."""
+    """Return sides of a box as rectangles seen from outside; ``sides`` names them by sign and axis."""
     (x0, y0, z0), (x1, y1, z1) = low, high
     width, depth, height = x1 - x0, y1 - y0, z1 - z0
     up = (0.0, 0.0, 1.0)
@@ -154,13 +154,15 @@ def faces(
 def lathe(
     center: tuple[float, float, float], profile: list[tuple[float, float]], step: float, lying: bool = False
 ) -> Surfels:
-    """A surface of revolution about the vertical through ``center``, or about +x if ``lying``; white, to be painted.
+    """Build a surface of revolution about the vertical through ``center``, or about +x if ``lying``.
+
+    It is white, to be painted.
 
     Args:
         center: foot of the axis, metres, world frame.
         profile: (radius, height) of the outline from bottom to top, metres; outside is to the right of it.
         step: spacing of the surfels, metres.
-        lying: turn z into x, x into y and y into z.
+        lying: whether to turn z into x, x into y and y into z.
     """
     rings: list[Surfels] = []
     outline = np.asarray(profile)
@@ -186,5 +188,5 @@ def lathe(
 
 
 def painted(part: Surfels, colors: Array | tuple[float, float, float]) -> Surfels:
-    """The same surfels in other colours, [N, 3] or one."""
+    """Return the same surfels in other colours, [N, 3] or a single colour."""
     return surfels(part.means, part.axes, part.scales, colors, part.normals, float(part.opacities[0]))

@@ -1,4 +1,4 @@
-"""A family of generated yards, each another place by its seed, all as hard as the backyard, with a red egg to find."""
+"""A family of generated yards: a different place for every seed, as hard as the backyard, with a red egg to find."""
 
 from splatrl.scenes.yards.source import Yard, made_yards, proposals, yard, yards
 

@@ -1,4 +1,4 @@
-"""Make yards and keep them in the cache: ``python -m splatrl.scenes.yards 3 5``."""
+"""Generate yards and keep them in the cache: ``python -m splatrl.scenes.yards 3 5``."""
 
 import sys
 

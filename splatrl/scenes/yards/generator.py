@@ -1,4 +1,4 @@
-"""Puts a generated yard together: a style, a layout that can be solved, things, light and sky."""
+"""Assembles a generated yard: a style, a solvable layout, things, light and sky."""
 
 from dataclasses import dataclass, replace
 
@@ -23,9 +23,9 @@ from splatrl.scenes.yards.style import LEAVES, Style, drawn_style
 from splatrl.scenes.yards.turning import turned
 
 ATTEMPTS = 4000
-"""Layouts that are drawn for a seed at most; one in about six can be solved."""
+"""Maximum number of layouts drawn for a seed; about one in six is solvable."""
 SLACK = 0.035
-"""By how much round things may turn out smaller than their boxes say, metres."""
+"""Amount by which round things may turn out smaller than their boxes, metres."""
 BARKS: tuple[Color, ...] = (BARK, (0.80, 0.79, 0.75), (0.33, 0.27, 0.22))
 
 
@@ -34,10 +34,10 @@ class Made:
     """A generated yard.
 
     Attributes:
-        gaussians: in the world frame.
-        layout: where everything stands.
-        hanging: x and y of a free place to hang a thing at, metres.
-        found: how hard it is.
+        gaussians: its Gaussians, in the world frame.
+        layout: its layout.
+        hanging: x and y of a free place to hang an object, metres.
+        found: its measured difficulty.
     """
 
     gaussians: Gaussians
@@ -47,14 +47,14 @@ class Made:
 
 
 def made_yard(seed: int) -> Made:
-    """Make the yard of a seed: the same numbers give the same bytes.
+    """Generate the yard of a seed; the same seed gives the same bytes.
 
-    Layouts are drawn until one is as hard as the backyard and can be solved from everywhere, first by the boxes of its
-    things, round ones a little smaller as well, then with every surfel besides, and then by surfels alone, where there
-    are several.
+    Layouts are drawn until one is as hard as the backyard and solvable from everywhere. This must hold for the boxes of
+    its things, also with round things slightly smaller; then for these boxes together with every surfel; and then for
+    surfels alone, counting only cells that hold several.
 
     Raises:
-        RuntimeError: where none of ``ATTEMPTS`` layouts can be solved.
+        RuntimeError: if none of ``ATTEMPTS`` layouts is solvable.
     """
     style = drawn_style(np.random.default_rng([seed, 10]))
     for attempt in range(ATTEMPTS):
@@ -77,14 +77,14 @@ def made_yard(seed: int) -> Made:
 
 
 def blockers(layout: Layout) -> Occluders:
-    """What casts shadows."""
+    """Return everything in a layout that casts shadows."""
     solids = [solid for piece in layout.core + layout.edge for solid in piece.solids]
     solids += [layout.egg.solid, *layout.trunks, *(side.solid for side in layout.sides)]
     return occluders([*solids, *(house.solid for house in layout.houses)], layout.trees)
 
 
 def built(layout: Layout, style: Style, rng: Rng) -> Surfels:
-    """All surfels of a yard but the sky, before light falls on them."""
+    """Build all surfels of a yard except the sky, before lighting."""
     parts = [ground(layout.laid, style, rng), country(layout.outline, style, rng)]
     for side in layout.sides:
         parts.append(turned(SIDES[side.name].build(side.box, style, rng), side.x, side.y, side.quarters))
@@ -104,7 +104,7 @@ def built(layout: Layout, style: Style, rng: Rng) -> Surfels:
 
 
 def orchard(trees: tuple[Tree, ...], inside: int, style: Style, rng: Rng) -> list[Surfels]:
-    """The trees of the yard and those beyond it."""
+    """Build the trees in the yard and those beyond it."""
     parts = []
     for index, spec in enumerate(trees):
         far = index >= inside

@@ -1,4 +1,4 @@
-"""What a generated yard is laid with: lawn, gravel, slabs, bricks or bark, with a path, a terrace and a bed."""
+"""The ground of a generated yard: lawn, gravel, slabs, bricks or bark, with a path and a terrace."""
 
 from dataclasses import dataclass
 
@@ -12,22 +12,22 @@ from splatrl.scenes.yard.surfels import THICKNESS, Array, Rectangle, Surfels, jo
 from splatrl.scenes.yards.style import Style
 
 NEAR = 1.9
-"""Half width of the part that robots see from close by, metres."""
+"""Half width of the part that robots see up close, metres."""
 BLADES = 560
-"""Of grass on a square metre near the robots; half as many elsewhere."""
+"""Blades of grass per square metre near the robots; half as many elsewhere."""
 Rect = tuple[float, float, float, float]
-"""Lowest and highest x and y of a part of the ground: x0, y0, x1, y1, metres."""
+"""Rectangle on the ground, by its lower and upper x and y: x0, y0, x1, y1, metres."""
 
 
 @dataclass(frozen=True)
 class Laid:
-    """Where what lies.
+    """The layout of the ground's surfaces.
 
     Attributes:
-        outline: of the yard.
-        terrace: laid with something else; empty where x0 = x1.
-        path: [P, 2] points along the middle of a path.
-        width: of the path, metres; 0 stands for stepping stones.
+        outline: outline of the yard.
+        terrace: area with another surface; empty if x0 = x1.
+        path: [P, 2] points along the centre line of a path, metres.
+        width: width of the path, metres; 0 stands for stepping stones.
     """
 
     outline: Rect
@@ -37,13 +37,13 @@ class Laid:
 
 
 def within(points: Array, rect: Rect) -> NDArray[np.bool_]:
-    """Which points lie in a rectangle, [N] bool."""
+    """Return a mask of the points in a rectangle, [N] bool."""
     x0, y0, x1, y1 = rect
     return (points[:, 0] > x0) & (points[:, 0] < x1) & (points[:, 1] > y0) & (points[:, 1] < y1)
 
 
 def off_path(points: Array, path: Array) -> Array:
-    """Distance of each point from the middle of a path, [N] metres."""
+    """Return the distance of each point from the centre line of a path, [N] metres."""
     start, way = path[:-1], np.diff(path, axis=0)
     away = points[:, None, :2] - start
     along = np.clip((away * way).sum(-1) / (way * way).sum(-1), 0.0, 1.0)
@@ -51,7 +51,7 @@ def off_path(points: Array, path: Array) -> Array:
 
 
 def kinds_at(points: Array, laid: Laid, style: Style) -> NDArray[np.str_]:
-    """What lies at each point, [N] names of ``GROUNDS``."""
+    """Return the surface of the ground at each point, [N] names from ``GROUNDS``."""
     kinds = np.full(len(points), style.base, dtype="<U8")
     kinds[within(points, laid.terrace)] = "slabs" if style.base != "slabs" else "bricks"
     if laid.width:
@@ -60,9 +60,9 @@ def kinds_at(points: Array, laid: Laid, style: Style) -> NDArray[np.str_]:
 
 
 def ground(laid: Laid, style: Style, rng: Rng) -> Surfels:
-    """The ground inside the outline, with grass on what is lawn.
+    """Build the ground inside the outline, with blades of grass where it is lawn.
 
-    Small overlapping surfels close the ground: large ones this near a camera would smear over the image.
+    The ground consists of small overlapping surfels: large ones this close to a camera would smear across the image.
     """
     x0, y0, x1, y1 = laid.outline
     near = (max(x0, -NEAR), max(y0, -NEAR), min(x1, NEAR), min(y1, NEAR))
@@ -87,7 +87,7 @@ def ground(laid: Laid, style: Style, rng: Rng) -> Surfels:
 
 
 def ground_colors(points: Array, laid: Laid, style: Style, rng: Rng) -> Array:
-    """Colours of the ground at points, [N, 3] sRGB."""
+    """Return the colours of the ground at points, [N, 3] sRGB."""
     kinds = kinds_at(points, laid, style)
     noise = rng.normal(size=len(points))
     tint = rng.normal(size=(64, 64))
@@ -115,14 +115,14 @@ def ground_colors(points: Array, laid: Laid, style: Style, rng: Rng) -> Array:
 
 
 def off_stones(points: Array, laid: Laid) -> Array:
-    """Distance of each point from the middle of the nearest stepping stone, [N] metres."""
+    """Return the distance of each point from the centre of the nearest stepping stone, [N] metres."""
     if laid.width:
         return np.full(len(points), np.inf)
     return np.linalg.norm(points[:, None, :2] - stone_places(laid), axis=-1).min(1)
 
 
 def stone_places(laid: Laid) -> Array:
-    """Middles of stepping stones along the path, [S, 2] metres."""
+    """Return the centres of stepping stones along the path, [S, 2] metres."""
     legs = np.linalg.norm(np.diff(laid.path, axis=0), axis=1)
     along = np.append(0.0, np.cumsum(legs))
     at = np.arange(0.25, along[-1], 0.5)
@@ -130,7 +130,7 @@ def stone_places(laid: Laid) -> Array:
 
 
 def stepping_stones(laid: Laid, style: Style, rng: Rng) -> Surfels:
-    """Flat stones along the path."""
+    """Build flat stones along the path."""
     parts = []
     for x, y in stone_places(laid):
         radius = rng.uniform(0.16, 0.21)
@@ -141,7 +141,7 @@ def stepping_stones(laid: Laid, style: Style, rng: Rng) -> Surfels:
 
 
 def country(outline: Rect, style: Style, rng: Rng) -> Surfels:
-    """The land outside a yard: rings of ever larger surfels, which fade into the haze of the horizon."""
+    """Build the land outside a yard: rings of increasingly large surfels, which fade into the haze of the horizon."""
     rings: list[Surfels] = []
     radius = min(-outline[0], -outline[1], outline[2], outline[3])
     while radius < RADIUS:

@@ -1,6 +1,6 @@
-"""Kinds of things in generated yards: what stands in the way, and what stands at the edge.
+"""Kinds of things in generated yards: those in the robots' way, and those at the edge.
 
-Each is built in a frame of its own, whose origin is the middle of its foot; it looks towards -y.
+Each is built in its own frame, with the origin at the centre of its base, and faces -y.
 """
 
 from collections.abc import Callable
@@ -18,35 +18,35 @@ from splatrl.scenes.yards.style import Style
 from splatrl.scenes.yards.turning import turned
 
 Size = tuple[float, float, float]
-"""Metres along x, y and z."""
+"""Extent along x, y and z, metres."""
 Solids = tuple[Solid, ...]
 
 
 def box(name: str, size: Size, below: float = 0.0) -> Solid:
-    """The box of a size around the vertical through the origin."""
+    """Return a box centred on the vertical through the origin, from height ``below`` up to the height of ``size``."""
     return Solid(name, (-size[0] / 2, -size[1] / 2, below), (size[0] / 2, size[1] / 2, size[2]))
 
 
 def whole(size: Size) -> Solids:
-    """One solid that fills the size."""
+    """Return a single solid that fills the size."""
     return (box("thing", size),)
 
 
 def wall(size: Size, style: Style, rng: Rng) -> Surfels:
-    """A free-standing wall of bricks, along x."""
+    """Build a free-standing wall of bricks along x."""
     along = Solid("wall", (-size[1] / 2, -size[0] / 2, 0.0), (size[1] / 2, size[0] / 2, size[2]))
     return turned(garden_wall(rng, along, style.brick), quarters=1)
 
 
 def clipped(size: Size, style: Style, rng: Rng) -> Surfels:
-    """A clipped block of box or yew."""
+    """Build a clipped block of box or yew."""
     return greenery(box("block", size), style.hedge, 0.034, rng, 2600)
 
 
 def greenery(
     solid: Solid, palette: tuple[Color, Color], leaf: float, rng: Rng, density: float, sides: str = "+x-x+y-y+z"
 ) -> Surfels:
-    """A box of leaves over dark faces; ``density`` is of leaves on a square metre."""
+    """Build a box of leaves over dark faces; ``density`` is the number of leaves per square metre."""
     parts = []
     low, high = np.array(solid.low), np.array(solid.high)
     inset = np.minimum(1.2 * leaf, 0.3 * (high - low)) * (1, 1, 0)
@@ -65,7 +65,7 @@ def greenery(
 
 
 def planter(size: Size, style: Style, rng: Rng) -> Surfels:
-    """A raised bed of boards with plants in it."""
+    """Build a raised bed of boards with plants in it."""
     wide, deep, height = size
     rim = 0.62 * height
     sides = box("boards", (wide, deep, rim))
@@ -85,7 +85,7 @@ def planter(size: Size, style: Style, rng: Rng) -> Surfels:
 
 
 def potted(size: Size, style: Style, rng: Rng) -> Surfels:
-    """A large pot with a bush in it."""
+    """Build a large pot with a bush in it."""
     radius, height = size[0] / 2, 0.5 * size[2]
     up = 0.5 * (size[2] - height)
     parts = [
@@ -97,7 +97,7 @@ def potted(size: Size, style: Style, rng: Rng) -> Surfels:
 
 
 def bush(size: Size, style: Style, rng: Rng) -> Surfels:
-    """A round bush that grows from the ground."""
+    """Build a round bush that grows from the ground."""
     radii = (size[0] / 2, size[1] / 2, size[2] / 2)
     green = shrub((0.0, 0.0, 0.48 * size[2]), radii, 900, 0.042, style.leaves[0], rng)
     if rng.random() < 0.4:
@@ -106,7 +106,7 @@ def bush(size: Size, style: Style, rng: Rng) -> Surfels:
 
 
 def table(size: Size, style: Style, rng: Rng) -> Surfels:
-    """A low garden table with a pot on it."""
+    """Build a low garden table with a pot on it."""
     wide, deep, height = size
     top = box("top", (wide, deep, height), height - 0.05)
     board, *rims = faces(top.low, top.high, "+z+x-x+y-y-z")
@@ -122,19 +122,19 @@ def table(size: Size, style: Style, rng: Rng) -> Surfels:
 
 
 def legs(size: Size) -> Solids:
-    """The four legs of a table."""
+    """Return the four legs of a table."""
     x, y = size[0] / 2 - 0.04, size[1] / 2 - 0.04
     places = [(i * x, j * y) for i in (-1, 1) for j in (-1, 1)]
     return tuple(Solid("leg", (x - 0.02, y - 0.02, 0.0), (x + 0.02, y + 0.02, size[2] - 0.05)) for x, y in places)
 
 
 def table_solids(size: Size) -> Solids:
-    """Top and legs."""
+    """Return the top and the legs of a table."""
     return (box("top", size, size[2] - 0.05), *legs(size))
 
 
 def bench(size: Size, style: Style, rng: Rng) -> Surfels:
-    """A bench with a back."""
+    """Build a bench with a back."""
     return join(
         boards(face, rng, style.wood, 0.09, (0.03, 0.05), upright=False)
         for solid in bench_solids(size)
@@ -143,7 +143,7 @@ def bench(size: Size, style: Style, rng: Rng) -> Surfels:
 
 
 def bench_solids(size: Size) -> Solids:
-    """Seat, back and two feet."""
+    """Return the seat, the back and the two feet of a bench."""
     x, y, height = size[0] / 2, size[1] / 2, size[2]
     feet = [Solid("foot", (i - 0.04, -y + 0.04, 0.0), (i + 0.04, y, 0.37)) for i in (-x + 0.08, x - 0.08)]
     seat = Solid("seat", (-x, -y, 0.37), (x, y, 0.43))
@@ -151,13 +151,13 @@ def bench_solids(size: Size) -> Solids:
 
 
 def pile(size: Size, style: Style, rng: Rng) -> Surfels:
-    """Split logs, stacked; their ends look towards -y."""
+    """Build a stack of split logs whose ends face -y."""
     along = Solid("pile", (-size[1] / 2, -size[0] / 2, 0.0), (size[1] / 2, size[0] / 2, size[2]))
     return turned(wood_pile(rng, along), quarters=3)
 
 
 def crates(size: Size, style: Style, rng: Rng) -> Surfels:
-    """Two wooden crates, one on the other."""
+    """Build two wooden crates, one on top of the other."""
     parts = []
     half = size[2] / 2
     for level, shrink in ((0, 0.0), (1, 0.03)):
@@ -171,7 +171,7 @@ def crates(size: Size, style: Style, rng: Rng) -> Surfels:
 
 
 def boulder(size: Size, style: Style, rng: Rng) -> Surfels:
-    """A rounded rock."""
+    """Build a rounded rock."""
     radius, height = size[0] / 2, size[2]
     outline = [(0.9, 0.0), (1.0, 0.3), (0.92, 0.6), (0.7, 0.85), (0.35, 0.98), (0.01, 1.0)]
     rock = lathe((0.0, 0.0, 0.0), [(r * radius, z * height) for r, z in outline], 0.034)
@@ -182,12 +182,12 @@ def boulder(size: Size, style: Style, rng: Rng) -> Surfels:
 
 
 def barrel(size: Size, style: Style, rng: Rng) -> Surfels:
-    """A barrel."""
+    """Build a barrel."""
     return rain_barrel(rng, box("barrel", size), style.paint[1])
 
 
 def screen(size: Size, style: Style, rng: Rng) -> Surfels:
-    """A fence of slats with a climber on it."""
+    """Build a fence of slats with a climbing plant on it."""
     solid = box("screen", size)
     parts = [boards(face, rng, style.wood, 0.09, (0.03, 0.05), upright=False) for face in faces(solid.low, solid.high)]
     count = round(260 * size[0])
@@ -200,7 +200,7 @@ def screen(size: Size, style: Style, rng: Rng) -> Surfels:
 
 
 def kennel(size: Size, style: Style, rng: Rng) -> Surfels:
-    """A dog's house with a roof and a dark door."""
+    """Build a dog kennel with a roof and a dark doorway."""
     wide, deep, height = size
     eaves = 0.62 * height
     solid = box("kennel", (wide, deep, eaves))
@@ -222,7 +222,7 @@ def gable(
     rng: Rng,
     step: tuple[float, float],
 ) -> list[Surfels]:
-    """A roof whose ridge runs along y, and the triangles under it."""
+    """Build a roof whose ridge runs along y, and the triangular gables under it."""
     wide, deep = floor
     over = 0.06 * wide
     reach = wide / 2 + over
@@ -243,7 +243,7 @@ def gable(
 
 
 def column(size: Size, style: Style, rng: Rng) -> Surfels:
-    """A bird bath: a bowl of water on a column."""
+    """Build a bird bath: a bowl of water on a column."""
     radius, height = size[0] / 2, size[2]
     outline = [
         (0.8, 0.0),
@@ -262,7 +262,7 @@ def column(size: Size, style: Style, rng: Rng) -> Surfels:
 
 
 def shed(size: Size, style: Style, rng: Rng) -> Surfels:
-    """A small wooden house with a door and a window."""
+    """Build a small wooden shed with a door and a window."""
     wide, deep, height = size
     solid = box("shed", (wide, deep, height))
     front, *sides = faces(solid.low, solid.high, "-y+x-x+y")
@@ -276,7 +276,7 @@ def shed(size: Size, style: Style, rng: Rng) -> Surfels:
 
 
 def sandbox(size: Size, style: Style, rng: Rng) -> Surfels:
-    """A sandbox: a frame of boards around sand."""
+    """Build a sandbox: a frame of boards around sand."""
     wide, deep, height = size
     parts = []
     for solid in sandbox_solids(size):
@@ -289,7 +289,7 @@ def sandbox(size: Size, style: Style, rng: Rng) -> Surfels:
 
 
 def sandbox_solids(size: Size) -> Solids:
-    """The four boards of a sandbox."""
+    """Return the four boards of a sandbox."""
     x, y, height = size[0] / 2, size[1] / 2, size[2]
     return (
         Solid("board", (-x, -y, 0.0), (x, -y + 0.06, height)),
@@ -304,12 +304,12 @@ class Kind:
     """A kind of thing.
 
     Attributes:
-        build: makes its surfels.
+        build: function that builds its surfels.
         least: smallest size, metres.
         most: largest size, metres.
-        solids: what of a size is solid.
-        round: whether it fills the ellipse in its box rather than the box; it is as wide as deep.
-        pad: by how much its surfels reach beyond its size on each side, metres.
+        solids: function that returns the solid parts of a thing of a given size.
+        round: whether it fills the ellipse in its box rather than the box; it is then as wide as it is deep.
+        pad: distance by which its surfels reach beyond its size on each side, metres.
     """
 
     build: Callable[[Size, Style, Rng], Surfels]
@@ -336,7 +336,7 @@ IN_THE_WAY = {
     "kennel": Kind(kennel, (0.46, 0.5, 0.6), (0.56, 0.6, 0.7)),
     "column": Kind(column, (0.32, 0.32, 0.48), (0.4, 0.4, 0.53), round=True, pad=0.015),
 }
-"""What stands where robots walk: each is as high as the robots' bodies."""
+"""Kinds that stand where robots walk; each reaches the height of the robots' bodies."""
 AT_THE_EDGE = {
     **{name: IN_THE_WAY[name] for name in ("planter", "potted", "bench", "pile", "boulder", "barrel", "crates")},
     "bush": Kind(bush, (0.7, 0.7, 0.7), (1.2, 1.2, 1.3), round=True, pad=0.05),
@@ -347,7 +347,7 @@ AT_THE_EDGE = {
 
 
 def stump(x: float, y: float, height: float, style: Style, rng: Rng) -> Surfels:
-    """An upright log, to put an egg on."""
+    """Build an upright log to put an egg on."""
     upright = log((0.0, 0.0, 0.0), 0.11, height, rng)
     turn = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # x becomes z
     return replace(
@@ -359,12 +359,12 @@ def stump(x: float, y: float, height: float, style: Style, rng: Rng) -> Surfels:
 
 
 def stone(x: float, y: float, height: float, style: Style, rng: Rng) -> Surfels:
-    """A stone, to put an egg on."""
+    """Build a stone to put an egg on."""
     return plinth(x, y, height, style.stone, rng)
 
 
 def upturned(x: float, y: float, height: float, style: Style, rng: Rng) -> Surfels:
-    """A pot upside down, to put an egg on."""
+    """Build an upside-down pot to put an egg on."""
     outline = [(0.125, 0.0), (0.125, 0.05), (0.112, 0.05), (0.085, height), (0.003, height)]
     clay = lathe((x, y, 0.0), outline, 0.018)
     return painted(
@@ -373,7 +373,7 @@ def upturned(x: float, y: float, height: float, style: Style, rng: Rng) -> Surfe
 
 
 def pillar(x: float, y: float, height: float, style: Style, rng: Rng) -> Surfels:
-    """Four bricks on top of each other, to put an egg on."""
+    """Build a pillar of four courses of bricks to put an egg on."""
     solid = Solid("pillar", (x - 0.1, y - 0.1, 0.0), (x + 0.1, y + 0.1, height))
     sides = [
         brickwork(face, rng, (0.1, height / 4), (3, 2), style.brick)

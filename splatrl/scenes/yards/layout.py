@@ -1,7 +1,7 @@
-"""Where everything stands in a generated yard, drawn by its seed.
+"""The layout of a generated yard, drawn from its seed.
 
 World frame, metres, ground at z = 0. Robots walk around the origin; the core, a square of 2 × 2 m, is as hard as that
-of the backyard. How far the yard reaches beyond it, and what encloses it, differs on every side.
+of the backyard. The extent of the yard beyond the core and its enclosure differ on every side.
 """
 
 from collections.abc import Sequence
@@ -19,23 +19,23 @@ from splatrl.scenes.yards.solvable import BLOCKED, CELL, HALF, Cells, difficulty
 from splatrl.scenes.yards.turning import QUARTERS, turned_solid
 
 EGG_HEIGHT = 0.41
-"""Height of the egg's centre, where the robots' cameras are, metres."""
+"""Height of the egg's centre, level with the robots' cameras, metres."""
 LONG = ("wall", "clipped", "screen", "bench", "planter")
-"""Kinds of which one stands in the middle, so that there is a way round."""
+"""Long kinds, one of which is tried first, near the middle, as a barrier that robots must go around."""
 FRINGE = 1.4
-"""Half width of the square in which things of the core stand, metres; those of the edge stay outside."""
+"""Half width of the square in which the things of the core stand, metres; those at the edge stay outside."""
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A thing and where it stands.
+    """A thing and its place.
 
     Attributes:
-        kind: what it is.
-        size: metres.
-        x: of its middle, metres; so is ``y``.
-        y: metres.
-        quarters: turns from looking towards -y.
+        kind: kind of the thing.
+        size: extent before it is turned, metres.
+        x: x of its centre, metres.
+        y: y of its centre, metres.
+        quarters: number of counter-clockwise quarter turns from facing -y.
     """
 
     kind: Kind
@@ -46,12 +46,12 @@ class Piece:
 
     @property
     def solids(self) -> list[Solid]:
-        """What of it is solid."""
+        """Its solid parts, world frame."""
         return [turned_solid(solid, self.x, self.y, self.quarters) for solid in self.kind.solids(self.size)]
 
     @property
     def rect(self) -> Rect:
-        """The ground that it covers."""
+        """Rectangle of ground that it covers, including the padding of its kind."""
         wide, deep = (across + 2 * self.kind.pad for across in self.size[:2])
         if self.quarters % 2:
             wide, deep = deep, wide
@@ -60,13 +60,13 @@ class Piece:
 
 @dataclass(frozen=True)
 class Egg:
-    """The egg and what is under it.
+    """The egg and its support.
 
     Attributes:
-        x: of its middle, metres; so is ``y``.
-        y: metres.
-        radii: half extents, metres.
-        under: index in ``UNDER_THE_EGG``.
+        x: x of its centre, metres.
+        y: y of its centre, metres.
+        radii: half extents of the egg, metres.
+        under: index of the support in ``UNDER_THE_EGG``.
     """
 
     x: float
@@ -76,17 +76,17 @@ class Egg:
 
     @property
     def foot(self) -> float:
-        """Height of what is under it, a little inside the egg, metres."""
+        """Height of the support, which ends slightly inside the egg, metres."""
         return EGG_HEIGHT - self.radii[2] + 0.01
 
     @property
     def center(self) -> tuple[float, float, float]:
-        """Its middle, metres."""
+        """Centre of the egg, metres."""
         return self.x, self.y, EGG_HEIGHT
 
     @property
     def solid(self) -> Solid:
-        """The box around the egg and what is under it."""
+        """Bounding box of the egg and its support."""
         reach = max(self.radii[0], 0.13)
         top = EGG_HEIGHT + self.radii[2]
         return Solid("egg", (self.x - reach, self.y - reach, 0.0), (self.x + reach, self.y + reach, top))
@@ -94,15 +94,15 @@ class Egg:
 
 @dataclass(frozen=True)
 class Side:
-    """One of the four sides.
+    """One of the four sides that enclose a yard.
 
     Attributes:
-        name: of ``SIDES``.
-        length: metres.
-        height: metres.
-        x: of its left end, seen from inside, metres; so is ``y``.
-        y: metres.
-        quarters: turns from looking towards -y.
+        name: name of its kind in ``SIDES``.
+        length: length, metres.
+        height: height, metres.
+        x: x of its left end, seen from inside, metres.
+        y: y of its left end, seen from inside, metres.
+        quarters: number of counter-clockwise quarter turns from facing -y.
     """
 
     name: str
@@ -114,12 +114,12 @@ class Side:
 
     @property
     def box(self) -> Solid:
-        """Its box before it is turned and shifted."""
+        """Its bounding box before it is turned and shifted."""
         return Solid(self.name, (0.0, 0.0, 0.0), (self.length, SIDES[self.name].depth, self.height))
 
     @property
     def solid(self) -> Solid:
-        """Its box."""
+        """Its bounding box, world frame."""
         return turned_solid(self.box, self.x, self.y, self.quarters)
 
 
@@ -128,10 +128,10 @@ class House:
     """A house beyond the yard.
 
     Attributes:
-        size: metres.
-        x: of its middle, metres; so is ``y``.
-        y: metres.
-        quarters: turns from looking towards -y.
+        size: extent of its walls before it is turned, metres.
+        x: x of its centre, metres.
+        y: y of its centre, metres.
+        quarters: number of counter-clockwise quarter turns from facing -y.
     """
 
     size: Size
@@ -141,7 +141,7 @@ class House:
 
     @property
     def solid(self) -> Solid:
-        """The box of its walls."""
+        """Bounding box of its walls, world frame."""
         wide, deep, height = self.size
         walls = Solid("house", (-wide / 2, -deep / 2, 0.0), (wide / 2, deep / 2, height))
         return turned_solid(walls, self.x, self.y, self.quarters)
@@ -149,19 +149,19 @@ class House:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where everything stands.
+    """The places of everything in a yard.
 
     Attributes:
         goal: x and y in metres and yaw in degrees of a pose that looks straight at the egg.
         egg: the egg.
         core: things in the robots' way.
-        sides: what encloses the yard: north, west, south, east.
+        sides: sides that enclose the yard: north, west, south, east.
         edge: things at the edge.
         beds: strips of flowers.
-        trees: those in the yard, then those beyond it.
-        inside: how many of the trees are in the yard.
-        houses: beyond the yard.
-        laid: what the ground is laid with.
+        trees: trees in the yard, then those beyond it.
+        inside: number of the trees that are in the yard.
+        houses: houses beyond the yard.
+        laid: layout of the ground's surfaces.
     """
 
     goal: tuple[float, float, float]
@@ -177,12 +177,12 @@ class Layout:
 
     @property
     def outline(self) -> Rect:
-        """The ground inside the sides."""
+        """Rectangle of ground inside the sides."""
         return self.laid.outline
 
     @property
     def trunks(self) -> list[Solid]:
-        """Of the trees in the yard."""
+        """Trunks of the trees in the yard."""
         return [
             Solid(
                 "trunk",
@@ -193,7 +193,7 @@ class Layout:
         ]
 
     def cells(self, slack: float = 0.0) -> Cells:
-        """What of it is solid at the height of the robots' bodies; round things are smaller by ``slack`` metres."""
+        """Return what is solid at the height of the robots' bodies, with round things smaller by ``slack`` metres."""
         x0, y0, x1, y1 = self.outline
         cells = Cells.empty((x0, y0), (x1, y1))
         fill(cells, self.core + self.edge, [self.egg.solid, *self.trunks], slack)
@@ -201,7 +201,7 @@ class Layout:
 
 
 def fill(cells: Cells, pieces: Sequence[Piece], rounds: list[Solid], slack: float = 0.0) -> None:
-    """Fill the cells of things, and of further round solids."""
+    """Mark the cells of things, and of further round solids, as solid."""
     for piece in pieces:
         for solid in piece.solids:
             cells.fill(solid, piece.kind.pad - slack * piece.kind.round, piece.kind.round)
@@ -210,7 +210,7 @@ def fill(cells: Cells, pieces: Sequence[Piece], rounds: list[Solid], slack: floa
 
 
 def drawn_core(rng: Rng) -> tuple[tuple[float, float, float], Egg, list[Piece]]:
-    """Draw the goal, the egg and what stands in the way."""
+    """Draw the goal, the egg and the things in the robots' way."""
     quarter = int(rng.integers(4))
     (ahead_x, ahead_y), across = (
         QUARTERS[quarter],
@@ -243,7 +243,7 @@ def drawn_core(rng: Rng) -> tuple[tuple[float, float, float], Egg, list[Piece]]:
 
 
 def shut_places(rect: Rect) -> NDArray[np.bool_]:
-    """Which places of the lattice a body that is square to the rectangle cannot be in: [11, 11]."""
+    """Return a mask of the lattice's places where a rectangle blocks an axis-aligned body: [11, 11]."""
     at = np.round(0.2 * np.arange(-5, 6), 1)
     x0, y0, x1, y1 = rect
     x, y = (at > x0 - HALF) & (at < x1 + HALF), (at > y0 - HALF) & (at < y1 + HALF)
@@ -251,9 +251,9 @@ def shut_places(rect: Rect) -> NDArray[np.bool_]:
 
 
 def drawn_piece(kind: Kind, rng: Rng, reach: int) -> Piece:
-    """Draw a thing in the core, whose middle is up to ``reach`` cells from the origin.
+    """Draw a thing in the core whose centre is at most about ``reach`` cells from the origin along x and y.
 
-    Its surfels fill whole cells, so that none of the robots' moves depends on a hair.
+    Its surfels fill whole cells, so that no move of a robot depends on a hair's breadth.
     """
     wide, deep, height = drawn_size(kind, rng)
     cells, pads = [max(1, round((across + 2 * kind.pad) / CELL)) for across in (wide, deep)], 2 * kind.pad
@@ -272,36 +272,36 @@ def drawn_size(kind: Kind, rng: Rng) -> Size:
 
 
 def fits(rect: Rect, taken: list[Rect], gap: float) -> bool:
-    """Whether a rectangle is clear of others by a gap."""
+    """Return whether a rectangle keeps at least ``gap`` metres from all others."""
     x0, y0, x1, y1 = rect
     return all(x1 + gap <= a or c + gap <= x0 or y1 + gap <= b or d + gap <= y0 for a, b, c, d in taken)
 
 
 def within_square(rect: Rect, half: float) -> bool:
-    """Whether a rectangle lies in a square around the origin."""
+    """Return whether a rectangle lies within the square of this half width around the origin."""
     return max(map(abs, rect)) <= half
 
 
 def off_lattice(rect: Rect) -> bool:
-    """Whether a body on the lattice, square to it, never just touches a rectangle."""
+    """Return whether an axis-aligned body on the lattice never just touches a rectangle."""
     return all(abs(edge / HALF - round(edge / HALF)) > 0.1 for edge in rect)  # the lattice's step is half the body
 
 
 def drawn_outline(rng: Rng) -> Rect:
-    """Draw how far the yard reaches on each side of the core: x0, y0, x1, y1, metres."""
+    """Draw the extent of the yard on each side of the core: x0, y0, x1, y1, metres."""
     x0, y0, x1, y1 = np.round(FRINGE + 0.3 + 2.3 * rng.random(4) ** 1.3, 1)
     return -float(x0), -float(y0), float(x1), float(y1)
 
 
 def drawn_sides(outline: Rect, rng: Rng) -> tuple[Side, ...]:
-    """Draw what encloses the yard."""
+    """Draw the sides that enclose the yard."""
     x0, y0, x1, y1 = outline
     corners = ((x0, y1, x1 - x0), (x0, y0, y1 - y0), (x1, y0, x1 - x0), (x1, y1, y1 - y0))
     names = [name for name in SIDES if name != "facade"]
     chosen = [names[i] for i in rng.choice(len(names), 4, replace=False)]
     if rng.random() < 0.7:
         chosen[int(rng.integers(4))] = "facade"
-    if rng.random() < 0.5:  # neighbours often share a fence
+    if rng.random() < 0.5:  # opposite sides often have the same fence
         first = int(rng.integers(4))
         chosen[(first + 2) % 4] = chosen[first] if chosen[first] != "facade" else chosen[(first + 2) % 4]
     sides = []
@@ -335,7 +335,7 @@ def drawn_edge(outline: Rect, taken: list[Rect], rng: Rng) -> list[Piece]:
 
 
 def drawn_beds(outline: Rect, taken: list[Rect], sides: tuple[Side, ...], rng: Rng) -> list[Rect]:
-    """Draw strips of flowers before some of the sides, clear of what stands there."""
+    """Draw strips of flowers in front of some of the sides, clear of what stands there."""
     x0, y0, x1, y1 = outline
     beds = []
     for side in sides:
@@ -357,7 +357,7 @@ def drawn_beds(outline: Rect, taken: list[Rect], sides: tuple[Side, ...], rng: R
 
 
 def drawn_trees(outline: Rect, taken: list[Rect], rng: Rng) -> tuple[list[Tree], list[Tree]]:
-    """Draw trees in the yard, and beyond it."""
+    """Draw trees in the yard and beyond it."""
     x0, y0, x1, y1 = outline
     inside, beyond = [], []
     for _ in range(int(rng.integers(0, 4))):
@@ -378,7 +378,7 @@ def drawn_trees(outline: Rect, taken: list[Rect], rng: Rng) -> tuple[list[Tree],
 
 
 def drawn_houses(outline: Rect, sides: tuple[Side, ...], rng: Rng) -> list[House]:
-    """Draw up to two houses beyond sides that are no houses themselves."""
+    """Draw up to two houses beyond sides that are not fronts of houses themselves."""
     x0, y0, x1, y1 = outline
     houses = []
     for side in rng.permutation(4)[: int(rng.integers(1, 3))]:
@@ -392,7 +392,7 @@ def drawn_houses(outline: Rect, sides: tuple[Side, ...], rng: Rng) -> list[House
 
 
 def drawn_laid(outline: Rect, sides: tuple[Side, ...], rng: Rng) -> Laid:
-    """Draw a path through the yard, and a terrace before the house."""
+    """Draw a path through the yard, and a terrace in front of the house."""
     x0, y0, x1, y1 = outline
     terrace: Rect = (0.0, 0.0, 0.0, 0.0)
     house = [side.quarters for side in sides if side.name == "facade"]
@@ -417,7 +417,7 @@ def drawn_laid(outline: Rect, sides: tuple[Side, ...], rng: Rng) -> Laid:
 
 
 def drawn_layout(rng: Rng) -> Layout | None:
-    """Draw a layout, or None where the things in its core make it too easy, too hard or impossible."""
+    """Draw a layout; return None if the things in its core make it too easy, too hard or impossible."""
     goal, egg, core = drawn_core(rng)
     cells = Cells.empty((-FRINGE - 0.1, -FRINGE - 0.1), (FRINGE + 0.1, FRINGE + 0.1))
     fill(cells, core, [egg.solid])
@@ -427,7 +427,7 @@ def drawn_layout(rng: Rng) -> Layout | None:
     sides = drawn_sides(outline, rng)
     taken: list[Rect] = [(-FRINGE - 0.1, -FRINGE - 0.1, FRINGE + 0.1, FRINGE + 0.1)]
     for side in sides:
-        if side.name == "facade":  # nothing stands before its door
+        if side.name == "facade":  # nothing stands in front of its door
             x0, y0, x1, y1 = outline
             before = ((x0, y1 - 0.7, x1, y1), (x0, y0, x0 + 0.7, y1), (x0, y0, x1, y0 + 0.7), (x1 - 0.7, y0, x1, y1))
             taken.append(before[side.quarters])
@@ -443,7 +443,7 @@ def drawn_layout(rng: Rng) -> Layout | None:
 
 
 def outside(tree: Tree, solid: Solid) -> bool:
-    """Whether a tree's crown stays out of a solid."""
+    """Return whether a tree's crown stays out of a solid."""
     reach = 0.8 * tree.crown_radius
     (x0, y0, _), (x1, y1, _) = solid.low, solid.high
     return not (x0 - reach < tree.x < x1 + reach and y0 - reach < tree.y < y1 + reach)

@@ -1,6 +1,6 @@
-"""What encloses a generated yard: hedges, fences, walls and the fronts of houses; and the houses beyond.
+"""The sides of a generated yard, which are hedges, fences, walls and fronts of houses, and the houses beyond.
 
-A side is built along x from 0 to its length; the yard lies at y < 0, and the side is solid from y = 0 on.
+A side is built along x from 0 to its length; the yard lies at y < 0, and the side is solid from y = 0 outwards.
 """
 
 from collections.abc import Callable
@@ -20,18 +20,18 @@ Build = Callable[[Solid, Style, Rng], Surfels]
 
 
 def hedge(solid: Solid, style: Style, rng: Rng) -> Surfels:
-    """A clipped hedge."""
+    """Build a clipped hedge."""
     front = greenery(solid, style.hedge, 0.075, rng, 400, "-y")
     return join([front, greenery(solid, style.hedge, 0.085, rng, 220, "+z+x-x"), *backs(solid, style.hedge[0], rng)])
 
 
 def backs(solid: Solid, color: Color, rng: Rng, sides: str = "+y+x-x") -> list[Surfels]:
-    """Coarse faces of what is only seen from outside."""
+    """Build coarse faces for what is seen only from outside."""
     return [plaster(face, rng, color, 0.25) for face in faces(solid.low, solid.high, sides)]
 
 
 def close_boards(solid: Solid, style: Style, rng: Rng) -> Surfels:
-    """Upright boards side by side on two rails."""
+    """Build a fence of upright boards side by side on two rails."""
     front, back = faces(solid.low, solid.high, "-y+y")
     parts = [boards(front, rng, style.wood, 0.125, (0.042, 0.11)), boards(back, rng, style.wood, 0.125, (0.13, 0.2))]
     for height in (0.2 * front.height, 0.8 * front.height):
@@ -41,7 +41,7 @@ def close_boards(solid: Solid, style: Style, rng: Rng) -> Surfels:
 
 
 def slats(solid: Solid, style: Style, rng: Rng) -> Surfels:
-    """Level boards between posts."""
+    """Build a fence of horizontal boards between posts."""
     front, back = faces(solid.low, solid.high, "-y+y")
     parts = [boards(face, rng, style.wood, 0.14, (0.047, 0.12), upright=False) for face in (front, back)]
     for along in np.arange(0.0, front.width, 1.6):
@@ -53,7 +53,7 @@ def slats(solid: Solid, style: Style, rng: Rng) -> Surfels:
 
 
 def pickets(solid: Solid, style: Style, rng: Rng) -> Surfels:
-    """A white fence with gaps, before a hedge that closes them."""
+    """Build a white picket fence in front of a hedge that closes its gaps."""
     behind = Solid("hedge", (solid.low[0], 0.18, 0.0), (solid.high[0], solid.high[1], solid.high[2]))
     parts = [hedge(behind, style, rng)]
     front = Rectangle((0.0, 0.02, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), solid.high[0], 0.95)
@@ -67,14 +67,14 @@ def pickets(solid: Solid, style: Style, rng: Rng) -> Surfels:
 
 
 def bricks(solid: Solid, style: Style, rng: Rng) -> Surfels:
-    """A brick wall under slabs."""
+    """Build a brick wall capped with slabs."""
     front, top = faces(solid.low, solid.high, "-y+z")
     wall = brickwork(front, rng, (0.25, 0.09), (2, 1), style.brick, (0.62, 0.57, 0.52))
     return join([wall, plaster(top, rng, style.stone, 0.1), *backs(solid, style.brick[0], rng)])
 
 
 def rendered(solid: Solid, style: Style, rng: Rng) -> Surfels:
-    """A plastered wall under a row of tiles."""
+    """Build a plastered wall capped with a row of tiles."""
     front, top = faces(solid.low, solid.high, "-y+z")
     cap = Rectangle((0.0, -0.06, solid.high[2]), (1.0, 0.0, 0.0), (0.0, 0.9, 0.436), solid.high[0], 0.3)
     return join(
@@ -88,7 +88,7 @@ def rendered(solid: Solid, style: Style, rng: Rng) -> Surfels:
 
 
 def rubble(solid: Solid, style: Style, rng: Rng) -> Surfels:
-    """A dry wall of field stones."""
+    """Build a dry-stone wall of field stones."""
     front, top = faces(solid.low, solid.high, "-y+z")
     darker = tuple(0.72 * v for v in style.stone)
     return join(
@@ -103,7 +103,7 @@ def rubble(solid: Solid, style: Style, rng: Rng) -> Surfels:
 
 
 def facade(solid: Solid, style: Style, rng: Rng) -> Surfels:
-    """The front of a house: plaster or brick, windows, a door, and the edge of a roof."""
+    """Build the front of a house: plaster or brick, windows, a door, and the edge of a roof."""
     (front,) = faces(solid.low, solid.high, "-y")
     if rng.random() < 0.35:
         wall = brickwork(front, rng, (0.30, 0.11), (2, 1), style.brick, (0.66, 0.62, 0.57))
@@ -140,9 +140,9 @@ class SideKind:
     """A kind of side.
 
     Attributes:
-        build: makes its surfels from its box.
-        heights: least and greatest height, metres.
-        depth: metres.
+        build: function that builds its surfels from its box.
+        heights: minimum and maximum height, metres.
+        depth: depth, metres.
     """
 
     build: Build
@@ -163,7 +163,7 @@ SIDES = {
 
 
 def neighbour(size: tuple[float, float, float], style: Style, rng: Rng, walls: Color) -> Surfels:
-    """A house beyond the yard: windows under a gable, which looks towards -y."""
+    """Build a house beyond the yard, with windows under a gable that faces -y."""
     wide, deep, height = size
     solid = box("house", size)
     front, *others = faces(solid.low, solid.high, "-y+x-x")

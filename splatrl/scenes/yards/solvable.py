@@ -1,7 +1,7 @@
-"""How hard a yard is for a robot, by its solid cells and a flood fill at the robot's size.
+"""Measures how hard a yard is for a robot, by a flood fill over its solid cells at the robot's size.
 
 The measure is that of the grid task: poses on a lattice of 11 × 11 places and 16 headings, moves of 0.2 m along x and y
-and turns by 22.5°, and a body of 0.4 × 0.4 m whose middle is 0.4 m above the ground.
+and turns by 22.5°, and a body of 0.4 × 0.4 m whose centre is 0.4 m above the ground.
 """
 
 from dataclasses import dataclass
@@ -19,27 +19,27 @@ Bools = NDArray[np.bool_]
 CELL = 0.05
 """Edge of a cell, metres."""
 SLAB = (0.31, 0.49)
-"""Heights between which a thing is in the way of the body, metres: nearly a voxel more than its own."""
+"""Heights between which a thing blocks the body, metres: nearly a voxel more than the body's own on either side."""
 HALF = 0.2
 """Half the width of the body, metres."""
 REACH = 6
-"""Cells from the middle of the body to beyond its corners."""
+"""Cells from the centre of the body to beyond its corners."""
 CORE = 1.0
 """Half width of the square that the lattice covers, metres."""
 STEP = 4
-"""Cells between places of the lattice."""
+"""Cells between neighbouring places of the lattice."""
 HEADINGS = 16
 HAIR = 0.01
-"""By how much the body of a steady yard may be larger or smaller on each side, metres."""
+"""Amount by which the body may be larger or smaller on each side in a steady yard, metres."""
 
 
 @dataclass(frozen=True)
 class Cells:
-    """What is solid at the height of the robots' bodies.
+    """The cells that are solid at the height of the robots' bodies.
 
     Attributes:
-        solid: [X, Y] bool.
-        first: lowest corner of cell (0, 0), in cells.
+        solid: [X, Y] bool mask of the solid cells.
+        first: lower corner of cell (0, 0), in cells from the origin.
     """
 
     solid: Bools
@@ -47,13 +47,13 @@ class Cells:
 
     @classmethod
     def empty(cls, lower: tuple[float, float], upper: tuple[float, float]) -> "Cells":
-        """Cells of a rectangle, all free."""
+        """Return the cells of a rectangle, all free."""
         first = (round(lower[0] / CELL), round(lower[1] / CELL))
         shape = (round(upper[0] / CELL) - first[0], round(upper[1] / CELL) - first[1])
         return cls(np.zeros(shape, bool), first)
 
     def fill(self, solid: Solid, pad: float, round_: bool = False) -> None:
-        """Fill the cells that a box covers in part or whole, or the ellipse in it, once grown by ``pad`` metres."""
+        """Mark the cells that a box, or the ellipse in it, covers at least partly once grown by ``pad`` metres."""
         if solid.high[2] <= SLAB[0] or solid.low[2] >= SLAB[1]:
             return
         x, y = self._centers()
@@ -66,7 +66,7 @@ class Cells:
             self.solid[:] |= (dx < half[0])[:, None] & (dy < half[1])[None]
 
     def fill_surfels(self, part: Surfels, least: int) -> None:
-        """Fill the cells in which there are at least so many surfels."""
+        """Mark the cells that contain at least ``least`` surfels."""
         kept = (part.means[:, 2] > SLAB[0]) & (part.means[:, 2] < SLAB[1])
         index = np.floor(part.means[kept, :2] / CELL).astype(int) - self.first
         index = index[((index >= 0) & (index < self.solid.shape)).all(1)]
@@ -83,15 +83,15 @@ class Cells:
 
 @dataclass(frozen=True)
 class Difficulty:
-    """How hard a yard is.
+    """The difficulty of a yard.
 
     Attributes:
-        blocked: share of the lattice's places where the body fits at no heading.
-        longest: fewest steps to the goal from the farthest free pose.
-        connected: share of the free poses from which the goal can be reached.
-        open: share of the free ground of the whole yard that is joined to the goal for a round body.
+        blocked: fraction of the lattice's places where the body fits at no heading.
+        longest: length of the shortest path to the goal from the farthest pose that is connected to it, steps.
+        connected: fraction of the free poses from which the goal can be reached.
+        open: fraction of the free ground of the whole yard that is connected to the goal for a round body.
         goal_free: whether the goal and all poses next to it are free.
-        steady: whether a body a little larger or smaller fits in the same places, square to the lattice.
+        steady: whether a slightly larger or smaller body fits in the same places when parallel to the lattice.
     """
 
     blocked: float
@@ -104,11 +104,11 @@ class Difficulty:
 
 BLOCKED = (0.18, 0.30)
 LONGEST = (22, 28)
-"""Bounds of the backyard's difficulty, whose own is 0.27 and 24."""
+"""Allowed ranges of ``blocked`` and ``longest``, around the backyard's own values of 0.27 and 24."""
 
 
 def solvable(found: Difficulty) -> bool:
-    """Whether a yard is as hard as the backyard, and can be solved from every free pose."""
+    """Return whether a yard is as hard as the backyard and solvable from every free pose."""
     (least, most), (nearest, farthest) = BLOCKED, LONGEST
     bounded = least <= found.blocked <= most and nearest <= found.longest <= farthest
     return bounded and found.goal_free and found.steady and found.connected == 1.0 and found.open > 0.97
@@ -116,16 +116,17 @@ def solvable(found: Difficulty) -> bool:
 
 @cache
 def footprints(half: float = HALF) -> NDArray[np.float32]:
-    """Cells around a corner of the grid that the body covers at each eighth of a quarter turn: [8, 2·REACH, 2·REACH].
+    """Return masks of the cells that a body centred on a grid corner covers: [8, 2·REACH, 2·REACH].
 
-    A cell counts if the two squares overlap (separating axes).
+    There is one mask for each eighth of a quarter turn. A cell is covered if the square of the cell and that of the
+    body overlap (separating axes).
     """
     centers = CELL * (np.arange(-REACH, REACH) + 0.5)
     x, y = np.meshgrid(centers, centers, indexing="ij")
     masks = []
     for turn in np.arange(8) * np.pi / 16:
         cos, sin = np.cos(turn), np.sin(turn)
-        spread = cos + sin  # half width of a unit square, turned
+        spread = cos + sin  # half extent of a turned square of half width 1
         near = (np.abs(x) < half * spread + CELL / 2 - 1e-9) & (np.abs(y) < half * spread + CELL / 2 - 1e-9)
         for u, v in ((cos, sin), (-sin, cos)):
             near &= np.abs(u * x + v * y) < half + spread * CELL / 2 - 1e-9
@@ -134,7 +135,7 @@ def footprints(half: float = HALF) -> NDArray[np.float32]:
 
 
 def free_places(cells: Cells, masks: NDArray[np.float32]) -> Bools:
-    """Whether bodies fit at each corner of the core's cells: T footprints -> [41, 41, T]."""
+    """Return whether bodies fit at each corner of the core's cells: T footprints -> [41, 41, T] bool."""
     count = round(2 * CORE / CELL) + 1
     start = [round(-CORE / CELL) - first - REACH for first in cells.first]
     window = np.ascontiguousarray(
@@ -146,10 +147,10 @@ def free_places(cells: Cells, masks: NDArray[np.float32]) -> Bools:
 
 
 def difficulty(cells: Cells, goal: tuple[float, float, float]) -> Difficulty:
-    """How hard a yard is.
+    """Measure how hard a yard is.
 
     Args:
-        cells: what is solid.
+        cells: solid cells of the yard.
         goal: x and y in metres and yaw in degrees, a pose of the lattice.
     """
     fits = free_places(cells, np.concatenate([footprints(), *(footprints(HALF + hair)[:1] for hair in (-HAIR, HAIR))]))
@@ -186,7 +187,7 @@ def difficulty(cells: Cells, goal: tuple[float, float, float]) -> Difficulty:
 
 
 def _open(cells: Cells, goal: tuple[float, float, float]) -> float:
-    """Share of the free ground that is joined to the goal, for a disc around the body."""
+    """Return the fraction of the free ground that is connected to the goal, for a disc that encloses the body."""
     apart = ndimage.distance_transform_edt(np.pad(~cells.solid, 1, constant_values=False))[1:-1, 1:-1]
     room = apart > 2**0.5 * HALF / CELL
     labels, _ = ndimage.label(room)
@@ -195,7 +196,7 @@ def _open(cells: Cells, goal: tuple[float, float, float]) -> float:
 
 
 def place_near(cells: Cells, goal: tuple[float, float, float], rng: np.random.Generator) -> tuple[float, float]:
-    """A free place of the core to hang a thing at, well off the goal where that is possible: x and y, metres."""
+    """Choose a free place in the core to hang an object, well away from the goal if possible: x and y, metres."""
     apart = CELL * ndimage.distance_transform_edt(~cells.solid)
     places = np.round(0.1 * np.arange(-8, 9), 1)
     x, y = (grid.ravel() for grid in np.meshgrid(places, places, indexing="ij"))

@@ -1,4 +1,4 @@
-"""Generated yards as scenes: made once, kept in the user's cache directory, and with the places that tasks need."""
+"""Generated yards as scenes, generated once and kept in the user's cache directory, with the places that tasks need."""
 
 import functools
 import sys
@@ -21,11 +21,11 @@ from splatrl.values import require_number
 
 FIELDS = ("means", "quats", "scales", "opacities", "sh")
 HEIGHT = 3.0
-"""Of the bounds, metres."""
+"""Height of a yard's bounds, metres."""
 ROBOT_HEIGHT = 0.4
-"""Of the robot that a yard is checked with, metres."""
+"""Height of the centre of the robot that a yard is checked with, metres."""
 CLEARANCE = 0.45
-"""From what encloses a yard to where robots walk, metres."""
+"""Distance from the sides of a yard to the region where robots walk, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,15 +33,15 @@ class Yard:
     """A generated yard, and the places in it that tasks need.
 
     Attributes:
-        seed: that it was made from.
+        seed: seed that it was generated from.
         scene: its Gaussians and bounds.
         goal: x and y in metres and yaw in degrees of a free pose that looks straight at the red egg, on the lattice
             of the grid task.
         object: x, y and z of a free place where an apple hangs, metres.
-        egg: x, y and z of the middle of the red egg, metres.
-        walk: lower and upper x and y between which a robot can walk, metres; the grid task takes the 2 × 2 m around
+        egg: x, y and z of the centre of the red egg, metres.
+        walk: lower and upper x and y between which a robot can walk, metres; the grid task uses the 2 × 2 m around
             the origin.
-        blocked: share of the places in those 2 × 2 m where the body fits at no heading.
+        blocked: fraction of the places in those 2 × 2 m where the body fits at no heading.
         longest: steps of the grid task from the farthest free pose to the goal.
     """
 
@@ -56,21 +56,21 @@ class Yard:
 
 
 def yard(seed: int = 0, bounds: Sequence[Sequence[float]] | None = None) -> Scene:
-    """A generated yard: other walls, size, paths, trees, furniture, egg and light for every seed.
+    """Generate a yard whose walls, size, paths, trees, furniture, egg and light differ for every seed.
 
-    It is made in about half a second and kept in the user's cache directory, in 2 to 4 MB. The same seed gives the same
-    bytes. ``yards`` says where its goal is; on the command line ``scene=yard scene.seed=3`` sets it.
+    Generating one takes about half a second; it is then kept in the user's cache directory, in 2 to 4 MB. The same seed
+    gives the same bytes. ``yards`` also returns its goal; on the command line, ``scene=yard scene.seed=3`` sets it.
 
     Example:
         >>> yard(3).name
         'yard-3'
 
     Args:
-        seed: from 0.
-        bounds: lower and upper corner, world, metres; None takes what is inside its walls.
+        seed: seed of the yard, at least 0.
+        bounds: lower and upper corner, world frame, metres; None takes the space inside its walls.
 
     Raises:
-        ValueError: for a seed that is no whole number from 0, or empty bounds.
+        ValueError: for a seed that is not a whole number of at least 0, or for empty bounds.
     """
     require_number("scene.seed", seed, 0, 2**63 - 1, whole=True)
     scene = _yard(seed, _cached(seed)).scene
@@ -78,15 +78,15 @@ def yard(seed: int = 0, bounds: Sequence[Sequence[float]] | None = None) -> Scen
 
 
 def yards(seeds: Iterable[int], workers: int = 1) -> list[Yard]:
-    """Several yards, in the order of their seeds, each with its goal and the other places that tasks need.
+    """Generate several yards, in the order of the seeds, each with its goal and the other places that tasks need.
 
     Example:
         >>> [one.scene.name for one in yards([3, 5])]
         ['yard-3', 'yard-5']
 
     Args:
-        seeds: whole numbers from 0.
-        workers: processes that make those which the cache does not hold.
+        seeds: whole numbers of at least 0.
+        workers: number of processes that generate the yards missing from the cache.
 
     Raises:
         ValueError: for a seed or a number of workers that is out of range.
@@ -95,7 +95,7 @@ def yards(seeds: Iterable[int], workers: int = 1) -> list[Yard]:
 
 
 def made_yards(seeds: Iterable[int], workers: int = 1) -> Iterator[Yard]:
-    """``yards``, one after the other as they become ready, so that a progress bar can show them."""
+    """Yield the same yards as ``yards``, each as soon as it is ready, so that a progress bar can show them."""
     wanted = list(seeds)
     for seed in wanted:
         require_number("scene.seed", seed, 0, 2**63 - 1, whole=True)
@@ -121,7 +121,7 @@ def made_yards(seeds: Iterable[int], workers: int = 1) -> Iterator[Yard]:
 
 
 def proposals(seed: int) -> dict[str, Any]:
-    """What a yard proposes for training in it, by the keys of a ``scene.yaml``."""
+    """Return the training settings that a yard proposes, by the keys of a ``scene.yaml``."""
     require_number("scene.seed", seed, 0, 2**63 - 1, whole=True)
     one = _yard(seed, _cached(seed))
     return {"goal": list(one.goal), "object": list(one.object)}
@@ -177,6 +177,6 @@ def _name(seed: int) -> str:
 
 @functools.cache
 def _source_digest() -> str:
-    """Fingerprint of the generator's own code, so that another version never meets its yards."""
+    """Return a fingerprint of the generator's source, so that no other version ever uses its cached yards."""
     folders = Path(__file__).parent, Path(__file__).parents[1] / "yard"
     return digest_of(path for folder in folders for path in sorted(folder.glob("*.py")))

@@ -1,4 +1,4 @@
-"""How a generated yard looks: light, sky and what things are painted in, drawn by its seed."""
+"""The look of a generated yard, drawn from its seed: light, sky, and the colours of things."""
 
 from dataclasses import dataclass
 
@@ -14,13 +14,13 @@ Palette = tuple[Color, Color]
 
 @dataclass(frozen=True)
 class Mood:
-    """A time of day and a weather.
+    """A time of day and its weather.
 
     Attributes:
-        elevation_deg: least and greatest height of the sun.
+        elevation_deg: minimum and maximum elevation of the sun.
         sun: linear light of the sun.
         open_sky: linear light of the sky.
-        look: how the sky looks.
+        look: appearance of the sky.
     """
 
     elevation_deg: tuple[float, float]
@@ -39,14 +39,14 @@ MOODS = (
     Mood((45, 65), (0.34, 0.34, 0.33), (1.12, 1.16, 1.2), SkyLook((0.85, 0.87, 0.89), (0.70, 0.74, 0.78), clear=-0.6)),
     Mood((40, 55), (0.85, 0.82, 0.74), (0.88, 0.93, 1.0), SkyLook((0.90, 0.91, 0.91), (0.62, 0.72, 0.84), clear=0.0)),
 )
-"""Noon, scattered clouds, evening, a clear morning, overcast, haze."""
+"""In order: noon, scattered clouds, evening, a clear morning, overcast, haze."""
 LAWNS: tuple[Palette, ...] = (
     ((0.27, 0.42, 0.13), (0.60, 0.60, 0.27)),
     ((0.20, 0.40, 0.12), (0.40, 0.55, 0.20)),
     ((0.46, 0.47, 0.20), (0.72, 0.65, 0.38)),
     ((0.33, 0.50, 0.20), (0.55, 0.66, 0.30)),
 )
-"""Of grass: fresh and dry."""
+"""Colours of grass: fresh and dry."""
 LEAVES: tuple[Palette, ...] = (
     ((0.28, 0.43, 0.14), (0.52, 0.64, 0.25)),
     ((0.16, 0.33, 0.14), (0.36, 0.52, 0.24)),
@@ -57,9 +57,9 @@ LEAVES: tuple[Palette, ...] = (
     ((0.40, 0.18, 0.18), (0.56, 0.30, 0.25)),
     ((0.86, 0.62, 0.68), (0.97, 0.86, 0.88)),
 )
-"""The last three are of autumn, of copper beeches and of blossoming cherries."""
+"""Colours of leaves; the last three are autumn leaves, copper beech and cherry blossom."""
 EVERGREEN = 5
-"""So many of ``LEAVES`` are green: hedges and the trees far away are."""
+"""Number of green palettes, which come first in ``LEAVES``: hedges and distant trees use only these."""
 WOODS: tuple[Color, ...] = (
     (0.76, 0.55, 0.31),
     (0.58, 0.40, 0.25),
@@ -78,7 +78,7 @@ PAINTS: tuple[Color, ...] = (
     (0.30, 0.30, 0.32),
     (0.62, 0.52, 0.66),
 )
-"""No red: the egg alone is red."""
+"""Colours of paint; none is red, because only the egg is red."""
 PLASTERS: tuple[Color, ...] = (
     (0.93, 0.87, 0.72),
     (0.90, 0.90, 0.87),
@@ -106,28 +106,28 @@ BLOSSOMS: tuple[Color, ...] = (
     (0.97, 0.62, 0.25),
 )
 GROUNDS = ("lawn", "gravel", "slabs", "bricks", "bark")
-"""What a yard may be laid with."""
+"""Surfaces that the ground of a yard may have."""
 
 
 @dataclass(frozen=True)
 class Style:
-    """What a yard is made in.
+    """The materials, colours and light of a yard.
 
     Attributes:
-        light: sun and sky on its things.
-        sky: how the sky looks.
-        base: which of ``GROUNDS`` most of it is laid with, and ``laid`` its paths and terrace.
-        laid: another one.
-        lawn: fresh and dry grass.
-        hedge: leaves of hedges.
-        leaves: of three kinds of plants.
-        wood: of fences and furniture.
-        paint: of doors, pots and barrels; two colours.
-        plaster: of two walls.
-        brick: of walls.
-        stone: of rubble, slabs and gravel.
-        roof: tiles.
-        blossoms: three colours.
+        light: light of sun and sky on its things.
+        sky: appearance of the sky.
+        base: surface of most of its ground, one of ``GROUNDS``.
+        laid: surface of its path, another one of ``GROUNDS``.
+        lawn: colours of fresh and dry grass.
+        hedge: colours of the leaves of hedges.
+        leaves: colours of the leaves of three kinds of plants.
+        wood: colour of fences and furniture.
+        paint: two colours of doors, pots and barrels.
+        plaster: two colours of plastered walls.
+        brick: colours of bricks.
+        stone: colour of rubble, slabs and gravel.
+        roof: colour of roof tiles.
+        blossoms: three colours of blossoms.
     """
 
     light: Light
@@ -176,6 +176,6 @@ def drawn_style(rng: Rng) -> Style:
 
 
 def varied(color: Color, rng: Rng) -> Color:
-    """A colour a little off the given one."""
+    """Return a colour slightly different from the given one."""
     red, green, blue = (float(v) for v in np.clip(np.array(color) * (1 + 0.06 * rng.normal(size=3)), 0.03, 0.97))
     return red, green, blue
