@@ -1,1 +1,1 @@
-"""The C++ core: ``_core.pyi`` lists its interface, and the classes that use it document it."""
+"""The C++ core: ``_core.pyi`` lists its interface, which the classes that use it document."""

@@ -1,4 +1,4 @@
-"""The C++ core. Arrays are C-contiguous CPU memory: torch tensors and numpy arrays both go in without a copy."""
+"""The C++ core. Arrays are C-contiguous CPU memory: torch tensors and numpy arrays are both passed without a copy."""
 
 from typing import Any
 
@@ -7,20 +7,20 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 def isa() -> str:
-    """The instruction set that kernels run with: the fastest one, or the one that $SPLATRL_ISA names.
+    """Return the instruction set that kernels run with: the fastest one, or the one that $SPLATRL_ISA names.
 
     Raises:
-        ValueError: where $SPLATRL_ISA is not one of ``supported_isas()``.
+        ValueError: if $SPLATRL_ISA is not one of ``supported_isas()``.
     """
 
 def supported_isas() -> list[str]:
-    """The instruction sets that this processor can run, slowest first."""
+    """Return the instruction sets that this processor can run, slowest first."""
 
 def first_bad_camera(
     camera_to_world: Tensor,  # [B, 4, 4] float32
     K: Tensor,  # [B, 3, 3] float32
 ) -> int:
-    """The first row whose pose is not rigid or whose K is not a pinhole's; -1 where all are right."""
+    """Return the first row whose pose is not rigid or whose K is not that of a pinhole; -1 if all are valid."""
 
 def camera_to_models(
     camera_to_world: Tensor,  # [B, 4, 4] float32
@@ -32,21 +32,27 @@ def camera_to_models(
 def first_bad_part(
     models: Tensor,  # [B, M] int64, -1 for none
     model_to_world: Tensor,  # [B, M, 4, 4] float32
-    count: int,  # of the models that there are
+    count: int,  # number of models
 ) -> int:
-    """The first part, row by row, whose model does not exist or whose pose is not rigid; -1 where all are right."""
+    """Return the first part, in row-major order, whose model does not exist or whose pose is not rigid.
+
+    The part is an index into the flattened [B, M] array; -1 if all parts are valid.
+    """
 
 def add_density(
-    means: NDArray[np.float64],  # [N, 3], in voxels like all lengths here, from the corner of the grid
+    means: NDArray[np.float64],  # [N, 3], from the corner of the grid, in voxels like all lengths here
     axes: NDArray[np.float64],  # [N, 3, 3], columns: the unit axes of the Gaussian
     scales: NDArray[np.float64],  # [N, 3], standard deviations
     opacities: NDArray[np.float64],  # [N]
     first: NDArray[np.int64],  # [N, 3], the first voxel of the Gaussian's range
-    end: NDArray[np.int64],  # [N, 3], one past the last voxel
-    extent: float,  # standard deviations at which a Gaussian ends
-    density: NDArray[np.float32],  # [X, Y, Z], written
+    end: NDArray[np.int64],  # [N, 3], one past the last voxel of that range
+    extent: float,  # standard deviations at which a Gaussian is cut off
+    density: NDArray[np.float32],  # [X, Y, Z], added to
 ) -> None:
-    """Add opacity · exp(−½ d²) to the voxels in reach, d from the mean to the box around the voxel along the axes."""
+    """Add opacity · exp(−½ d²) to the voxels within reach of each Gaussian.
+
+    d is the distance, in standard deviations, from the mean to the box around the voxel along the Gaussian's axes.
+    """
 
 def find_distances(
     solid: NDArray[np.bool_],  # [X, Y, Z]
@@ -54,7 +60,7 @@ def find_distances(
     distance: NDArray[np.float32],  # [X, Y, Z], written: metres between centres; infinite where nothing is solid
     threads: int,
 ) -> None:
-    """The distance from every voxel to the nearest solid one, exact."""
+    """Compute the exact distance from every voxel to the nearest solid one."""
 
 def build_levels(
     means: Tensor,  # [N, 3] float32, metres, world frame
@@ -63,7 +69,7 @@ def build_levels(
     sh: Tensor,  # [N, (degree + 1)², 3] float32
     degree: int,
 ) -> dict[str, NDArray[np.float32] | NDArray[np.uint32]]:
-    """The tree over a scene, with merged Gaussians in its inner nodes; ``renderers/lod.py`` describes the arrays."""
+    """Build the tree over a scene, with merged Gaussians in inner nodes; ``renderers/lod.py`` describes the arrays."""
 
 def pack_model(
     means: Tensor,  # [N, 3] float32, metres, the model's own frame
@@ -71,11 +77,11 @@ def pack_model(
     opacities: Tensor,  # [N] float32
     sh: Tensor,  # [N, (degree + 1)², 3] float32
     degree: int,
-    levels: dict[str, NDArray[np.float32] | NDArray[np.uint32]] | None,  # those of build_levels; None draws exactly
+    levels: dict[str, NDArray[np.float32] | NDArray[np.uint32]] | None,  # from build_levels; None draws every Gaussian
     background: tuple[float, float, float],
     antialiased: bool,
 ) -> dict[str, NDArray[Any]]:
-    """A model as a renderer of this background keeps it; ``renderers/packed.py`` describes the arrays.
+    """Pack a model as a renderer with this background stores it; ``renderers/packed.py`` describes the arrays.
 
     Raises:
         ValueError: for levels of other Gaussians.
@@ -87,15 +93,18 @@ def flat_scene(
     antialiased: bool,
     tolerance: float,  # pixels
 ) -> dict[str, Any]:
-    """A model as ``cuda/render.cu`` reads it; ``cuda/tile.h`` describes the arrays.
+    """Convert a model to the layout that ``cuda/render.cu`` reads; ``cuda/tile.h`` describes the arrays.
 
     Raises:
         ValueError: for arrays that are not those of ``pack_model``.
     """
 
 class Collider:
-    """A body in a grid of voxels. Queries take the addresses of C-contiguous CPU memory and write to ``out``; they
-    return -1, or the first row that is not finite or not a rigid pose."""
+    """A body and the grid of voxels that it is tested against.
+
+    Queries take the addresses of C-contiguous CPU memory and write to ``out``; they return -1, or the first row that is
+    not finite or not a rigid pose.
+    """
 
     def __init__(
         self,
@@ -109,21 +118,24 @@ class Collider:
     ) -> None: ...
     @property
     def bits(self) -> NDArray[np.uint64]:
-        """[X, Y, words]: bit z of a column is the voxel (x, y, z). Read only, like ``distance``."""
+        """Occupancy [X, Y, words]: bit z of a column is the voxel (x, y, z). Read-only, like ``distance``."""
     @property
     def distance(self) -> NDArray[np.uint16]:
-        """[X, Y, Z]: from each voxel to the nearest solid one, in 1/256 of a voxel."""
+        """Distance [X, Y, Z] from each voxel to the nearest solid one, in 1/256 of a voxel."""
     @property
     def shape(self) -> tuple[float, float, float, float, float, float, float]:
-        """The body, grown to count touches: half extents, half length, radius, inner and outer radius, voxels."""
+        """The body, grown so that touches count: half extents, half length, radius, inner and outer radius, voxels."""
     def collides(self, poses: int, out: int, count: int, threads: int, /) -> int: ...  # [B, 4, 4] float32 -> bool
     def free_fraction(self, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...  # -> float32
     def sweeps(self, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...  # -> bool
     def clearance(self, points: int, out: int, count: int, threads: int, /) -> int: ...  # [B, 3] float32 -> float32
 
 class Colliders:
-    """A body in several grids, which the caller keeps. Queries are those of ``Collider``, and first take the address of
-    [B] int64, which grid each row asks; one that does not exist is refused as a pose is."""
+    """A body and several grids to test it against; the caller keeps their ``Collider`` objects alive.
+
+    Queries are those of ``Collider``, with one more argument in front: the address of [B] int64, the index of each
+    row's grid. A row whose grid does not exist is rejected in the same way as one with an invalid pose.
+    """
 
     def __init__(self, colliders: list[Collider]) -> None: ...
     def collides(self, places: int, poses: int, out: int, count: int, threads: int, /) -> int: ...
@@ -132,7 +144,7 @@ class Colliders:
     def clearance(self, places: int, points: int, out: int, count: int, threads: int, /) -> int: ...
 
 class RayCaster:
-    """Casts beams against a grid of voxels; poses and beams must be finite, and beams unit vectors."""
+    """Casts beams against a grid of voxels; poses and beams must be finite, and beams must be unit vectors."""
 
     def __init__(
         self,
@@ -142,16 +154,16 @@ class RayCaster:
     ) -> None: ...
     def ranges(
         self,
-        poses: int,  # addresses of [B, 4, 4] float32
-        beams: int,  # [R, 3] float32, in the frames of the poses
-        out: int,  # [B, R] float32, metres
+        poses: int,  # address of [B, 4, 4] float32
+        beams: int,  # address of [R, 3] float32, in the frames of the poses
+        out: int,  # address of [B, R] float32, metres
         count: int,
         along: int,
         reach: float,
         threads: int,
         /,
     ) -> int:
-        """Returns -1, or the first row that is not a rigid pose."""
+        """Write the range of each beam, at most ``reach``; return -1, or the first row that is not a rigid pose."""
 
 class Renderer:
     """Renders into memory that the caller provides; its inputs must be finite."""
@@ -169,7 +181,7 @@ class Renderer:
         opacities: Tensor,  # [N] float32
         sh: Tensor,  # [N, (degree + 1)², 3] float32
         degree: int,
-        levels: dict[str, NDArray[np.float32] | NDArray[np.uint32]] | None,  # those of build_levels; None draws exactly
+        levels: dict[str, NDArray[np.float32] | NDArray[np.uint32]] | None,  # from build_levels; None: every Gaussian
     ) -> None:
         """Add a model; the first is model 0.
 
@@ -180,9 +192,9 @@ class Renderer:
     def put_model(
         self,
         model: int,
-        arrays: dict[str, NDArray[Any]] | None,  # those of pack_model, made for this background; None for no model
+        arrays: dict[str, NDArray[Any]] | None,  # from pack_model with this background; None removes the model
     ) -> None:
-        """Let a model be another one, or none. Not while another thread draws.
+        """Replace or remove a model. Not to be called while another thread draws.
 
         Raises:
             ValueError: for arrays that are not those of ``pack_model``.
@@ -190,19 +202,19 @@ class Renderer:
 
     def needs(
         self,
-        bounds: NDArray[np.float32],  # [N, 6], those of the roots of models in one frame
-        errors: NDArray[np.float32],  # [N], metres, the largest of the nodes that end the tops of their trees
+        bounds: NDArray[np.float32],  # [N, 6], the root bounds of models in one frame
+        errors: NDArray[np.float32],  # [N], metres, the largest error of the nodes that end the top of each tree
         camera_to_models: Tensor,  # [B, 4, 4] float32
         K: Tensor,  # [B, 3, 3] float32
         width: int,
         height: int,
         out: NDArray[np.uint8],  # [B, N], written: 0 for nothing, 1 for the top of its tree, 2 for the whole model
     ) -> None:
-        """What cameras need to have of models that they may see."""
+        """Determine what each camera needs of the models that it may see."""
 
     def render(
         self,
-        models: Tensor | None,  # [B, M] int64, -1 for none; None draws model 0, M = 1
+        models: Tensor | None,  # [B, M] int64, -1 for none; None draws model 0 in each row, and M = 1
         camera_to_models: Tensor,  # [B, M, 4, 4] float32, each in the frame of its model
         K: Tensor,  # [B, 3, 3] float32
         rgb: Tensor,  # [B, H, W, 3] float32, written
@@ -221,12 +233,13 @@ class Renderer:
     ) -> None: ...
 
 class Fitter:
-    """Draws views of Gaussians that are being fitted, and pulls slopes back to their parameters.
+    """Renders views of Gaussians that are being fitted, and back-propagates gradients to their parameters.
 
-    ``values`` are [R, C] float32, aligned to 64 bytes, C a multiple of 16: means, log-scales, quaternions (wxyz, of
-    any length), opacity logits and harmonics by coefficient and colour; R is 14, 23, 38 or 59, of degree 0 to 3. The
-    first ``count`` columns are drawn, antialiased, on black, unless nearer than ``near`` (at least 0.01). Each view is
-    the work of one thread: results do not depend on ``threads``. Not for several threads at once.
+    ``values`` is [R, C] float32, aligned to 64 bytes, with C a multiple of 16. Its rows are means, log-scales,
+    quaternions (wxyz, of any length), opacity logits, and harmonics by coefficient and colour; R is 14, 23, 38 or 59
+    for degrees 0 to 3. The first ``count`` columns are drawn, antialiased, on black, unless they are nearer than
+    ``near`` (at least 0.01). Each view is drawn by a single thread, so results do not depend on ``threads``. Not to be
+    used by several threads at once.
     """
 
     def __init__(self) -> None: ...
@@ -239,7 +252,7 @@ class Fitter:
         K: Tensor,  # [V, 3, 3] float32
         known: Tensor,  # [V, H, W] float32, inverse depths, 0 where unknown
         rgb: Tensor,  # [V, H, W, 3] float32, written, not clamped
-        agreement: Tensor,  # [V, H, W] float32, written: the sum of max(0, 1 - |depth · known - 1|) by their shares
+        agreement: Tensor,  # [V, H, W] float32, written: the weighted sum of max(0, 1 - |depth · known - 1|)
         alpha: Tensor,  # [V, H, W] float32, written
         threads: int,
     ) -> None: ...
@@ -251,9 +264,9 @@ class Fitter:
         camera_to_world: Tensor,  # [V, 4, 4] float32
         K: Tensor,  # [V, 3, 3] float32
         known: Tensor,  # [V, H, W] float32, as above
-        slopes: Tensor,  # [V, H, W, 5] float32, by red, green, blue, agreement and alpha as above
+        slopes: Tensor,  # [V, H, W, 5] float32, gradients by red, green, blue, agreement and alpha
         gradients: Tensor,  # [V, R, C] float32, written up to count
-        pose_slopes: Tensor,  # [V, 6] float32, written: by a turn of the camera in its place, a shift; world axes
+        pose_slopes: Tensor,  # [V, 6] float32, written: by a rotation about the camera, then a translation; world axes
         threads: int,
     ) -> None: ...
     def compare(
@@ -265,52 +278,54 @@ class Fitter:
         K: Tensor,  # [V, 3, 3] float32
         pixels: Tensor,  # [N, H, W, 3] uint8
         known: Tensor,  # [N, H, W] float32, inverse depths, 0 where unknown
-        chosen: Tensor,  # [V] int64, which of the photos each view is compared with
+        chosen: Tensor,  # [V] int64, index of the photo that each view is compared with
         exposure: Tensor,  # [N, 3, 2] float32, gain and offset of each channel
         ssim_weight: float,
         depth_weight: float,
         gradients: Tensor,  # [V, R, C] float32, written up to count
-        losses: Tensor,  # [V, 16] float32, written: total, L1, SSIM, depth, slopes by exposure and pose
+        losses: Tensor,  # [V, 16] float32, written: total, L1, SSIM, depth, gradients by exposure and pose
         threads: int,
     ) -> None:
-        """Compare views with photos by (1 - w) L1 + w (1 - SSIM) + the depth weight times (1 - agreement)."""
+        """Compare views with photos by the loss (1 - w) L1 + w (1 - SSIM) + depth weight · (1 - agreement)."""
 
     def update(
         self,
         values: Tensor,
-        gradients: Tensor,  # [V, R, C] float32, of which the mean is taken
-        first: Tensor,  # [R, C] float32, moments, written
-        second: Tensor,  # [R, C] float32, written
+        gradients: Tensor,  # [V, R, C] float32, averaged over the views
+        first: Tensor,  # [R, C] float32, first moments, updated
+        second: Tensor,  # [R, C] float32, second moments, updated
         rates: Tensor,  # [R] float32
         step: int,  # from 1
         beta1: float,
         beta2: float,
         epsilon: float,
-        opacity_slope: float,  # of each opacity
-        scale_slope: float,  # of each standard deviation
-        noise: float,  # times the covariance, for the transparent
+        opacity_slope: float,  # gradient of the regulariser by each opacity
+        scale_slope: float,  # gradient of the regulariser by each standard deviation
+        noise: float,  # strength of the noise on means: times the covariance, for transparent Gaussians
         seed: int,
         threads: int,
     ) -> None:
-        """One step of Adam on ``values``, with regularisers and noise."""
+        """Take one step of Adam on ``values``, with regularisers and noise."""
 
 def sweep(
     grey: Tensor,  # [N, H, W] float32, photos
     camera_to_world: Tensor,  # [N, 4, 4] float32
     K: Tensor,  # [3, 3] float32
     rows: Tensor,  # [R] int64, the photos whose depth is wanted
-    neighbours: Tensor,  # [R, M] int64, the photos that each is compared with; -1 ends a line
+    neighbours: Tensor,  # [R, M] int64, the photos that each is compared with; the first -1 ends a list
     ranges: Tensor,  # [R, 2] float32, smallest and largest inverse depth
-    soundings: Tensor,  # [S, 3] float32, photo by photo: column, row, inverse depth of places that are known
-    firsts: Tensor,  # [N + 1] int64, where those of each photo begin
-    depths: int,  # how many inverse depths are tried, a multiple of 16
+    soundings: Tensor,  # [S, 3] float32, photo by photo: column, row and inverse depth of points of known depth
+    firsts: Tensor,  # [N + 1] int64, where the soundings of each photo begin
+    depths: int,  # number of inverse depths that are tried, a multiple of 16
     out: Tensor,  # [N, H, W] float32, inverse depths; written where a photo has neighbours
     threads: int,
 ) -> None:
-    """Inverse depths of photos by plane sweep (5×5 correlation, the best three neighbours) and semi-global matching.
+    """Estimate inverse depths of photos by plane sweep and semi-global matching.
+
+    The plane sweep correlates windows of 5×5 pixels, and counts the three neighbours that match best.
 
     Raises:
-        ValueError: for a photo that is not there, or a number of depths that cannot be.
+        ValueError: for the index of a photo that does not exist, or an invalid number of depths.
     """
 
 def agree(
@@ -318,13 +333,13 @@ def agree(
     camera_to_world: Tensor,  # [N, 4, 4] float32
     K: Tensor,  # [3, 3] float32
     rows: Tensor,  # [R] int64
-    neighbours: Tensor,  # [R, M] int64, the photos that are asked; -1 ends a line
-    tolerance: float,  # share of the depth
-    least: int,  # of the neighbours that must agree
+    neighbours: Tensor,  # [R, M] int64, the photos that each is checked against; the first -1 ends a list
+    tolerance: float,  # relative difference of depths that agree
+    least: int,  # minimum number of neighbours that must agree
     out: Tensor,  # [N, H, W] float32, written in ``rows``: the mean with those that agree, 0 where too few do
     threads: int,
 ) -> None:
-    """What other photos confirm of the depths of photos."""
+    """Keep only those depths of photos that enough neighbouring photos confirm."""
 
 def pool_images(
     images: int,  # address of [N, H, W, C] uint8
@@ -333,7 +348,7 @@ def pool_images(
     out: int,  # address of [N, H // side, W // side, C] float32, written
     /,
 ) -> None:
-    """Average images over square cells, in [−0.5, 0.5]; both are C-contiguous memory.
+    """Average images over square cells, and map the result to [−0.5, 0.5]; all memory is C-contiguous.
 
     Raises:
         ValueError: for a side that is not from 1 to 4096.
@@ -341,39 +356,39 @@ def pool_images(
 
 def change_appearance(
     pixels: Tensor,  # [B, H, W, 3] uint8
-    weights: Tensor,  # [B, K] float32, of a blur: of a pixel itself, and of those 1, 2, ... to both sides
+    weights: Tensor,  # [B, K] float32, of a blur: for the pixel itself, then for those 1, 2, ... away on both sides
     gain: Tensor,  # [B, 3] float32, of each colour
-    offset: Tensor,  # [B, 3] float32, added to it, of 255
-    grain: Tensor,  # [B] float32, standard deviation of the noise, of 255
-    noise: Tensor | None,  # [B, H, 3 W] float32, of standard deviation 1
+    offset: Tensor,  # [B, 3] float32, added to each colour, in units of a byte's range 0 to 255
+    grain: Tensor,  # [B] float32, standard deviation of the noise, in the same units
+    noise: Tensor | None,  # [B, H, 3 W] float32, with standard deviation 1
     out: Tensor,  # [B, H, W, 3] uint8, written
     threads: int,
 ) -> None:
     """Blur images, change their colours and add noise.
 
     Raises:
-        ValueError: for tensors whose sizes do not belong together.
+        ValueError: for tensors whose sizes do not match.
     """
 
 def put_into_weather(
     pixels: Tensor,  # [B, H, W, 3] uint8
     tint: Tensor,  # [B, 3] float32, gains of the light
     veil: Tensor,  # [B, 3] float32, colour of the fog
-    left: Tensor | None,  # [B, H, W] float32, share of the light that the fog leaves; None where there is none
-    far: Tensor | None,  # [B, H, W] float32, metres; None where it is not known
-    falling: tuple[Tensor, ...] | None,  # of ``Falling`` in weather_images.py
-    lens: tuple[Tensor, ...] | None,  # of ``Wet``
+    left: Tensor | None,  # [B, H, W] float32, fraction of the light that the fog transmits; None without fog
+    far: Tensor | None,  # [B, H, W] float32, depth in metres; None if unknown
+    falling: tuple[Tensor, ...] | None,  # pattern of rain and snow, and the fields of ``Falling`` (weather_images.py)
+    lens: tuple[Tensor, ...] | None,  # pattern of drops, and the fields of ``Wet`` (weather_images.py)
     out: Tensor,  # [B, H, W, 3] uint8, written
     threads: int,
 ) -> None:
-    """Put images into weather.
+    """Render light, fog, rain, snow and drops on the lens into images.
 
     Raises:
-        ValueError: for tensors whose sizes do not belong together.
+        ValueError: for tensors whose sizes do not match.
     """
 
 def trunk_forward(
-    shape: tuple[int, ...],  # height, width and channels of images; channels of two convolutions; features
+    shape: tuple[int, ...],  # height, width and channels of images; channels of the two convolutions; features
     images: int,  # address of [count, height, width, channels]
     count: int,
     weights: tuple[int, ...],  # addresses of weights and bias of each layer, in PyTorch's order
@@ -381,12 +396,12 @@ def trunk_forward(
     threads: int,
     /,
 ) -> None:
-    """Two convolutions without padding, of 4 and 3 pixels at a stride of 2, and a dense layer, each with a ReLU.
+    """Run two convolutions without padding (kernels of 4 and 3 pixels, stride 2) and a dense layer, each with a ReLU.
 
-    Addresses are those of C-contiguous float32 in main memory.
+    Addresses are those of C-contiguous float32 arrays in main memory.
 
     Raises:
-        ValueError: for images of less than 8 pixels a side, or channels of convolutions in other than sixteens.
+        ValueError: for images with fewer than 8 pixels a side, or convolution channels that are not multiples of 16.
     """
 
 def trunk_backward(
@@ -395,12 +410,12 @@ def trunk_backward(
     count: int,
     weights: tuple[int, ...],
     layers: tuple[int, ...],  # as ``trunk_forward`` wrote them
-    slopes: int,  # address of [count, features], of the features
-    gradients: tuple[int, ...],  # addresses of what is written, in the order and shapes of the weights
+    slopes: int,  # address of [count, features], the gradient of the features
+    gradients: tuple[int, ...],  # addresses of the results, in the order and with the shapes of the weights
     threads: int,
     /,
 ) -> None:
-    """The gradients of the weights."""
+    """Compute the gradients of the weights of ``trunk_forward``."""
 
 def policy_loss(
     frames: tuple[int, ...],  # addresses of hidden, action (int64), log_prob, advantage and value_target, [count, ...]
@@ -409,21 +424,21 @@ def policy_loss(
     clip_epsilon: float,
     critic_coeff: float,
     entropy_coeff: float,
-    gradients: tuple[int, ...],  # addresses of what is written: those of the heads, and of hidden
+    gradients: tuple[int, ...],  # addresses of the results: gradients of the heads, then of hidden
     statistics: int,  # address of [5], written: ``splatrl.training.loss.STATISTICS``
     /,
 ) -> None:
-    """The gradients of the loss of proximal policy optimisation over discrete actions.
+    """Compute the gradients of the loss of proximal policy optimisation (PPO) over discrete actions.
 
-    Addresses are those of C-contiguous float32 in main memory.
+    Addresses are those of C-contiguous float32 arrays in main memory.
 
     Raises:
-        ValueError: for an action that is not one of them.
+        ValueError: for an action that does not exist.
     """
 
 def adam(
-    tensors: list[tuple[int, ...]],  # addresses of values, gradient, first and second moment of each
-    counts: list[int],  # numbers in each
+    tensors: list[tuple[int, ...]],  # addresses of each tensor's values, gradient, first and second moment
+    counts: list[int],  # number of values in each tensor
     step: float,  # from 1
     rate: float,
     beta1: float,
@@ -432,20 +447,20 @@ def adam(
     max_norm: float,
     /,
 ) -> None:
-    """Clip gradients to a norm, all tensors together, and take a step of Adam."""
+    """Clip the joint norm of the gradients of all tensors, and take a step of Adam."""
 
 class StepTable:
-    """Steps on a lattice, by state and action; states are numbered in C order.
+    """Precomputed steps on a lattice, by state and action; states are numbered in C order.
 
     Args:
         shape: number of values of each index of a state.
-        next: numbers of the states after a step.
+        next: number of the state that each step leads to.
         free_fraction: see ``Move``.
-        reward: see ``Verdict``, as ``terminated`` and ``outcome``.
-        poses: of states, body to world.
+        reward: see ``Verdict``, as for ``terminated`` and ``outcome``.
+        poses: body-to-world pose of each state.
 
     Raises:
-        ValueError: for tables of other sizes, or a number that is no state's.
+        ValueError: for tables of other sizes, or a number that is not that of a state.
     """
 
     def __init__(
@@ -461,57 +476,58 @@ class StepTable:
     def step(
         self,
         given: list[int],  # addresses of state [count, D], and action, step_count, episode_return, level, goals [count]
-        found: list[int],  # of what is written: the same without action, then outcome, free_fraction, reward,
+        found: list[int],  # addresses of the results: the same without action, then outcome, free_fraction, reward,
         # success, done, terminated, truncated and [count, 4, 4] poses
         count: int,
         max_steps: int,
         goals_for_success: int,
-        progress: int,  # address of that of the curriculum, which is changed
+        progress: int,  # address of the curriculum's progress, which is updated
         schedule: tuple[int, int, float],  # levels, window, threshold
         /,
     ) -> bool:
-        """Look steps up, and count as ``SplatEnv`` does; false, and nothing is written, for what is not of the lattice.
+        """Look up the step of each row, and count steps, returns and goals as ``SplatEnv`` does.
 
-        Addresses are those of C-contiguous memory with the types of the env.
+        Returns False, and writes nothing, if a state or an action is not on the lattice. Addresses are those of
+        C-contiguous memory with the types of the env.
         """
 
     def begin(
         self,
         old: list[int],  # addresses of state [count, D], and step_count, episode_return, level, goals, outcome,
         # free_fraction, success, done, terminated, truncated [count]
-        found: list[int],  # of what is written: the same, and [some, 4, 4] poses
+        found: list[int],  # addresses of the results: the same, and [some, 4, 4] poses
         count: int,
-        rows: int,  # address of [some] int64, in which episodes begin
+        rows: int,  # address of [some] int64, the rows in which episodes begin
         some: int,
-        uniform: int,  # address of [count] float64 in [0, 1), which draw the starts
+        uniform: int,  # address of [count] float64 in [0, 1), the random numbers that select the starts
         starts: int,  # address of [available, D] int64
         available: int,
         level: int,
         /,
     ) -> None:
-        """Copy entries of which some rows are those of episodes that begin.
+        """Copy the entries of a batch, and begin new episodes in some of its rows.
 
         Raises:
-            ValueError: for a row that is not one of them, or a start that is not of the lattice.
+            ValueError: for a row outside the batch, or a start that is not on the lattice.
         """
 
 def with_rows(
-    tensors: list[tuple[int, int, int, int]],  # addresses of old, fresh and written values, and bytes of the last
+    tensors: list[tuple[int, int, int, int]],  # addresses of old, fresh and written values, and size of the last, bytes
     rows: int,  # address of [some] int64
     some: int,
-    count: int,  # rows of what is old and of what is written
+    count: int,  # rows of the old and of the written values
     /,
 ) -> None:
-    """Copy tensors of which some rows are those of others; all are C-contiguous memory.
+    """Copy tensors, with some rows replaced by fresh ones; all memory is C-contiguous.
 
     Raises:
-        ValueError: for a row that is not one of them.
+        ValueError: for a row outside the batch.
     """
 
 class RowIndex:
-    """Numbers rows of bytes, from 0 in the order in which they are added.
+    """Maps rows of bytes to numbers, from 0 in the order in which they are added.
 
-    Columns are given by address, bytes of a row, and bytes from one row to the next.
+    Each column is given by its address, its bytes per row, and its stride from one row to the next in bytes.
     """
 
     def __init__(self) -> None: ...
@@ -519,12 +535,12 @@ class RowIndex:
         self,
         columns: list[tuple[int, int, int]],
         count: int,  # rows
-        out: int,  # address of [count] int64, written: numbers, or −1 − i for a row like the i-th of what is returned
+        out: int,  # address of [count] int64, written: numbers, or −1 − i for a row equal to the i-th that is returned
         /,
     ) -> list[int]:
-        """The rows that have no number, each the first of those alike."""
+        """Look up the number of each row, and return the rows that have none, without duplicates."""
 
     def add(self, columns: list[tuple[int, int, int]], rows: list[int], /) -> None:
-        """Give rows that have none the next numbers."""
+        """Give the next numbers to rows that have none."""
 
     def __len__(self) -> int: ...

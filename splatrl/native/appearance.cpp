@@ -1,5 +1,5 @@
-// Images under another camera and another light: what transforms/appearance.py does with PyTorch, in one pass over each
-// image, by the same operations in the same order.
+// Random changes of how images look (blur, colour, sensor noise): the CPU version of envs/transforms/appearance.py, in
+// one pass over each image, with the same operations in the same order as its PyTorch code.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/optional.h>
 
@@ -22,7 +22,7 @@ namespace {
 using Rows = Tensor<const float, -1, -1>;
 using Numbers = Tensor<const float, -1>;
 
-// Weighted sums of a line's numbers with those before and after it: `steps` pairs of lines.
+// Blur along one axis: weights[0] · line plus, for each step, weights[step + 1] · (before[step] + after[step]).
 void blur_line(const float* line, const float* const* before, const float* const* after, const float* weights,
                size_t steps, size_t size, float* out) {
     for (size_t i = 0; i < size; ++i) out[i] = line[i] * weights[0];
@@ -32,7 +32,7 @@ void blur_line(const float* line, const float* const* before, const float* const
     }
 }
 
-// The steps of a blur after which its weights are 0.
+// The radius of a blur in steps: all weights beyond it are 0.
 size_t steps_of(const float* weights, size_t steps) {
     while (steps > 0 && weights[steps] == 0.0f) --steps;
     return steps;
@@ -56,7 +56,7 @@ void change_appearance(const Tensor<const uint8_t, -1, -1, -1, 3>& pixels, const
         const size_t steps = steps_of(weight, reach), margin = 3 * steps;
         const Buffer<float> memory = make_buffer<float>(height * line + 4 * line + 2 * margin);
         float *colors = memory.get(), *scale = colors + height * line, *shift = scale + line, *blurred = shift + line;
-        float* padded = blurred + line;  // a line with its ends repeated
+        float* padded = blurred + line;  // a line whose first and last pixels are repeated beyond its ends
         const Buffer<const float*> lines = make_buffer<const float*>(2 * steps);
         const float **before = lines.get(), **after = before + steps;
         const uint8_t* given = pixels.data() + number * height * line;
@@ -85,14 +85,14 @@ void change_appearance(const Tensor<const uint8_t, -1, -1, -1, 3>& pixels, const
                 blur_line(middle, before, after, weight, steps, line, blurred);
                 row = blurred;
             }
-            float* changed = padded;  // its line is not needed any more
+            float* changed = padded;  // reused: the padded line is no longer needed
             for (size_t i = 0; i < line; ++i) changed[i] = row[i] * scale[i] + shift[i];
             if (noise) {
                 const float *added = noise->data() + (number * height + y) * line, most = grain.data()[number];
                 for (size_t i = 0; i < line; ++i) changed[i] += added[i] * most;
             }
             uint8_t* written = out.data() + (number * height + y) * line;
-            for (size_t i = 0; i < line; ++i)  // 0 for what is no number
+            for (size_t i = 0; i < line; ++i)  // NaN becomes 0
                 written[i] = uint8_t(std::min(std::max(0.0f, changed[i] + 0.5f), 255.0f));
         }
     });

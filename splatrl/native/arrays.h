@@ -1,4 +1,4 @@
-// Tensors and arrays from Python, and back.
+// Arrays that are passed between Python and C++.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -8,11 +8,11 @@
 
 namespace splatrl {
 
-// A contiguous array in main memory with this shape; -1 is any.
+// A C-contiguous array in main memory with this shape; -1 matches any size.
 template <class T, long... SHAPE>
 using Tensor = nanobind::ndarray<T, nanobind::shape<SHAPE...>, nanobind::c_contig, nanobind::device::cpu>;
 
-// A numpy array that owns these values.
+// Move values into a numpy array of this shape, which then owns them.
 template <class T>
 nanobind::ndarray<nanobind::numpy, T> to_numpy(std::vector<T> values, std::initializer_list<size_t> shape) {
     auto* kept = new std::vector<T>(std::move(values));

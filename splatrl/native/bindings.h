@@ -1,4 +1,4 @@
-// One function for each part of the module: a new part adds its own here and calls it in module.cpp.
+// One function for each part of the module. A new part declares its own here, and module.cpp calls it.
 #pragma once
 
 #include <nanobind/nanobind.h>

@@ -1,6 +1,6 @@
-// A box, at rest or on a straight way, against voxels. Two convex bodies are apart where their projections on some
-// normal are: of the box, the voxel, and each pair of an edge of one and an edge of the other; while the box moves, the
-// way is an edge too.
+// A box, at rest or moving in a straight line, against voxels, by separating axes: two convex bodies are apart if their
+// projections onto some axis are. It suffices to test the face normals of the box and of the voxel, and the cross
+// products of an edge of one with an edge of the other; while the box moves, its path counts as an edge too.
 #pragma once
 
 #include "collision_pose.h"
@@ -12,22 +12,22 @@ inline namespace EACH_ISA {
 
 struct Normal {
     Vec3 axis;
-    double inverse_z;  // 0 where the axis has no z
-    double reach;      // of box and voxel together, at rest
-    double swept;      // the same plus half the way
-    double speed;      // of the box along the axis
-    bool still;        // whether it comes from the bodies, not from the way
+    double inverse_z;  // 0 if the axis has no z component
+    double reach;      // half extents of box and voxel along the axis, added up
+    double swept;      // the same plus half the path
+    double speed;      // displacement of the box along the axis from t = 0 to 1
+    bool still;        // whether the axis depends on the bodies alone, not on the path
 };
 
-// The edges that the normals are made of.
+// The edges from which the normals are computed.
 struct BoxWay {
     Vec3 half, way, direction;
-    Mat3 edges;   // rows: the box's, unit
-    int normals;  // how many, at most
+    Mat3 edges;   // rows: the box's edges, unit vectors
+    int normals;  // upper bound on their number
 };
 
-constexpr int NORMALS = 21, NORMALS_AT_REST = 12;  // columns are within the box around the body: no need for the
-                                                   // voxel's own normals where that does not move
+constexpr int NORMALS = 21, NORMALS_AT_REST = 12;  // at rest, the voxel's own normals are not needed: columns are
+                                                   // already limited to the bounding box of the body
 
 SPLAT_INLINE BoxWay box_way(const Shape& shape, const Pose& pose, const Vec3& way) {
     const double length = norm(way);
@@ -50,7 +50,7 @@ SPLAT_INLINE Vec3 normal_axis(const BoxWay& box, int i) {
     return cross(kind == 5 ? unit(which) : row_of(box.edges, which), box.direction);
 }
 
-// The i-th normal. Parallel edges have none: then another normal decides.
+// Compute the i-th normal. Returns false for parallel edges, which have none; then another normal decides.
 SPLAT_INLINE bool make_normal(const BoxWay& box, int i, Normal& out) {
     const Vec3 axis = normal_axis(box, i);
     double reach = SLACK;
@@ -66,10 +66,10 @@ struct BoxSweep {
     const Normal* normals;
     int count;
 
-    // The heights in a column at which voxels are touched on the way.
+    // The range of heights in a column at which voxels may be touched along the path.
     HOST_DEVICE Range touched_in(const Column& column) const {
         const Range& zs = column.zs;
-        double low = zs.first - middle[2] + 0.5, high = zs.last - middle[2] + 0.5;  // of the voxels' centres
+        double low = zs.first - middle[2] + 0.5, high = zs.last - middle[2] + 0.5;  // of voxel centres
         const double dx = column.x + 0.5 - middle[0], dy = column.y + 0.5 - middle[1];
         for (int i = 0; i < count; ++i) {
             const Normal& n = normals[i];
@@ -87,7 +87,7 @@ struct BoxSweep {
         return {max(first, zs.first), min(last, zs.last)};
     }
 
-    // The first t in [0, 1] at which a voxel is touched, or NEVER.
+    // The first t in [0, 1] at which the box touches a voxel, or NEVER.
     HOST_DEVICE double contact_with(int x, int y, int z) const {
         const Vec3 apart{x + 0.5 - start[0], y + 0.5 - start[1], z + 0.5 - start[2]};
         double enter = 0.0, leave = 1.0;
@@ -106,7 +106,7 @@ struct BoxSweep {
         return enter <= leave ? enter : NEVER;
     }
 
-    // The first with any voxel of a column; with `any`, only whether there is one: 0 or NEVER.
+    // The first contact with any voxel of a column. With `any`, only whether there is one: 0 or NEVER.
     HOST_DEVICE double contact(Column column, bool any) const {
         column.zs = touched_in(column);
         double first = NEVER;

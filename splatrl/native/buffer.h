@@ -13,7 +13,7 @@
 
 namespace splatrl {
 
-// Gives memory back: to the system itself where it was mapped, so that models that come and go leave no holes behind.
+// Frees memory. Mapped memory goes straight back to the system, so loading and unloading models leaves no holes.
 struct Free {
     size_t mapped = 0;  // bytes
 
@@ -32,7 +32,7 @@ template <class T>
 using Buffer = std::unique_ptr<T[], Free>;
 
 #if defined(__linux__)
-// Memory of whole huge pages, or null.
+// Map memory aligned to huge pages, or return null.
 inline void* map_huge_pages(size_t bytes, size_t huge_page) {
     void* mapped = mmap(nullptr, bytes + huge_page, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
     if (mapped == MAP_FAILED) return nullptr;
@@ -45,8 +45,8 @@ inline void* map_huge_pages(size_t bytes, size_t huge_page) {
 }
 #endif
 
-// Large buffers ask for huge pages where the system has them, which makes address translation cheaper for scattered
-// access.
+// Allocate a buffer. Large ones request huge pages where the system has them, which makes the address translation of
+// scattered accesses cheaper.
 template <class T>
 Buffer<T> make_buffer(size_t count) {
     constexpr size_t HUGE_PAGE = size_t(1) << 21;

@@ -13,20 +13,20 @@ struct Camera {
     int width, height;
 };
 
-// A part of an image, in pixels; the lower and right edges are exclusive.
+// A rectangle of an image, in pixels; the lower and right edges are exclusive.
 struct Tile {
     int left, top, right, bottom;
 };
 
-// Whether K, row-major 3×3, is that of a pinhole: finite, with positive focal lengths and no skew.
+// Whether K, row-major 3×3, describes a pinhole: finite, with positive focal lengths and no skew.
 SPLAT_INLINE bool is_lens(const float* K) {
     const bool finite = 0.0f * K[0] + 0.0f * K[2] + 0.0f * K[4] + 0.0f * K[5] == 0.0f;
     return finite && K[0] > 0.0f && K[4] > 0.0f && K[1] == 0.0f && K[3] == 0.0f && K[6] == 0.0f && K[7] == 0.0f &&
            K[8] == 1.0f;
 }
 
-// From camera_to_world, row-major 4×4, and K, row-major 3×3. The margin is 0.15 image sizes: outside it the linearised
-// projection would explode.
+// Build a camera from camera_to_world, row-major 4×4, and K, row-major 3×3. The slopes in the Jacobian are bounded to a
+// margin of 0.15 image sizes, beyond which the linearised projection would blow up.
 SPLAT_INLINE Camera camera_of(const float* pose, const float* K, int width, int height) {
     Camera camera;
     for (int row = 0; row < 3; ++row)

@@ -30,9 +30,9 @@ const QueryKernels& query_kernels_of(Isa isa) {
 namespace {
 
 constexpr double FINEST = 1e-4, COARSEST = 1e3, FARTHEST_CORNER = 2e15;  // metres, as in voxel_grid.py
-constexpr double TOUCH = 1e-6;   // metres: a gap within the rounding of a pose is a touch, wherever it is in the world
-constexpr size_t CHUNK = 2048;   // queries that a thread takes at once
-constexpr size_t AT_ONCE = 32;   // places that are fetched before they are asked
+constexpr double TOUCH = 1e-6;   // metres: a gap within the rounding error of a pose is a touch, anywhere in the world
+constexpr size_t CHUNK = 2048;   // queries per work item of a thread
+constexpr size_t AT_ONCE = 32;   // points whose voxels are prefetched before any of them is read
 
 using Solid = Tensor<const bool, -1, -1, -1>;
 using Distances = Tensor<const float, -1, -1, -1>;
@@ -50,8 +50,8 @@ Vec3 quotient(const std::array<double, 3>& numbers, double divisor) {
     return {numbers[0] / divisor, numbers[1] / divisor, numbers[2] / divisor};
 }
 
-// Over a whole batch, call answer(begin, end) for parts of it, which returns the first query that it refuses, or `end`.
-// Returns -1, or the first that was refused.
+// Call answer(begin, end) for chunks of a batch, in parallel; it returns the first query that it rejects, or `end`.
+// Returns the first query of the batch that was rejected, or -1.
 template <class Answer>
 int64_t each(size_t count, size_t threads, const Answer& answer) {
     std::atomic<size_t> bad{count};
@@ -71,8 +71,8 @@ int64_t each(size_t count, size_t threads, const Answer& answer) {
     return bad == count ? -1 : int64_t(bad);
 }
 
-// Queries of one body in one grid, or in several. They take addresses, which cost less than arrays; Python takes care
-// of types, sizes and lifetimes.
+// Queries of one body against one grid, or several. They take raw addresses, which are cheaper to pass than arrays;
+// Python takes care of types, sizes and lifetimes.
 struct Queries {
     const QueryKernels& kernels;
     Asked asked;
@@ -121,7 +121,7 @@ struct Queries {
     }
 };
 
-// A body in a grid.
+// A body and the grid that it is tested against.
 class Collider {
 public:
     Collider(PackedGrid packed, const Shape& shape)
@@ -139,7 +139,7 @@ private:
     const QueryKernels& kernels_;
 };
 
-// A body in several grids: each query says by number which one it asks. Python keeps the colliders.
+// A body and several grids; each query selects its grid by index. Python keeps the colliders alive.
 class Colliders {
 public:
     explicit Colliders(const std::vector<const Collider*>& colliders) : kernels_(query_kernels_of(choose_isa())) {
@@ -157,7 +157,7 @@ private:
 
 const Grid& grid_in(nb::handle collider) { return nb::cast<const Collider&>(collider).fitted().grid; }
 
-// An array that a collider keeps, [x, y, along z], without a copy.
+// View an array that a collider owns, [x, y, along_z], without a copy.
 template <class T>
 nb::ndarray<nb::numpy, const T> array_of(nb::handle collider, const T* Grid::*values, int along_z) {
     const Grid& grid = grid_in(collider);
@@ -172,7 +172,7 @@ void bind_collision(nb::module_& m) {
             "__init__",
             [](Collider* self, Solid solid, Distances distance, std::array<double, 3> corner, double resolution,
                std::array<double, 3> half, double half_length, double radius) {
-                // What searches take for granted: places and sizes in voxels stay far below what a double can count.
+                // The searches rely on bounded lengths: in voxels, positions and sizes must stay exact as doubles.
                 bool right = resolution >= FINEST && resolution <= COARSEST;
                 for (double length : {corner[0], corner[1], corner[2], half[0], half[1], half[2], half_length, radius})
                     right = right && std::abs(length) <= FARTHEST_CORNER;

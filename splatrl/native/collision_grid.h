@@ -1,7 +1,7 @@
 // A grid of solid voxels and its distance field.
 //
-// Lengths are in voxels and positions count from the corner of the grid; the voxel (x, y, z) is the closed box from
-// there to (x + 1, y + 1, z + 1). What lies outside the grid is free.
+// Lengths are in voxels, and positions are relative to the corner of the grid; the voxel (x, y, z) is the closed box
+// from that point to (x + 1, y + 1, z + 1). Everything outside the grid is free.
 #pragma once
 
 #include "collision_vectors.h"
@@ -11,28 +11,28 @@ namespace splatrl {
 constexpr double NEVER = INFINITE;
 constexpr double DISTANCE_STEPS = 256.0;
 constexpr uint16_t FARTHEST = 0xffff;
-constexpr double HALF_DIAGONAL = 0.8660254037844387;  // of a voxel
+constexpr double HALF_DIAGONAL = 0.8660254037844387;  // half the diagonal of a voxel
 
-// A view of memory that others own.
+// A view of memory that it does not own.
 struct Grid {
     int size[3];
-    int words;                   // of a column
-    bool empty;                  // whether nothing is solid; then nothing below is read
-    double resolution, inverse;  // metres, 1 / metres
+    int words;                   // per column
+    bool empty;                  // whether nothing is solid, in which case nothing below is read
+    double resolution, inverse;  // edge of a voxel, metres, and one over it
     Vec3 corner;                 // of the grid in the world, metres
     const uint64_t* bits;        // [x, y, words]: bit z of a column is the voxel (x, y, z)
-    // [x, y, z] from the centre of each voxel to that of the nearest solid one, in DISTANCE_STEPS per voxel, rounded
-    // down and at most FARTHEST.
+    // [x, y, z] distance from the centre of each voxel to that of the nearest solid one, in units of 1 / DISTANCE_STEPS
+    // of a voxel, rounded down and at most FARTHEST.
     const uint16_t* distance;
 };
 
-// A point in metres.
+// Convert a world point, metres, to grid coordinates.
 SPLAT_INLINE Vec3 place_of(const Grid& grid, float x, float y, float z) {
     const Vec3& corner = grid.corner;
     return {(x - corner[0]) * grid.inverse, (y - corner[1]) * grid.inverse, (z - corner[2]) * grid.inverse};
 }
 
-// A point clamped to the grid: the nearest point of the grid, and its voxel.
+// A point clamped to the grid: the nearest point of the grid, and the voxel that contains it.
 struct Place {
     Vec3 within;
     int index[3];
@@ -50,7 +50,7 @@ SPLAT_INLINE Place nearest_place(const Grid& grid, const Vec3& point) {
 }
 
 struct Nearby {
-    double at_least, at_most;  // distance to the nearest solid voxel, and to the nearest centre of one
+    double at_least, at_most;  // bounds on the distance to the nearest solid voxel, and to the nearest centre of one
 };
 
 SPLAT_INLINE Nearby nearby(const Grid& grid, const Vec3& point) {
@@ -68,7 +68,7 @@ SPLAT_INLINE Nearby nearby(const Grid& grid, const Vec3& point) {
     return {inside, steps == FARTHEST ? NEVER : (steps + 1) / DISTANCE_STEPS + to_center};
 }
 
-// A lower bound of the distance from a point to the nearest solid voxel.
+// A lower bound on the distance from a point to the nearest solid voxel.
 SPLAT_INLINE double clearance(const Grid& grid, const Vec3& point) {
     return grid.empty ? NEVER : nearby(grid, point).at_least;
 }

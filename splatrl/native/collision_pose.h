@@ -1,4 +1,4 @@
-// Rigid poses and the turn between two of them. Poses come as row-major 4×4 matrices in metres.
+// Rigid poses and the rotation between two of them. Poses come as row-major 4×4 matrices in metres.
 #pragma once
 
 #include "collision_grid.h"
@@ -23,7 +23,7 @@ SPLAT_INLINE Pose pose_of(const Grid& grid, const float* matrix) {
     return pose;
 }
 
-// Turn by an angle about a unit axis, times a rotation (Rodrigues).
+// Apply a rotation by an angle about a unit axis (Rodrigues) to another rotation.
 HOST_DEVICE inline Mat3 turned(const Vec3& axis, double angle, const Mat3& rotation) {
     const double c = cos(angle), s = sin(angle);
     Mat3 out;
@@ -35,7 +35,7 @@ HOST_DEVICE inline Mat3 turned(const Vec3& axis, double angle, const Mat3& rotat
     return out;
 }
 
-// The axis and angle in [0, π] of the turn from one orientation to another.
+// Set the axis of the rotation from one orientation to another, and return its angle in [0, π].
 HOST_DEVICE inline double turn_between(const Mat3& from, const Mat3& to, Vec3& axis) {
     Mat3 turn;  // to · fromᵀ
     for (int i = 0; i < 3; ++i)
@@ -44,7 +44,7 @@ HOST_DEVICE inline double turn_between(const Mat3& from, const Mat3& to, Vec3& a
     const double sine = 0.5 * norm(doubled), cosine = 0.5 * (turn[0][0] + turn[1][1] + turn[2][2] - 1.0);
     if (sine > 1e-6) {
         for (int i = 0; i < 3; ++i) axis[i] = 0.5 * doubled[i] / sine;
-    } else {  // almost no turn, or half a turn: then turn + I is 2 axis axisᵀ
+    } else {  // almost no turn, where any axis will do, or half a turn, where turn + I is 2 axis axisᵀ
         double best = -2.0;
         for (int k = 0; k < 3; ++k)
             if (turn[k][k] > best) {

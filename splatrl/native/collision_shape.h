@@ -1,16 +1,16 @@
-// The shape that is tested against a grid; lengths in voxels.
+// The shape that is tested against a grid; lengths are in voxels.
 #pragma once
 
 #include "collision_vectors.h"
 
 namespace splatrl {
 
-// A box (half extents), a sphere, or a capsule along its z (half length of the cylinder).
+// A box (half extents), a sphere, or a capsule along its own z axis (half length of its cylinder).
 struct Shape {
     enum Kind { BOX, SPHERE, CAPSULE } kind;
     Vec3 half;
     double half_length, radius;
-    double inner, outer;  // radii of the largest ball about the origin within, and of the smallest around
+    double inner, outer;  // radii of the largest ball about the origin inside it, and of the smallest around it
 };
 
 SPLAT_INLINE Shape shape_of(Shape::Kind kind, const Vec3& half, double half_length, double radius) {
@@ -25,7 +25,7 @@ SPLAT_INLINE Shape grown(const Shape& shape, double by) {
     return shape_of(shape.kind, shape.half, shape.half_length, shape.radius + by);
 }
 
-// Half the extents of the box around a shape.
+// Half extents of the axis-aligned bounding box of a rotated shape.
 SPLAT_INLINE Vec3 half_extents(const Shape& shape, const Mat3& rotation) {
     Vec3 out;
     for (int i = 0; i < 3; ++i) {

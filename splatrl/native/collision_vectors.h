@@ -1,4 +1,4 @@
-// Numbers and vectors of the collision code, in double precision, on any processor.
+// Arithmetic on numbers and vectors for the collision code, in double precision, for CPU and GPU.
 #pragma once
 
 #include <cstddef>
@@ -25,7 +25,7 @@ SPLAT_INLINE double clamp(double value, double low, double high) { return min(ma
 SPLAT_INLINE int min(int a, int b) { return b < a ? b : a; }
 SPLAT_INLINE int max(int a, int b) { return a < b ? b : a; }
 
-// Floor of a number that fits an int; the library's version is a call where no instruction for it may be assumed.
+// Floor of a number that fits an int; the library's version is a function call if the target has no instruction for it.
 SPLAT_INLINE int floor_of(double value) {
     const int whole = int(value);
     return whole - (value < whole);
@@ -33,7 +33,7 @@ SPLAT_INLINE int floor_of(double value) {
 
 SPLAT_INLINE int ceil_of(double value) { return -floor_of(-value); }
 
-// The largest float that is at most a number, which is not negative.
+// Round a number that is not negative down to a float.
 SPLAT_INLINE float rounded_down(double value) {
     const float nearest = float(value);
     return double(nearest) > value ? nextafterf(nearest, 0.0f) : nearest;

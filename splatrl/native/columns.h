@@ -1,4 +1,4 @@
-// Solid voxels within a box of a grid, column by column.
+// The solid voxels within a box of a grid, column by column.
 #pragma once
 
 #include "collision_grid.h"
@@ -6,20 +6,20 @@
 namespace splatrl {
 inline namespace EACH_ISA {
 
-constexpr double SLACK = 1e-9;  // voxels: covers the rounding of what is computed here
+constexpr double SLACK = 1e-9;  // voxels: covers the rounding errors of these computations
 
 struct Range {
     int first, last;
 };
 
-// The voxels that [low, high] touches along an axis.
+// The range of voxels that [low, high] touches along an axis.
 SPLAT_INLINE Range touched(double low, double high, int size) {
     const double first = min(max(low - SLACK, 0.0), size + 1.0);
     const double last = min(max(high + SLACK, -1.0), size - 0.5);
     return {max(ceil_of(first) - 1, 0), floor_of(last)};
 }
 
-// Bits [first, last] of a word, both in [0, 63].
+// A mask of the bits [first, last] of a word, both in [0, 63].
 SPLAT_INLINE uint64_t mask_of(int first, int last) { return ~uint64_t(0) << first & ~uint64_t(0) >> (63 - last); }
 
 SPLAT_INLINE int lowest_bit(uint64_t bits) {
@@ -30,14 +30,14 @@ SPLAT_INLINE int lowest_bit(uint64_t bits) {
 #endif
 }
 
-// The voxels of a grid with one x and one y, between two heights.
+// The voxels of a grid at one x and y, within a range of heights.
 struct Column {
     int x, y;
     Range zs;
     const uint64_t* bits;
 };
 
-// Call visit(z) for each solid voxel of a column, until it returns true.
+// Call visit(z) for each solid voxel of a column until it returns true; returns whether it did.
 template <class Visit>
 SPLAT_INLINE bool any_solid(const Column& column, const Visit& visit) {
     const Range& zs = column.zs;
@@ -49,7 +49,7 @@ SPLAT_INLINE bool any_solid(const Column& column, const Visit& visit) {
     return false;
 }
 
-// The i-th number of a range, from the middle outwards, so that an overlap with the body is found early.
+// The i-th number of a range, counted from its middle outwards, so that an overlap with the body is found early.
 SPLAT_INLINE int from_middle(Range range, int i) {
     const int middle = (range.first + range.last) / 2, half = (i + 1) / 2;
     return i % 2 == 0 ? middle - half : middle + half;
@@ -66,8 +66,9 @@ struct Columns {
           ys(touched(low[1], high[1], grid.size[1])),
           zs(touched(low[2], high[2], grid.size[2])) {}
 
-    // How many along an axis; 0 where the box contains nothing of them.
+    // The number of columns along x; 0 if there are none, or if they hold no voxels.
     HOST_DEVICE int along_x() const { return zs.first <= zs.last ? max(xs.last - xs.first + 1, 0) : 0; }
+    // The number of columns along y.
     HOST_DEVICE int along_y() const { return max(ys.last - ys.first + 1, 0); }
 
     HOST_DEVICE Column column(int x, int y) const {

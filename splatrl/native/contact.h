@@ -1,5 +1,5 @@
-// When a moving ball or capsule first touches one voxel. Lengths in voxels; the voxel is the closed unit box at
-// `corner`.
+// The first contact of a moving ball or capsule with one voxel. Lengths are in voxels; the voxel is the closed unit box
+// at `corner`.
 #pragma once
 
 #include "columns.h"
@@ -7,14 +7,15 @@
 namespace splatrl {
 inline namespace EACH_ISA {
 
-// By how much a point lies beyond the unit box at `corner`, along each axis.
+// How far a point lies outside the unit box at `corner`, along each axis.
 SPLAT_INLINE Vec3 excess(const Vec3& corner, const Vec3& p) {
     Vec3 out;
     for (int i = 0; i < 3; ++i) out[i] = p[i] - clamp(p[i], corner[i], corner[i] + 1.0);
     return out;
 }
 
-// Where on p + s v the squared distance to a unit box changes its formula; infinite or NaN where a component of v is 0.
+// The values of s at which the squared distance from p + s v to a unit box changes its formula; infinite or NaN where a
+// component of v is 0.
 struct Pieces {
     double at[6];
 };
@@ -28,7 +29,7 @@ SPLAT_INLINE Pieces pieces_of(const Vec3& corner, const Vec3& p, const Vec3& v) 
     return out;
 }
 
-// The first piece in [0, last] at whose end a condition holds; once it holds, it holds to the end.
+// The first piece in [0, last] at whose end a condition holds, given that it keeps holding once it does.
 struct Piece {
     double from, to;
 };
@@ -43,8 +44,8 @@ SPLAT_INLINE Piece first_piece(const Pieces& pieces, double last, const Holds& h
     return out;
 }
 
-// The s in [0, 1] at which p + s v is nearest to the unit box: the slope of the squared distance is linear between the
-// pieces and never falls.
+// The s in [0, 1] at which p + s v is nearest to the unit box. The derivative of the squared distance is linear within
+// each piece and never decreases.
 HOST_DEVICE inline double nearest_on_segment(const Vec3& corner, const Vec3& p, const Vec3& v) {
     const auto slope = [&](double s) { return dot(excess(corner, along(p, v, s)), v); };
     if (slope(0.0) >= 0.0) return 0.0;
@@ -70,19 +71,19 @@ HOST_DEVICE inline double ball_contact(const Vec3& corner, const Vec3& p, const 
     const double nearest = nearest_on_segment(corner, p, v);
     if (gap(nearest) > 0.0) return NEVER;
     const Piece piece = first_piece(pieces_of(corner, p, v), nearest, [&](double t) { return gap(t) <= 0.0; });
-    // Between two pieces the excess is e + τ w, with w the part of v along the axes that are outside.
+    // Within a piece the excess is e + τ w, where w is the part of v along the axes on which the point is outside.
     const Vec3 e = excess(corner, along(p, v, piece.from));
     const Vec3 middle = excess(corner, along(p, v, 0.5 * (piece.from + piece.to)));
     Vec3 w;
     for (int axis = 0; axis < 3; ++axis) w[axis] = middle[axis] != 0.0 ? v[axis] : 0.0;
     const double a = dot(w, w), b = dot(e, w), c = dot(e, e) - squared;
     const double root = sqrt(max(b * b - a * c, 0.0));
-    // the first of two roots, without cancellation
+    // The first of two roots, in a form without cancellation.
     return clamp(piece.from + c / (-b + root), piece.from, piece.to);
 }
 
-// The same for a capsule whose cylinder is p + t v to p + t v + axis. Distance between convex bodies under a
-// translation is at most |v| t away from what it was: steps of that never pass the contact.
+// The same for a capsule whose cylinder reaches from p + t v to p + t v + axis. Translating a convex body by t v
+// changes its distance from another by at most |v| t, so steps that would just use up the gap never pass the contact.
 HOST_DEVICE inline double capsule_contact(const Vec3& corner, const Vec3& p, const Vec3& axis, const Vec3& v,
                                           double radius) {
     constexpr double TOUCH = 1e-7;
@@ -98,8 +99,8 @@ HOST_DEVICE inline double capsule_contact(const Vec3& corner, const Vec3& p, con
     return t;
 }
 
-// Whether a capsule on its way touches the unit box, as `capsule_contact` says. The gap is at most |v| t away from what
-// it was, so a few of them mostly say enough.
+// Whether a moving capsule touches the unit box, with the same answer as `capsule_contact`. The gap changes by at most
+// |v| t, so a few samples of it usually decide.
 HOST_DEVICE inline bool capsule_touches(const Vec3& corner, const Vec3& p, const Vec3& axis, const Vec3& v,
                                         double radius) {
     constexpr double SURE = 1e-6;

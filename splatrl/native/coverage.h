@@ -1,4 +1,4 @@
-// Where a splat shows on a small tile: cells of 4×2 pixels.
+// Which cells of a small tile, 4×2 pixels each, a splat covers.
 #pragma once
 
 #include <cstdint>
@@ -12,17 +12,17 @@ namespace splatrl {
 constexpr int SMALL_TILE = 32;                    // width and height of a tile, pixels
 constexpr int CELL_WIDTH = 4, CELL_HEIGHT = 2;    // 8 pixels: a quarter of the lanes of a warp
 constexpr int CELLS_ACROSS = SMALL_TILE / CELL_WIDTH, CELLS_DOWN = SMALL_TILE / CELL_HEIGHT;
-constexpr int CELLS = CELLS_ACROSS * CELLS_DOWN;  // of a tile
-constexpr int BANDS = 4, BAND_ROWS = CELLS_DOWN / BANDS;  // rows of cells
+constexpr int CELLS = CELLS_ACROSS * CELLS_DOWN;  // per tile
+constexpr int BANDS = 4, BAND_ROWS = CELLS_DOWN / BANDS;  // rows of cells per band
 
-// A warp has a patch of 2×2 cells in each of four bands, and each quarter of it has a cell of each patch: neighbours have
-// much the same to do. The bands are turned against each other, so that splats that crowd on one place of a tile, however
-// narrow, are spread over all warps.
-constexpr int PATCHES_ACROSS = CELLS_ACROSS / 2, PATCHES_DOWN = BAND_ROWS / 2;  // of a band
+// A warp owns a patch of 2×2 cells in each of four bands, and each quarter-warp owns one cell of each patch, since
+// adjacent cells have about the same work. The patches of each band are rotated against those of the others, so that
+// splats that crowd in one place of a tile, however narrow, are spread over all warps.
+constexpr int PATCHES_ACROSS = CELLS_ACROSS / 2, PATCHES_DOWN = BAND_ROWS / 2;  // per band
 SPLAT_INLINE int turn_across(int band) { return band % 2 * (PATCHES_ACROSS / 2) + band / 2; }
 SPLAT_INLINE int turn_down(int band) { return band / 2; }
 
-// Cells are numbered quarter by quarter, so that each finds its own side by side.
+// The number of a cell. Cells are numbered by quarter-warp, so that those of each are contiguous.
 SPLAT_INLINE int cell_number(int column, int row) {
     const int band = row / BAND_ROWS, across = (column / 2 + turn_across(band)) % PATCHES_ACROSS;
     const int down = (row % BAND_ROWS / 2 + turn_down(band)) % PATCHES_DOWN;
@@ -30,33 +30,34 @@ SPLAT_INLINE int cell_number(int column, int row) {
     return quarter * BANDS + band;
 }
 
-// Column and row of a quarter's cell in a band.
+// The column of the cell that a quarter-warp owns in a band.
 SPLAT_INLINE int column_of(int quarter, int band) {
     const int across = quarter / 4 % PATCHES_ACROSS;
     return (across + PATCHES_ACROSS - turn_across(band)) % PATCHES_ACROSS * 2 + quarter % 2;
 }
+// The row of the cell that a quarter-warp owns in a band.
 SPLAT_INLINE int row_of(int quarter, int band) {
     const int down = quarter / 4 / PATCHES_ACROSS;
     return band * BAND_ROWS + (down + PATCHES_DOWN - turn_down(band)) % PATCHES_DOWN * 2 + quarter % 4 / 2;
 }
 
-// Pixels or lines of a tile, first to last; none where last < first.
+// A range of pixels or lines of a tile, both ends included; empty if last < first.
 struct Stretch {
     int first, last;
 
     INLINE_MEMBER bool empty() const { return last < first; }
 };
 
-// Those whose centres, at halves, are from `low` to `high`; perhaps one more on either side, never fewer.
+// The pixels whose centres, at half-integers, are from `low` to `high`; possibly one more on either side, never fewer.
 SPLAT_INLINE Stretch stretch_of(float low, float high) {
-    constexpr float SLACK = 1e-3f;  // pixels: covers the rounding of what is asked
+    constexpr float SLACK = 1e-3f;  // pixels: covers the rounding errors of the arguments
     constexpr float MOST = float(SMALL_TILE);
     const float from = min(max(low - (0.5f + SLACK), 0.0f), MOST);
     const float until = min(max(high + (0.5f + SLACK), 0.0f), MOST);
-    return {SMALL_TILE - int(MOST - from), int(until) - 1};  // rounded up, and down
+    return {SMALL_TILE - int(MOST - from), int(until) - 1};  // `from` rounded up, `until` rounded down
 }
 
-// Whether a splat may show on a tile: whether there is a pixel in its box.
+// Whether a splat may be visible on a tile: not too faint, not too near, and with a pixel in its bounding box.
 SPLAT_INLINE bool may_show(const Footprint<float>& print, const Tile& tile, float log2_invisible) {
     const float x = print.x - float(tile.left), y = print.y - float(tile.top);
     return print.log2_opacity > log2_invisible && print.depth >= NEAR_DEPTH &&
@@ -64,9 +65,9 @@ SPLAT_INLINE bool may_show(const Footprint<float>& print, const Tile& tile, floa
            !stretch_of(y - print.extent_y, y + print.extent_y).empty();
 }
 
-// The ellipse in which a splat is visible, seen from the corner of a tile.
+// The ellipse in which a splat is visible, relative to the corner of a tile.
 struct Ellipse {
-    float x, y, squared_reach;  // of u² + v²
+    float x, y, squared_reach;  // squared_reach: upper bound of u² + v²
     float l22, slant, inverse_l11;
 
     INLINE_MEMBER Ellipse(float x, float y, float l11, float l12, float l22, float squared_reach)
@@ -79,7 +80,7 @@ struct Ellipse {
         return stretch_of(y - half, y + half);
     }
 
-    // Its pixels in a row of cells.
+    // The pixels that it covers in a row of cells.
     INLINE_MEMBER Stretch pixels(int row) const {
         float left = float(SMALL_TILE), right = 0.0f;
         for (int line = 0; line < CELL_HEIGHT; ++line) {
@@ -91,7 +92,7 @@ struct Ellipse {
     }
 };
 
-// Call show(number) for each cell on which an ellipse may show.
+// Call show(number) for each cell on which an ellipse may be visible.
 template <class Show>
 SPLAT_INLINE void for_each_cell(const Ellipse& ellipse, const Show& show) {
     const Stretch lines = ellipse.lines();

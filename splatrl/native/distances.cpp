@@ -1,5 +1,5 @@
-// How far every voxel of a grid is from a solid one: the exact Euclidean distance transform, one axis after another
-// (Meijster, Roerdink & Hesselink, "A general algorithm for computing distance transforms in linear time", 2000).
+// Distance from every voxel of a grid to the nearest solid one: the exact Euclidean distance transform, one axis at a
+// time (Meijster, Roerdink & Hesselink, "A general algorithm for computing distance transforms in linear time", 2000).
 
 #include <cmath>
 #include <cstdint>
@@ -18,17 +18,17 @@ namespace splatrl {
 
 namespace {
 
-constexpr int64_t NOTHING = int64_t(1) << 40;  // squared, in voxels: far beyond any grid, and its sums stay exact
-constexpr size_t ABREAST = 16;                 // neighbouring lines that are read together: they share cache lines
+constexpr int64_t NOTHING = int64_t(1) << 40;  // stands for infinity, in squared voxels; its sums do not overflow
+constexpr size_t ABREAST = 16;                 // adjacent lines that are processed together, as they share cache lines
 
-// The lower envelope of parabolas (u - s)² + line[s] along a line.
+// The lower envelope of the parabolas (u - s)² + line[s] along a line.
 class Envelope {
 public:
     explicit Envelope(size_t length) : place_(length), from_(length), line_(length) {}
 
     int64_t* line() { return line_.data(); }
 
-    // Replaces line()[u] by its least over all s of (u - s)² + line()[s].
+    // Replaces each line()[u] by the minimum over all s of (u - s)² + line()[s].
     void settle() {
         const auto length = int64_t(line_.size());
         int64_t last = 0;
@@ -52,7 +52,7 @@ public:
 private:
     int64_t at(int64_t u, int64_t s) const { return (u - s) * (u - s) + line_[s]; }
 
-    // The last place at which the parabola of `s` is not above that of `u`, which is behind it.
+    // The last position at which the parabola at `s` is not above the one at `u`, where u > s.
     int64_t crossing(int64_t s, int64_t u) const {
         const int64_t rise = u * u - s * s + line_[u] - line_[s], run = 2 * (u - s);
         return rise >= 0 ? rise / run : -((-rise + run - 1) / run);
@@ -61,7 +61,7 @@ private:
     std::vector<int64_t> place_, from_, line_, settled_;
 };
 
-// Settle lines of `length` values that are `stride` apart: `count` of them side by side, from `first` on.
+// Settle `count` adjacent lines from `first` on, each of `length` values that are `stride` apart.
 void settle(int64_t* first, size_t length, size_t stride, size_t count, std::vector<Envelope>& envelopes) {
     for (size_t u = 0; u < length; ++u)
         for (size_t i = 0; i < count; ++i) envelopes[i].line()[u] = first[u * stride + i];

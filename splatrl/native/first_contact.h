@@ -1,4 +1,4 @@
-// When a shape on a straight way, without turning, first touches something solid: one column after another.
+// The first contact of a shape, moving in a straight line without turning, with anything solid: one column at a time.
 #pragma once
 
 #include "box_sweep.h"
@@ -7,7 +7,7 @@
 namespace splatrl {
 inline namespace EACH_ISA {
 
-// The columns that the box around a shape on its way touches.
+// The columns that the bounding box of a shape touches along its way.
 SPLAT_INLINE Columns columns_on_way(const Grid& grid, const Shape& shape, const Pose& pose, const Vec3& way) {
     const Vec3 half = half_extents(shape, pose.rotation);
     Vec3 low, high;
@@ -18,7 +18,7 @@ SPLAT_INLINE Columns columns_on_way(const Grid& grid, const Shape& shape, const 
     return Columns(grid, low, high);
 }
 
-// The smallest result of contact(column) over the columns with something solid; stops at 0.
+// The smallest result of contact(column) over the columns that hold a solid voxel; stops at 0.
 template <class Contact>
 inline double first_of_columns(const Columns& columns, const Contact& contact) {
     double first = NEVER;
@@ -33,7 +33,7 @@ inline double first_of_columns(const Columns& columns, const Contact& contact) {
     return first;
 }
 
-// The `contact` of collision.h.
+// The `contact` of collision.h on a CPU.
 struct FirstContact {
     const Grid& grid;
 
@@ -46,7 +46,7 @@ struct FirstContact {
         Normal normals[NORMALS];
         BoxSweep sweep{pose.position, along(pose.position, way, 0.5), normals, 0};
         return first_of_columns(columns, [&](const Column& column) {
-            if (sweep.count == 0) {  // only once something is solid
+            if (sweep.count == 0) {  // computed once the first solid voxel is found
                 const BoxWay box = box_way(shape, pose, way);
                 for (int i = 0; i < box.normals; ++i) sweep.count += make_normal(box, i, normals[sweep.count]);
             }

@@ -75,7 +75,7 @@ void Fitter::make_room(const FitBatch& batch) {
     }
 }
 
-// Returns how many Gaussians are visible.
+// Draw one view into its workspace. Returns the number of visible Gaussians.
 uint32_t Fitter::draw(const FitBatch& batch, size_t view, const Camera& camera) {
     Workspace& own = *workspaces_[view];
     std::fill(own.known.get(), own.known.get() + own.grid.area(), 0.0f);
@@ -145,7 +145,7 @@ void Fitter::compare(const FitBatch& batch, size_t threads, const FitTarget* tar
 }
 
 void Fitter::update(const FitUpdate& update, size_t threads) const {
-    constexpr size_t CHUNK = 4096;  // Gaussians: what is done to each does not depend on the others
+    constexpr size_t CHUNK = 4096;  // Gaussians per work item; each is updated independently of the others
     const size_t chunks = (update.stride + CHUNK - 1) / CHUNK;
     parallel_for(chunks, threads, [&](size_t, size_t chunk) {
         kernels_.update(update, chunk * CHUNK, std::min((chunk + 1) * CHUNK, update.stride));

@@ -1,4 +1,4 @@
-// Views of Gaussians that are being fitted, and the slopes of what is asked of them.
+// Renders views of Gaussians that are being fitted, and back-propagates gradients to their parameters.
 #pragma once
 
 #include <memory>
@@ -9,18 +9,18 @@
 
 namespace splatrl {
 
-// Views that are drawn at once: of one model, of one size.
+// Views that are drawn together: all of one model and of one size.
 struct FitBatch {
     FitModel model;
     const float* camera_to_world;  // [views, 4, 4]
     const float* K;                // [views, 3, 3]
-    const float* const* known;     // of each view, [height, width] inverse depths, 0 where unknown
+    const float* const* known;     // [views] pointers to [height, width] inverse depths, 0 where unknown
     size_t views;
     int width, height;
 };
 
-// Draws views and pulls slopes back through them. Its memory is kept from call to call. A view is the work of one
-// thread, so results do not depend on how many there are. Not for several threads at once.
+// Draws views and back-propagates gradients through them. Its memory is reused from call to call. Each view is drawn by
+// a single thread, so results do not depend on the number of threads. Not to be used by several threads at once.
 class Fitter {
 public:
     explicit Fitter(Isa isa);
@@ -31,11 +31,11 @@ public:
     // Draw into rgb [views, height, width, 3], not clamped, agreement and alpha [views, height, width].
     void render(const FitBatch& batch, size_t threads, float* rgb, float* agreement, float* alpha);
 
-    // Slopes of the parameters, [views, rows, stride], and of the poses, [views, 6], from those of the images
-    // [views, height, width, FIT_CHANNELS].
+    // Compute the gradients of the parameters, [views, rows, stride], and of the poses, [views, 6], from those of the
+    // images, [views, height, width, FIT_CHANNELS].
     void pull(const FitBatch& batch, size_t threads, const float* slopes, float* gradients, float* poses);
 
-    // The loss of each view, and its slopes by the parameters.
+    // Compute the loss of each view and its gradient by the parameters.
     void compare(const FitBatch& batch, size_t threads, const FitTarget* targets, float* gradients, FitLoss* losses);
 
     void update(const FitUpdate& update, size_t threads) const;
@@ -45,13 +45,13 @@ private:
 
     void make_room(const FitBatch& batch);
     uint32_t draw(const FitBatch& batch, size_t view, const Camera& camera);
-    // Draw each view and pull back its slopes, which `slopes_of(view, workspace)` writes; it returns where those of the
-    // pose go.
+    // Draw each view and back-propagate its image's gradient, which `slopes_of(view, workspace)` writes; it returns
+    // where to write the gradient of the pose.
     template <class Slopes>
     void differentiate(const FitBatch& batch, size_t threads, float* gradients, Slopes&& slopes_of);
 
     const FitKernels& kernels_;
-    std::vector<std::unique_ptr<Workspace>> workspaces_;  // of each view
+    std::vector<std::unique_ptr<Workspace>> workspaces_;  // one per view
 };
 
 }  // namespace splatrl

@@ -1,5 +1,5 @@
-// A scene as CUDA reads it: what tests need by slot, in the order of the tree; what blending needs by index, which is what
-// sorted keys hold.
+// A scene in the layout that CUDA reads: what culling needs is stored by slot, in the order of the tree; what blending
+// needs is stored by index, since the sorted keys hold indices.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 
@@ -22,7 +22,7 @@ namespace splatrl {
 
 namespace {
 
-// The bits of a half float that is at least this value.
+// Round a value up to a half float, at most LARGEST_HALF, and return its bits.
 uint16_t half_above(float value) {
     const uint16_t half = to_half(value);
     return from_half(half) < value && half < to_half(LARGEST_HALF) ? half + 1 : half;
@@ -76,7 +76,7 @@ nb::ndarray<nb::numpy, uint8_t> bytes_of(const T* items, size_t count) {
     return to_numpy(std::move(bytes), {count, sizeof(T)});
 }
 
-// How many indices the Gaussians of a scene have: one more than the largest.
+// The number of indices that a scene's Gaussians need: one more than the largest.
 size_t indices_of(const SceneView& view, size_t capacity) {
     return capacity == 0 ? 0 : 1 + size_t(*std::max_element(view.original_index, view.original_index + capacity));
 }

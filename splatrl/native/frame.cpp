@@ -8,7 +8,7 @@ namespace {
 
 constexpr int AREA = BLOCK * BLOCK;
 
-// Copy the columns and rows of a block that are on the image, from planar channels [COUNT, AREA] to interleaved pixels.
+// Copy the part of a block that lies within the image, from planar channels [COUNT, AREA] to interleaved pixels.
 template <int COUNT, class T>
 void copy_block(const T* values, T* image, int width, int columns, int rows) {
     for (int row = 0; row < rows; ++row)

@@ -1,4 +1,4 @@
-// From the accumulated blocks of a tile to images.
+// Converts the accumulated blocks of a tile to images.
 #pragma once
 
 #include <cstdint>
@@ -7,7 +7,7 @@
 
 namespace splatrl {
 
-// Images of one frame, row-major; a null pointer means that one is left out.
+// Images of one frame, row-major; a null pointer means that an image is not wanted.
 struct Images {
     float* rgb;       // [height, width, 3]
     float* depth;     // [height, width] metres
@@ -15,8 +15,8 @@ struct Images {
     uint8_t* pixels;  // [height, width, 3]
 };
 
-// Write the pixels of a tile. This is compiled only once, without contraction, so `pixels` is the rounding of `rgb` on
-// every instruction set.
+// Write the pixels of a tile. Compiled only once, without floating-point contraction, so `pixels` is the rounding of
+// `rgb` on every instruction set.
 void write_images(const float* blocks, int width, const Tile& tile, const Images& images);
 
 }  // namespace splatrl

@@ -1,4 +1,4 @@
-// Tests what can show on a tile at all. `F` is float, or Lanes for sixteen bounds at once.
+// Culling: tests for what can be visible on a tile at all. `F` is float, or Lanes for sixteen bounds at once.
 #pragma once
 
 #include "camera.h"
@@ -8,15 +8,15 @@
 
 namespace splatrl {
 
-constexpr float BEYOND = 1e30f;  // metres or pixels: more than there are
+constexpr float BEYOND = 1e30f;  // metres or pixels: larger than any that occurs
 
-// Whether nothing of some Gaussians can show on a tile: everything is behind the near plane, or further outside
-// an edge than it reaches. An edge is a plane through the camera; the reach follows the projected covariance with its
-// bounded Jacobian and its dilation, so the test never drops what the projection would show.
+// The view frustum of a tile. Gaussians miss the tile if all of them are behind the near plane, or further outside one
+// of its edges than they reach. An edge is a plane through the camera; the reach follows the projected covariance with
+// its bounded Jacobian and its dilation, so the test never drops anything that the projection would show.
 struct Frustum {
     float normals[4][3];  // world axes, pixels; positive is outside
     float lengths[4];
-    float slants[4];      // pixels that a standard deviation of one metre at one metre reaches at most
+    float slants[4];      // the most pixels that a standard deviation of one metre, seen from one metre, reaches
     float forward[3];
 };
 
@@ -45,7 +45,7 @@ SPLAT_INLINE Frustum frustum_of(const Camera& camera, const Tile& tile) {
     return out;
 }
 
-// Positive where Gaussians within these bounds miss the tile.
+// Positive if all Gaussians within these bounds miss the tile.
 template <class F>
 SPLAT_INLINE F missed_by(const Frustum& frustum, const float* position, const F* center, F radius, F reach,
                          F reach_scale) {
@@ -68,11 +68,11 @@ SPLAT_INLINE bool misses(const Frustum& frustum, const Camera& camera, const Bou
     return missed_by(frustum, camera.position, bounds.center, bounds.radius, bounds.reach, bounds.reach_scale) > 0.0f;
 }
 
-// Whether a Gaussian cannot show on the tile: as above, but for a single one and tighter. Its reach is in standard
-// deviations, and reach_scale that times its longest axis, metres.
+// Whether a single Gaussian misses the tile: as above, but tighter. Its reach is in standard deviations, and
+// reach_scale is that times its longest axis, metres.
 SPLAT_INLINE bool misses(const Frustum& frustum, const float* position, const float* mean, float reach,
                          float reach_scale) {
-    constexpr float SLACK = 1e-5f;  // metres: covers the rounding here
+    constexpr float SLACK = 1e-5f;  // metres: covers rounding errors
     const Vector<float> offset{mean[0] - position[0], mean[1] - position[1], mean[2] - position[2]};
     const float* forward = frustum.forward;
     const float depth = offset.x * forward[0] + offset.y * forward[1] + offset.z * forward[2] + SLACK;
@@ -81,7 +81,7 @@ SPLAT_INLINE bool misses(const Frustum& frustum, const float* position, const fl
     float reached = 0.0f, missed = 0.0f;
     for (int edge = 0; edge < 4; ++edge) {
         const float* normal = frustum.normals[edge];
-        if (edge % 2 == 0) {  // left and right have one slant, top and bottom the other
+        if (edge % 2 == 0) {  // left and right share one slant, top and bottom the other
             const float scaled = reach_scale * frustum.slants[edge];
             reached = 1.001f * square_root(scaled * scaled + dilated);
         }
@@ -91,7 +91,7 @@ SPLAT_INLINE bool misses(const Frustum& frustum, const float* position, const fl
     return missed > 0.0f;
 }
 
-// The nearest depth of a mean below a node.
+// A lower bound on the depth of the means below a node.
 SPLAT_INLINE float nearest_depth(const Frustum& frustum, const Camera& camera, const Cluster& node) {
     float depth = -node.bounds.radius;
     for (int axis = 0; axis < 3; ++axis)
@@ -99,7 +99,7 @@ SPLAT_INLINE float nearest_depth(const Frustum& frustum, const Camera& camera, c
     return depth;
 }
 
-// Pixels by which what a node shows is displaced at its nearest depth: 0 for a leaf, BEYOND behind the near plane.
+// Displacement in pixels of what a node shows, at its nearest depth: 0 for a leaf, BEYOND behind the near plane.
 SPLAT_INLINE float displacement(const Camera& camera, const Cluster& node, float nearest) {
     if (node.error == 0.0f) return 0.0f;
     return nearest > NEAR_DEPTH ? node.error * max(camera.fx, camera.fy) / nearest : BEYOND;

@@ -1,4 +1,4 @@
-// Half floats, one at a time and by their bits, so that every processor gives the same.
+// Conversion of half floats, one at a time and by their bits, so that every processor gives the same result.
 #pragma once
 
 #include <cmath>
@@ -12,7 +12,7 @@ namespace splatrl {
 constexpr float LARGEST_HALF = 65504.0f;
 constexpr float HALF_BIAS = 5.192296858534828e33f, INVERSE_HALF_BIAS = 1.925929944387236e-34f;  // 2^112, 2^-112
 
-// The nearest half float; larger values become the largest finite one.
+// Round to the nearest half float; values out of range become the largest finite one, with their sign.
 SPLAT_INLINE uint16_t to_half(float value) {
     const float scaled = std::fmin(std::fabs(value), LARGEST_HALF) * INVERSE_HALF_BIAS;
     uint32_t bits;

@@ -1,11 +1,11 @@
-// Functions that the CPU, CUDA and the tests' emulator all compile.
+// Macros for functions that are compiled for the CPU, for CUDA and for the tests' emulator.
 #pragma once
 
 #ifdef __CUDACC__
 #define HOST_DEVICE __host__ __device__
 #define SPLAT_INLINE HOST_DEVICE __forceinline__
 #define INLINE_MEMBER SPLAT_INLINE
-// A function of one float, in the GPU's own instructions.
+// Define a function of one float by an instruction of the GPU.
 #define HARDWARE(name, instruction)                       \
     SPLAT_INLINE float name(float a) {                    \
         float out;                                        \
@@ -18,8 +18,8 @@
 #define INLINE_MEMBER inline __attribute__((always_inline))  // for members of a class
 #endif
 
-// What kernels compile anew for each instruction set is in a namespace of its own, or the linker would keep one of them
-// for all.
+// Code that kernels compile once for each instruction set is in a namespace for each; otherwise the linker would keep
+// one version and use it for all.
 #ifdef SPLATRL_ISA
 #define SPLATRL_JOINED(a, b) a##b
 #define SPLATRL_JOIN(a, b) SPLATRL_JOINED(a, b)

@@ -20,11 +20,12 @@ namespace {
 
 using namespace std::chrono_literals;
 
-std::atomic<int> released{0};  // calls that work without the lock
+std::atomic<int> released{0};  // calls that are running without the GIL
 std::atomic<bool> ending{false};
 std::atomic<bool> forked{false};
 
-// Answer signals ten times a second, so that Ctrl-C ends long work; and end it where the interpreter wants to end.
+// Handles signals at most ten times a second, so that Ctrl-C interrupts long work, and stops work that runs without the
+// GIL once the interpreter is shutting down.
 void answer() {
     static thread_local std::chrono::steady_clock::time_point last;
     const auto now = std::chrono::steady_clock::now();
@@ -35,10 +36,10 @@ void answer() {
     if (PyErr_CheckSignals() != 0) throw nb::python_error();
 }
 
-// Runs as Python exits, before daemon threads lose their lock for ever: wait until none works without it.
+// Runs as Python exits, before daemon threads lose the GIL for good: waits until no call is running without it.
 void end() {
     ending = true;
-    nb::set_leak_warnings(released == 0 && !forked);  // what such a thread holds when Python is gone is no leak of ours
+    nb::set_leak_warnings(released == 0 && !forked);  // what those threads still hold at exit is no leak of ours
     const nb::gil_scoped_release release;
     while (released > 0) std::this_thread::sleep_for(1ms);
 }
@@ -61,7 +62,7 @@ void bind_interpreter(nb::module_&) {
     on_poll = answer;
     nb::module_::import_("atexit").attr("register")(nb::cpp_function(&end));
 #if !defined(_WIN32)
-    pthread_atfork(nullptr, nullptr, [] { released = 0, forked = true; });  // a child has no threads of others
+    pthread_atfork(nullptr, nullptr, [] { released = 0, forked = true; });  // a child has none of the other threads
 #endif
 }
 

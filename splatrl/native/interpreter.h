@@ -1,4 +1,4 @@
-// Python's interpreter while the core works: its lock, its signals, and its end.
+// The Python interpreter while the core works: its global lock (GIL), its signals and its shutdown.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -7,8 +7,8 @@
 
 namespace splatrl {
 
-// Lets other Python threads run until the end of a block. Once the interpreter ends, it does nothing: a daemon thread
-// that waited for the lock then would be torn down in the middle of C++, which aborts the process.
+// Releases the GIL until the end of a scope. Does nothing once the interpreter is shutting down: a daemon thread that
+// then waited for the GIL would be torn down in the middle of C++ code, which aborts the process.
 class Release {
 public:
     Release();

@@ -14,7 +14,7 @@ const char* isa_name(Isa isa);
 std::vector<Isa> supported_isas();
 
 // The fastest supported set, or the one that the environment variable SPLATRL_ISA names.
-// Throws std::invalid_argument where that is unknown or not supported.
+// Throws std::invalid_argument if that set is unknown or not supported.
 Isa choose_isa();
 
 }  // namespace splatrl

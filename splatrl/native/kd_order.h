@@ -13,9 +13,9 @@
 
 namespace splatrl {
 
-constexpr uint32_t POLLED = 1u << 16;  // comparisons between two polls
+constexpr uint32_t POLLED = 1u << 16;  // comparisons from one poll to the next
 
-// Halve [first, last) along its longest axis, at a multiple of `leaf`, and return the middle. `mean` gives the three
+// Halve [first, last) along its longest axis, at a multiple of `leaf`, and return the middle. `mean` returns the three
 // coordinates of an item.
 template <class Mean>
 uint32_t* halve(uint32_t* first, uint32_t* last, size_t leaf, const Mean& mean) {
@@ -41,7 +41,7 @@ uint32_t* halve(uint32_t* first, uint32_t* last, size_t leaf, const Mean& mean) 
     return middle;
 }
 
-// A box that grows around points.
+// A bounding box that grows as points are added.
 struct GrowingBox {
     float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
 
@@ -52,23 +52,23 @@ struct GrowingBox {
         }
     }
 
-    // 0 before anything is enclosed.
+    // Length of the diagonal; 0 while the box is empty.
     double diagonal() const {
         if (low[0] > high[0]) return 0.0;
         return std::hypot(double(high[0]) - low[0], double(high[1]) - low[1], double(high[2]) - low[2]);
     }
 };
 
-// Split [first, last) along an axis, at a multiple of `leaf`, into the two parts whose counts times diagonals have the
-// least sum, and return the middle: what is far from the rest, as a sky around a yard, gets a part of its own. Neither
-// has less than a sixteenth of all leaves, which bounds the depth of a tree.
+// Split [first, last) along an axis, at a multiple of `leaf`, into the two parts with the smallest sum of count times
+// diagonal, and return the middle. This gives outliers, such as the sky around a yard, a part of their own. Neither
+// part has less than a sixteenth of all leaves, which bounds the depth of a tree.
 template <class Mean>
 uint32_t* split(uint32_t* first, uint32_t* last, size_t leaf, const Mean& mean) {
     constexpr size_t SMALLEST_SHARE = 16;
     const size_t count = size_t(last - first), leaves = (count + leaf - 1) / leaf;
     const size_t fewest = std::max<size_t>(1, leaves / SMALLEST_SHARE);
     std::vector<std::pair<float, uint32_t>> along(count), best;
-    std::vector<double> costs(leaves);  // of the part before each leaf
+    std::vector<double> costs(leaves);  // cost of the part before each leaf
     double least = std::numeric_limits<double>::infinity();
     uint32_t* middle = first;
     uint32_t compared = 0;
@@ -96,7 +96,7 @@ uint32_t* split(uint32_t* first, uint32_t* last, size_t leaf, const Mean& mean) 
     return middle;
 }
 
-// Order [first, last) by halving it until runs of `leaf` are left.
+// Order [first, last) by halving it recursively, down to runs of `leaf`.
 template <class Mean>
 void order_in_space(uint32_t* first, uint32_t* last, size_t leaf, const Mean& mean) {
     if (size_t(last - first) <= leaf) return;

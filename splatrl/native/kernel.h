@@ -1,4 +1,4 @@
-// The plain memory that the portable part of the renderer and the kernels of each instruction set share.
+// Plain data that the portable part of the renderer and the kernels of each instruction set share.
 #pragma once
 
 #include <cstddef>
@@ -11,18 +11,19 @@
 namespace splatrl {
 
 constexpr int BLOCK = 4;     // a block is 4×4 pixels; the lanes of a vector
-constexpr int TILE = 64;     // a tile is at most 64×64 pixels: its lists and pixels stay in the second-level cache
-constexpr int ACROSS = TILE / BLOCK, BLOCKS = ACROSS * ACROSS;  // blocks of a tile
-constexpr int LISTS = BLOCKS + 2 * ACROSS + 2;  // of a tile; those behind its blocks stay empty
-constexpr uint32_t SLAB = 2048;  // splats that are dealt to blocks at once
+constexpr int TILE = 64;     // a tile is at most 64×64 pixels, so that its lists and pixels stay in the L2 cache
+constexpr int ACROSS = TILE / BLOCK, BLOCKS = ACROSS * ACROSS;  // blocks along an edge of a tile, and in all of it
+constexpr int LISTS = BLOCKS + 2 * ACROSS + 2;  // per tile; those after its blocks' own stay empty
+constexpr uint32_t SLAB = 2048;  // splats that are binned to blocks at a time
 
-// One group of the scene's own Gaussians in memory: [GEOMETRY][GROUP] floats. The factor of a covariance is a lower
+// The layout of one group of the scene's own Gaussians: [GEOMETRY][GROUP] floats. The factor of a covariance is a lower
 // triangle, row by row.
 enum Geometry { MEAN = 0, FACTOR = 3, LOG2_OPACITY = 9, GEOMETRY = 10 };
 
-// One group of merged Gaussians, in half floats: they may be displaced anyway, and drawing what is spread over a large
-// scene waits for memory. Means are relative to a centre; they and the factors are multiples of a scale. In addition,
-// how many Gaussians each stands for, and the sum of their opacities, which only classic images need.
+// One group of merged Gaussians. Half floats suffice, because these may be displaced anyway, and they save memory
+// traffic, which is the bottleneck when a large scene is drawn. Means are relative to `center`; they and the factors
+// are multiples of `scale`. `members` is how many Gaussians each stands for, and `sums` the sum of their opacities,
+// which only classic images need.
 struct alignas(64) MergedGroup {
     float center[3], scale;  // metres
     alignas(32) uint16_t means[3][GROUP], factor[6][GROUP], log2_opacity[GROUP], members[GROUP], sums[GROUP];
@@ -31,90 +32,91 @@ struct alignas(64) MergedGroup {
 struct SceneView {
     const float* geometry;            // [first_merged, GEOMETRY, GROUP]
     const MergedGroup* merged;        // [groups - first_merged]
-    const uint16_t* colors;           // [groups, 3 · harmonics, GROUP] half floats; final colours where harmonics is 1
+    const uint16_t* colors;           // [groups, 3 · harmonics, GROUP] half floats; final colours if harmonics is 1
     const uint32_t* original_index;   // [groups · GROUP]
     const Cluster* clusters;          // in preorder
-    const GroupBounds* group_bounds;  // of each cluster
-    const Box* boxes;                 // likewise
+    const GroupBounds* group_bounds;  // one per cluster
+    const Box* boxes;                 // one per cluster
     uint32_t cluster_count;
     uint32_t first_merged;            // groups from here on hold merged Gaussians
     int degree;
-    float background[3];              // the colours of splats are relative to it
-    float tolerance;                  // pixels by which what is shown may be displaced
+    float background[3];              // the colours of splats are stored relative to it
+    float tolerance;                  // pixels by which level of detail may displace what is shown
 };
 
-// A visible Gaussian: half a cache line, so that one fetch brings all of it. At the pixel (x, y), u = l11 x + l12 y + u0
-// and v = l22 y + v0.
+// A visible Gaussian in half a cache line, so that one fetch brings in all of it. At the pixel (x, y),
+// u = l11 x + l12 y + u0 and v = l22 y + v0.
 struct alignas(32) Splat {
     float u0, v0, l11, l12, l22, log2_opacity;
     uint16_t red, green, blue;  // half floats
     uint16_t patch;
 };
 
-// The blocks of a tile that a splat is dealt to, in the bits of a patch: the first block, how many there are to the
-// right of it, and below. Nearly all splats are on at most 2×2 blocks; others have one of the bits of LARGE.
+// The blocks of a tile that a splat is binned to, in the bits of a patch: the first block, and from bits RIGHT and DOWN
+// on, how many more there are to its right and below it. Nearly all splats touch at most 2×2 blocks; the others have
+// some bit of LARGE set.
 constexpr int RIGHT = 8, DOWN = 12;
 constexpr uint32_t LARGE = 0xee00;
 
-// The same splat as blending reads it: a cache line.
+// The same splat in the form that blending reads: one cache line.
 struct alignas(64) SlabSplat {
     Splat splat;
     float red, green, blue, peak, depth;
 };
 
-// A model as a camera of the batch sees it.
+// A model as seen by a camera of the batch.
 struct Part {
     const SceneView* scene;
     Camera camera;         // in the frame of the model
-    uint32_t first_index;  // of its Gaussians, across all that the row draws
+    uint32_t first_index;  // of its Gaussians, counted across all parts of the row
     Frustum frustum;       // of the camera and the tile that is drawn
 };
 
-// What is drawn into one image: the parts, and the background.
+// Everything that is drawn into one image: the parts and the background.
 struct Row {
     Part* parts;
     size_t count;
     const float* background;
     float finished;        // the transmittance at which a pixel is finished
-    float log2_invisible;  // the opacity below which a splat does not show
-    bool ranked;           // the order of nearly equal depths is that of the numbers, and ties are broken
-    bool timed;            // the stages are
+    float log2_invisible;  // log2 of the opacity below which a splat is invisible
+    bool ranked;           // whether nearly equal depths are ordered in double precision, and ties are broken
+    bool timed;            // whether the stages are timed
 };
 
-// Accumulated per block: [CHANNELS][BLOCK · BLOCK] floats.
+// The channels that are accumulated per block: [CHANNELS][BLOCK · BLOCK] floats.
 enum Channel { RED, GREEN, BLUE, TRANSMITTANCE, DEPTH, ALPHA, CHANNELS };
 
 constexpr uint32_t SPARE = 64;  // extra items at the end of an array that may be read or overwritten
 constexpr uint32_t LIST = SLAB + 32;  // not a power of two, so that lists do not share cache sets
 
-// A node of a part's tree, of which nothing has been drawn yet: its nearest depth, and about how many groups it shows.
+// A node of a part's tree of which nothing has been drawn yet: its nearest depth, and roughly how many groups it shows.
 struct Branch {
     uint32_t part, cluster;
     float nearest, groups;
 };
 
-// A group that may show on a tile.
+// A group that may be visible on a tile.
 struct Shown {
     uint32_t part, group;
 };
 
-// Memory that a worker keeps from frame to frame. The arrays of splats hold [groups · GROUP + SPARE], of all parts.
+// Memory that a worker reuses from frame to frame. Arrays of splats hold [groups · GROUP + SPARE], over all parts.
 struct Scratch {
     Branch *branches, *later;  // [groups + SPARE]
     Shown* groups;           // [groups + SPARE]
     Splat* splats;
-    float* peaks;            // of the splats, where some can be merged
-    uint64_t* ties;          // what decides between depths that are equal in single precision
-    uint64_t* keys;          // depth in the high, splat in the low half
+    float* peaks;            // of the splats, if some may be merged Gaussians
+    uint64_t* ties;          // tie-breakers for depths that are equal in single precision
+    uint64_t* keys;          // depth in the high half, splat in the low half
     uint64_t* sorted;        // also [groups · GROUP + SPARE]
-    uint32_t* tied;          // the same
-    SlabSplat* slab;         // [SLAB + 1] nearest first, and one that shows nowhere
+    uint32_t* tied;          // also [groups · GROUP + SPARE]
+    SlabSplat* slab;         // [SLAB + 1] nearest first, then one that is visible nowhere
     uint16_t* lists;         // [LISTS, LIST] splats of the slab on each block, nearest first
     float* pixels;           // [BLOCKS, CHANNELS, BLOCK · BLOCK]
 };
 
-// The work that a tile took, which adds up over tiles. `blended` counts pairs of a splat and a block; times are of the
-// processor, of this thread.
+// The work that a tile took, which can be summed over tiles. `blended` counts splat-block pairs; times are the
+// processor time of this thread.
 struct Effort {
     uint32_t projected, visible, blended;
     float project_ms, sort_ms, blend_ms;
@@ -125,8 +127,8 @@ struct Effort {
     }
 };
 
-// Renders a piece of a tile of a frame into scratch.pixels. What is drawn in steps is not divided: its first piece
-// becomes the whole tile, and others become empty.
+// Renders a piece of a tile of a frame into scratch.pixels. A tile that is drawn in steps, from near to far, is not
+// divided: its first piece becomes the whole tile, and the others become empty.
 using RenderTile = Effort (*)(const Row&, const Tile& whole, Tile& piece, bool antialiased, bool with_depth,
                               const Scratch&);
 

@@ -1,6 +1,7 @@
-// Sixteen floats as one value, in as many registers as the instruction set needs. Vector extensions of GCC and Clang do
-// nearly all of it, on any processor; some of what they lack or do slowly uses intrinsics of AVX-512, AVX2 or ARM.
-// Everything lives in the namespace of the instruction set, so that the linker never mixes variants.
+// Sixteen floats as one value, in as many registers as the instruction set needs. Nearly all of it uses the vector
+// extensions of GCC and Clang, which work on any processor; some of what they lack or do slowly uses intrinsics of
+// AVX-512, AVX2 or ARM. Everything lives in the namespace of the instruction set, so that the linker never mixes
+// variants.
 #pragma once
 
 #include <cstddef>
@@ -25,7 +26,7 @@ namespace splatrl {
 namespace SPLATRL_ISA {
 
 #define LANE_INLINE static inline __attribute__((always_inline))
-#define OUT_OF_LINE __attribute__((noinline))  // long loops in one function get in each other's registers
+#define OUT_OF_LINE __attribute__((noinline))  // keeps long loops from competing for registers
 
 constexpr int LANES = 16;
 constexpr int PARTS = LANES / SPLATRL_REGISTER;
@@ -34,7 +35,7 @@ typedef float FloatPart __attribute__((vector_size(4 * SPLATRL_REGISTER)));
 typedef int32_t IntPart __attribute__((vector_size(4 * SPLATRL_REGISTER)));
 typedef uint32_t UnsignedPart __attribute__((vector_size(4 * SPLATRL_REGISTER)));
 
-// So many registers of floats.
+// COUNT registers of floats.
 template <int COUNT>
 struct FloatLanes {
     FloatPart part[COUNT];
@@ -57,18 +58,19 @@ LANE_INLINE Lanes lanes(float value) {
     return out;
 }
 
-// `from` and `to` are aligned to 64 bytes.
+// Load sixteen floats; `from` is aligned to 64 bytes.
 LANE_INLINE Lanes load(const float* from) {
     Lanes out;
     std::memcpy(&out, __builtin_assume_aligned(from, 64), sizeof(out));
     return out;
 }
 
+// Store sixteen floats; `to` is aligned to 64 bytes.
 LANE_INLINE void store(float* to, const Lanes& value) {
     std::memcpy(__builtin_assume_aligned(to, 64), &value, sizeof(value));
 }
 
-// Lanes side by side: those of an array, or a number of each of its items. And one of them again.
+// Concatenate the items of an array of lanes.
 template <size_t COUNT>
 LANE_INLINE FloatLanes<int(COUNT) * PARTS> joined(const Lanes (&from)[COUNT]) {
     FloatLanes<int(COUNT) * PARTS> out;
@@ -76,6 +78,7 @@ LANE_INLINE FloatLanes<int(COUNT) * PARTS> joined(const Lanes (&from)[COUNT]) {
     return out;
 }
 
+// Concatenate one member of each item of an array.
 template <class T, size_t COUNT>
 LANE_INLINE FloatLanes<int(COUNT) * PARTS> joined(const T (&from)[COUNT], Lanes T::*number) {
     FloatLanes<int(COUNT) * PARTS> out;
@@ -83,6 +86,7 @@ LANE_INLINE FloatLanes<int(COUNT) * PARTS> joined(const T (&from)[COUNT], Lanes 
     return out;
 }
 
+// The i-th item of what was concatenated.
 template <int COUNT>
 LANE_INLINE Lanes lanes_of(const FloatLanes<COUNT>& from, uint32_t i) {
     Lanes out;
@@ -207,7 +211,7 @@ LANE_INLINE Lanes add_product_where(const LaneMask& mask, const Lanes& a, const 
     return out;
 }
 
-// Bit i is set where lane i of `a` > lane i of `b`.
+// A mask whose bit i is set if lane i of `a` > lane i of `b`.
 LANE_INLINE uint32_t bits_above(const Lanes& a, const Lanes& b) {
 #if defined(SPLATRL_AVX512)
     return _mm512_cmp_ps_mask((__m512)a.part[0], (__m512)b.part[0], _CMP_GT_OQ);
@@ -222,13 +226,13 @@ LANE_INLINE uint32_t bits_above(const Lanes& a, const Lanes& b) {
 #endif
 }
 
-// A vector of sixteen has only merged Gaussians, or none.
+// Always true: the sixteen Gaussians of a vector are all merged, or MERGED is false and this is not called.
 template <int COUNT>
 LANE_INLINE bool stand_for_many(const FloatLanes<COUNT>&) {
     return true;
 }
 
-// 1 / a and 1 / sqrt(a) to the last bit or two, for normal a > 0: an estimate and one step of Newton's method.
+// 1 / a to the last bit or two, for normal a > 0: on AVX-512, an estimate and one step of Newton's method.
 template <int COUNT>
 LANE_INLINE FloatLanes<COUNT> reciprocal(const FloatLanes<COUNT>& a) {
     FloatLanes<COUNT> out;
@@ -243,6 +247,7 @@ LANE_INLINE FloatLanes<COUNT> reciprocal(const FloatLanes<COUNT>& a) {
     return out;
 }
 
+// 1 / sqrt(a) to the last bit or two, for normal a > 0: an estimate and one step of Newton's method.
 template <int COUNT>
 LANE_INLINE FloatLanes<COUNT> reciprocal_sqrt(const FloatLanes<COUNT>& a) {
     FloatLanes<COUNT> out;
@@ -252,7 +257,7 @@ LANE_INLINE FloatLanes<COUNT> reciprocal_sqrt(const FloatLanes<COUNT>& a) {
 #elif defined(SPLATRL_AVX2)
         const FloatPart r = (FloatPart)_mm256_rsqrt_ps((__m256)a.part[p]);
 #elif defined(__aarch64__)
-        const float32x4_t x = (float32x4_t)a.part[p], estimate = vrsqrteq_f32(x);  // 8 bits, which takes another step
+        const float32x4_t x = (float32x4_t)a.part[p], estimate = vrsqrteq_f32(x);  // 8 bits only, hence another step
         const FloatPart r = (FloatPart)(estimate * vrsqrtsq_f32(x * estimate, estimate));
 #else
         FloatPart r;
@@ -263,7 +268,7 @@ LANE_INLINE FloatLanes<COUNT> reciprocal_sqrt(const FloatLanes<COUNT>& a) {
     return out;
 }
 
-// The largest integer <= a, and the smallest >= a, for a in [0, 2^31).
+// The largest integer <= a, for a in [0, 2^31).
 template <int COUNT>
 LANE_INLINE FloatLanes<COUNT> floor(const FloatLanes<COUNT>& a) {
     FloatLanes<COUNT> out;
@@ -271,6 +276,7 @@ LANE_INLINE FloatLanes<COUNT> floor(const FloatLanes<COUNT>& a) {
     return out;
 }
 
+// The smallest integer >= a, for a in [0, 2^31).
 template <int COUNT>
 LANE_INLINE FloatLanes<COUNT> ceil(const FloatLanes<COUNT>& a) {
     FloatLanes<COUNT> out = floor(a);
@@ -278,7 +284,8 @@ LANE_INLINE FloatLanes<COUNT> ceil(const FloatLanes<COUNT>& a) {
     return out;
 }
 
-// 2^a for a in [-126, 126], arbitrary beyond, relative error 3e-6: 2^(a - round(a)) by a polynomial, then the exponent.
+// 2^a for a in [-126, 126], arbitrary outside, with a relative error of 3e-6: 2^(a - round(a)) by a polynomial, to
+// which the exponent is added.
 template <int COUNT>
 LANE_INLINE FloatLanes<COUNT> exp2(const FloatLanes<COUNT>& a) {
     constexpr float ROUND = 12582912.0f;  // 1.5 · 2^23: adding it rounds to an integer in the lowest bits
@@ -288,13 +295,13 @@ LANE_INLINE FloatLanes<COUNT> exp2(const FloatLanes<COUNT>& a) {
         const FloatPart f = a.part[p] - (shifted - ROUND);
         const FloatPart power =
             (((9.5701013e-3f * f + 5.5917879e-2f) * f + 2.4024744e-1f) * f + 6.9312179e-1f) * f + 9.9999928e-1f;
-        out.part[p] = (FloatPart)((UnsignedPart)power + ((UnsignedPart)shifted << 23));  // wraps beyond
+        out.part[p] = (FloatPart)((UnsignedPart)power + ((UnsignedPart)shifted << 23));  // wraps outside the range
     }
     return out;
 }
 
-// 2^a where a >= bound, else 0. With AVX-512 in five operations and with a relative error of 8e-5: blending waits for
-// operations.
+// 2^a where a >= bound, else 0. With AVX-512 this takes only five operations and has a relative error of 8e-5, because
+// blending is limited by arithmetic.
 LANE_INLINE Lanes exp2_if_at_least(const Lanes& a, float bound) {
 #if defined(SPLATRL_AVX512)
     const __m512 value = (__m512)a.part[0];
@@ -309,7 +316,7 @@ LANE_INLINE Lanes exp2_if_at_least(const Lanes& a, float bound) {
 #endif
 }
 
-// log2(a) for normal a > 0, absolute error 1e-7 plus rounding: exponent, and the atanh series of the mantissa.
+// log2(a) for normal a > 0, with an absolute error of 1e-7 plus rounding: exponent plus atanh series of the mantissa.
 template <int COUNT>
 LANE_INLINE FloatLanes<COUNT> log2(const FloatLanes<COUNT>& a) {
     FloatLanes<COUNT> above, below, whole;

@@ -1,4 +1,4 @@
-// Steps of a task on a lattice that were carried out and judged before, one for each state and action.
+// Steps of a task on a lattice, simulated and judged in advance: one for each state and action.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/vector.h>
@@ -19,7 +19,7 @@ namespace splatrl {
 namespace {
 
 constexpr int64_t GOAL = 1, TIMEOUT = 4;  // as in Outcome
-constexpr size_t POSE = 16;               // numbers
+constexpr size_t POSE = 16;               // floats in a pose
 
 template <class T>
 T* at(uintptr_t address) {
@@ -27,17 +27,17 @@ T* at(uintptr_t address) {
 }
 
 struct Step {
-    int64_t state, outcome;  // the number of the state after it
+    int64_t state, outcome;  // state: the index of the resulting state
     float free_fraction, reward;
     bool terminated;
 };
 
-// What the curriculum counts, and when it promotes.
+// The curriculum's window and its rule for promotion to the next level.
 struct Schedule {
     int64_t levels, window;
     double threshold;
 
-    // As Schedule.advance: progress is the level, and the episodes and successes at it.
+    // The same as Schedule.advance in Python. progress: the level, and the episodes and successes counted at it.
     void advance(int64_t* progress, int64_t episodes, int64_t successes) const {
         episodes += progress[1];
         successes += progress[2];
@@ -69,8 +69,9 @@ public:
         }
     }
 
-    // `given`: state, action, step_count, episode_return, level, goals. `found`: the same without action, then outcome,
-    // free_fraction, reward, success, done, terminated, truncated and the poses after it.
+    // Look up the step of each row. `given` holds the addresses of state, action, step_count, episode_return, level and
+    // goals; `found` those of the same without action, then of outcome, free_fraction, reward, success, done,
+    // terminated, truncated and the resulting poses. Returns false, and writes nothing, if a row is off the lattice.
     bool step(const std::array<uintptr_t, 6>& given, const std::array<uintptr_t, 13>& found, size_t count,
               int64_t max_steps, int64_t goals_for_success, uintptr_t progress,
               const std::array<double, 3>& schedule) const {
@@ -105,12 +106,13 @@ public:
         return true;
     }
 
-    // `old` and `found`: state, step_count, episode_return, level, goals, outcome, free_fraction, success, done, terminated
-    // and truncated; `found` also has poses, of the rows that begin.
+    // Copy a batch, and begin new episodes in some of its rows. `old` and `found` hold the addresses of state,
+    // step_count, episode_return, level, goals, outcome, free_fraction, success, done, terminated and truncated;
+    // `found` also that of the poses of the rows that begin.
     void begin(const std::array<uintptr_t, 11>& old, const std::array<uintptr_t, 12>& found, size_t count, uintptr_t rows,
                size_t some, uintptr_t uniform, uintptr_t starts, int64_t available, int64_t level) const {
         const size_t size = shape_.size() * sizeof(int64_t), number = sizeof(int64_t), share = sizeof(float);
-        const size_t bytes[] = {size, number, share, number, number, number, share, 1, 1, 1, 1};  // of a row
+        const size_t bytes[] = {size, number, share, number, number, number, share, 1, 1, 1, 1};  // per row
         for (size_t i = 0; i < old.size(); ++i) std::memcpy(at<char>(found[i]), at<const char>(old[i]), count * bytes[i]);
         for (size_t i = 0; i < some; ++i) {
             const size_t row = size_t(at<const int64_t>(rows)[i]);
@@ -130,7 +132,7 @@ public:
 private:
     std::vector<int64_t> shape_;
     size_t actions_;
-    std::vector<Step> steps_;  // by state, then by action
+    std::vector<Step> steps_;  // [states, actions]
     std::vector<float> poses_;
 
     bool known(const int64_t* state, int64_t action) const {

@@ -12,21 +12,21 @@ namespace splatrl {
 
 namespace {
 
-constexpr size_t BUCKET = 64;       // neighbours among which partners are sought
-constexpr float LEAST_CONTRAST = 0.2f;  // of colours: even merging equal colours has a cost, because it moves edges
+constexpr size_t BUCKET = 64;       // neighbours among which each item's merge partner is searched for
+constexpr float LEAST_CONTRAST = 0.2f;  // merging equal colours also has a cost, because it moves edges
 
-// A Gaussian, or several merged into one with their mass, mean and covariance.
+// A Gaussian, or several merged into one that has their total mass, mean and covariance.
 struct Item {
     float mean[3];
     float covariance[6];  // xx, xy, xz, yy, yz, zz
     float mass;           // opacity times mean projected area, square metres
-    float squares;        // of the masses of its members
-    float sum;            // of their opacities
-    float spread;         // variance of their means, by mass, square metres
+    float squares;        // sum of its members' squared masses
+    float sum;            // sum of its members' opacities
+    float spread;         // mass-weighted variance of its members' means, square metres
     std::vector<float> sh;
 };
 
-// The area, over π, of the ellipse that a covariance projects to: root mean square over all directions, which is
+// The area, divided by π, of the ellipse that a covariance projects to, as a root mean square over all directions:
 // sqrt(tr(adj Σ) / 3).
 float area_of(const float* c) {
     const double minors = double(c[0]) * c[3] - double(c[1]) * c[1] + double(c[0]) * c[5] - double(c[2]) * c[2] +
@@ -56,14 +56,14 @@ float squared_distance(const float* a, const float* b) {
     return sum;
 }
 
-// What merging loses: the mass that moves, how far, and how different its colour is.
+// The cost of merging two items: the mass that moves, weighted by its squared displacement and the colour contrast.
 float cost_of(const Item& a, const Item& b) {
     const float contrast = SH_C0 * SH_C0 * squared_distance(a.sh.data(), b.sh.data());
     const float mass = a.mass + b.mass, moved = mass > 0.0f ? a.mass * b.mass / mass : 0.0f;
     return moved * squared_distance(a.mean, b.mean) * (LEAST_CONTRAST * LEAST_CONTRAST + contrast);
 }
 
-// Merge `b` into `a`: mass, mean and covariance of the whole, colours by mass.
+// Merge `b` into `a`, which gets the mass, mean and covariance of the whole, and the mass-weighted mean colour.
 void absorb(Item& a, const Item& b) {
     const float mass = a.mass + b.mass, share = mass > 0.0f ? b.mass / mass : 0.5f, both = share * (1.0f - share);
     float between[3];
@@ -80,7 +80,7 @@ void absorb(Item& a, const Item& b) {
     a.sum += b.sum;
 }
 
-// The cheapest partner of each item within its bucket.
+// The cheapest merge partner of each item within its bucket.
 class Partners {
 public:
     explicit Partners(std::vector<Item>& items)
@@ -88,7 +88,7 @@ public:
         for (size_t i = 0; i < items.size(); ++i) search(i);
     }
 
-    // Merge the cheapest pair; false where none is left.
+    // Merge the cheapest pair; returns false if none is left.
     bool merge_cheapest() {
         const size_t i = size_t(std::min_element(cost_.begin(), cost_.end()) - cost_.begin());
         if (cost_[i] == NEVER) return false;
@@ -141,7 +141,7 @@ std::vector<Item> in_space(std::vector<Item>& items, size_t run) {
     return ordered;
 }
 
-// Merge the cheapest pairs of neighbours until `target` items are left.
+// Merge the cheapest pairs of neighbours until only `target` items are left.
 std::vector<Item> merged(std::vector<Item> items, size_t target) {
     items = in_space(items, BUCKET);
     Partners partners(items);
@@ -152,7 +152,7 @@ std::vector<Item> merged(std::vector<Item> items, size_t target) {
     return kept;
 }
 
-// A factor A of a covariance, Σ = A Aᵀ, row-major: Cholesky's.
+// The Cholesky factor A of a covariance, Σ = A Aᵀ, row-major.
 void factor_of(const float* c, float* axes) {
     constexpr double LEAST = 1e-20;
     const double xx = std::sqrt(std::max(double(c[0]), LEAST)), yx = c[1] / xx, zx = c[2] / xx;
@@ -177,7 +177,7 @@ public:
     Levels levels;
 
 private:
-    // Append the node over [first, last) and all below it. Returns its Gaussians, to be merged further up.
+    // Append the node over [first, last) and its whole subtree. Returns its Gaussians, to be merged further up.
     std::vector<Item> build(uint32_t* first, uint32_t* last) {
         poll();
         const auto mean = [this](uint32_t i) { return gaussians_.means + 3 * size_t(i); };
@@ -201,8 +201,8 @@ private:
         return items;
     }
 
-    // Put nodes with ever fewer Gaussians above the root, each of which has the next as its only child: a model that is
-    // small or far needs fewer than a node holds.
+    // Put nodes with fewer and fewer Gaussians above the root, each with the next as its only child: a model that is
+    // small or distant needs fewer Gaussians than a node holds.
     void top(std::vector<Item> items) {
         std::vector<Node> above;
         for (size_t target = fewer(items.size()); target > 0; target = fewer(items.size())) {
@@ -221,10 +221,10 @@ private:
         }
     }
 
-    // Three quarters, in whole runs.
+    // Three quarters of a count, rounded down to whole runs.
     size_t fewer(size_t count) const { return count * 3 / 4 / run_ * run_; }
 
-    // Let an inner node hold these.
+    // Store these items as the merged Gaussians of an inner node.
     void show(Node& node, const std::vector<Item>& items) {
         node.first = uint32_t(levels.opacities.size());
         node.count = uint32_t(items.size());
@@ -243,7 +243,7 @@ private:
         levels.sums.push_back(item.sum);
     }
 
-    // Root mean square by mass; never 0, which marks a leaf.
+    // The mass-weighted root mean square displacement of the members; never 0, which marks a leaf.
     static float error_of(const std::vector<Item>& items) {
         double sum = 0.0, mass = 0.0;
         for (const Item& item : items) sum += double(item.mass) * item.spread, mass += item.mass;

@@ -1,4 +1,4 @@
-// The tree over a scene, and levels of detail: inner nodes that hold fewer, larger Gaussians for all below them.
+// The tree over a scene, and its levels of detail: inner nodes hold fewer, larger Gaussians for everything below them.
 #pragma once
 
 #include <cstddef>
@@ -17,25 +17,26 @@ struct GaussianArrays {
     size_t colors() const { return 3 * size_t((degree + 1) * (degree + 1)); }
 };
 
-// Nodes come in preorder: the children of an inner node, two or one, follow it.
+// Nodes are in preorder: the subtrees of an inner node's two children, or its only one, follow it.
 struct Node {
-    uint32_t first, count;  // in the order for a leaf, in the merged Gaussians for an inner node
+    uint32_t first, count;  // range in the order for a leaf, in the merged Gaussians for an inner node
     uint32_t skip;          // the node after all those below this one
     uint32_t leaf;          // 1 or 0
-    float error;            // metres by which what it shows is displaced: 0 in a leaf, infinite where it shows nothing
+    float error;            // metres by which what it shows is displaced: 0 in a leaf, infinite if it shows nothing
 };
 
 struct Levels {
-    std::vector<uint32_t> order;  // of the Gaussians of the leaves
+    std::vector<uint32_t> order;  // indices of the scene's Gaussians, leaf by leaf
     std::vector<Node> nodes;
-    // Merged Gaussians, as in GaussianArrays. An opacity is mass (opacity times area) over area and may exceed 1.
+    // Merged Gaussians, as in GaussianArrays. An opacity is mass (opacity times area) over area, and may exceed 1.
     std::vector<float> means, axes, opacities, sh;
-    std::vector<float> members;  // how many Gaussians of equal mass one stands for
-    std::vector<float> sums;     // of the opacities of those it stands for
+    std::vector<float> members;  // how many Gaussians of equal mass each stands for
+    std::vector<float> sums;     // the sum of the opacities of those it stands for
 };
 
-// A tree whose nodes hold at most `capacity` Gaussians, in runs of `run` neighbours. With `merge`, inner nodes hold
-// merged Gaussians, also above the node over all: ever fewer, as small or far models need. Without, nothing.
+// Build a tree whose nodes hold at most `capacity` Gaussians, in runs of `run` neighbours. With `merge`, inner nodes
+// hold merged Gaussians, and nodes with fewer and fewer of them are added above the root, for models that are small or
+// distant. Without it, inner nodes hold nothing.
 Levels build_levels(const GaussianArrays& gaussians, size_t capacity, size_t run, bool merge);
 
 }  // namespace splatrl

@@ -25,7 +25,7 @@ std::vector<T> values_of(const nb::dict& arrays, const char* name, size_t count)
     return std::vector<T>(array.data(), array.data() + count);
 }
 
-// The kernels follow these numbers unchecked, so refuse any that lead out of the arrays.
+// The kernels follow these indices unchecked, so reject any that lead outside the arrays.
 void check(const Levels& levels, size_t count) {
     const size_t nodes = levels.nodes.size();
     bool right = true;

@@ -1,4 +1,4 @@
-// Levels of detail from the arrays that Python keeps of them.
+// Reads levels of detail from the arrays in which Python keeps them.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -7,7 +7,7 @@
 
 namespace splatrl {
 
-// Throws std::invalid_argument where the arrays are not levels of these Gaussians.
+// Throws std::invalid_argument if the arrays are not levels of these Gaussians.
 Levels levels_of(const nanobind::dict& arrays, const GaussianArrays& gaussians);
 
 }  // namespace splatrl

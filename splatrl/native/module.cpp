@@ -1,4 +1,4 @@
-// splatrl.native._core: the C++ side of splatrl.
+// The extension module splatrl.native._core: the C++ side of splatrl.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>

@@ -1,4 +1,4 @@
-// How much of the light the voxels of a grid absorb.
+// Absorption of light by the voxels of a grid, summed over Gaussians.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -18,9 +18,10 @@ namespace splatrl {
 
 namespace {
 
-// A Gaussian seen from voxels. With u_j its axes and s_j its standard deviations, all in voxels, the box along its
-// axes that holds the unit voxel at v reaches half_j = |u_j|_1 / 2s_j to both sides of its centre, so the squared
-// distance from the mean to that box is the sum over j of max(|u_j . (v + 1/2 - mean)| / s_j - half_j, 0)^2.
+// A Gaussian, prepared for its distances from voxels. Let u_j be its axes and s_j its standard deviations, all in
+// voxels. The box along its axes that encloses the unit voxel at v extends half_j = |u_j|_1 / 2s_j standard deviations
+// to either side of its centre, so the squared distance from the mean to that box, in standard deviations, is the sum
+// over j of max(|u_j . (v + 1/2 - mean)| / s_j - half_j, 0)^2.
 struct Ellipsoid {
     std::array<double, 3> mean;
     std::array<std::array<double, 3>, 3> whitening;  // row j is u_j / s_j
@@ -40,15 +41,15 @@ struct Ellipsoid {
 
 using Triple = std::array<int64_t, 3>;
 
-// Add the Gaussian to the voxels [first, end) that lie within `extent` standard deviations, column by column along z.
+// Add the Gaussian to the voxels in [first, end) that lie within `extent` standard deviations, by columns along z.
 void splat(const Ellipsoid& g, double opacity, double extent, const Triple& first, const Triple& end,
            const Triple& shape, float* density) {
     for (int64_t x = first[0]; x < end[0]; ++x) {
         poll();
         for (int64_t y = first[1]; y < end[1]; ++y) {
             const double dx = double(x) + 0.5 - g.mean[0], dy = double(y) + 0.5 - g.mean[1];
-            std::array<double, 3> at_zero;  // along the axes, at the column's height z + 1/2 = mean
-            double low = double(first[2]), high = double(end[2] - 1);  // of the heights that no axis rules out
+            std::array<double, 3> at_zero;  // whitened offset of the column from the mean, at the mean's height
+            double low = double(first[2]), high = double(end[2] - 1);  // range of heights that no axis rules out
             for (size_t j = 0; j < 3; ++j) {
                 at_zero[j] = g.whitening[j][0] * dx + g.whitening[j][1] * dy;
                 const double slope = g.whitening[j][2], reach = extent + g.half[j];

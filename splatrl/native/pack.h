@@ -1,4 +1,4 @@
-// Lanes from and to memory: half floats, and records of the lanes in a mask, one after another.
+// Lanes from and to memory: half floats, and records of the lanes that a mask selects, one after another.
 #pragma once
 
 #include "half.h"
@@ -27,7 +27,7 @@ LANE_INLINE IntLanes plus(const IntLanes& a, uint32_t b) {
     return out;
 }
 
-// Truncated, for |a| < 2^31.
+// Truncate to integers, for |a| < 2^31.
 LANE_INLINE IntLanes to_ints(const Lanes& a) {
     IntLanes out;
     FOR_PARTS out.part[p] = __builtin_convertvector(a.part[p], IntPart);
@@ -53,7 +53,7 @@ LANE_INLINE IntLanes join_halves(const IntLanes& low, const IntLanes& high) {
     return out;
 }
 
-// Sixteen 16-bit numbers, aligned to 32 bytes, each widened to a word.
+// Load sixteen 16-bit numbers, aligned to 32 bytes, and widen each to a word.
 LANE_INLINE IntLanes load_shorts(const uint16_t* from) {
     typedef uint16_t ShortPart __attribute__((vector_size(2 * SPLATRL_REGISTER)));
     IntLanes out;
@@ -65,7 +65,7 @@ LANE_INLINE IntLanes load_shorts(const uint16_t* from) {
     return out;
 }
 
-// Half floats in the low halves of words, to numbers.
+// Convert half floats, in the low halves of words, to floats.
 LANE_INLINE Lanes from_halves(const IntLanes& halves) {
     Lanes out;
     FOR_PARTS {
@@ -96,7 +96,8 @@ LANE_INLINE Lanes load_halves(const uint16_t* from) {
 #endif
 }
 
-// Numbers to half floats in the low halves of words, rounded to nearest; larger values become the largest finite one.
+// Convert floats to half floats, in the low halves of words, rounded to nearest; values out of range become the largest
+// finite one, with their sign.
 LANE_INLINE IntLanes to_halves(const Lanes& a) {
     const Lanes bounded = max(min(a, LARGEST_HALF), -LARGEST_HALF);
     IntLanes out;
@@ -117,7 +118,7 @@ LANE_INLINE IntLanes to_halves(const Lanes& a) {
     return out;
 }
 
-// Four half floats to four numbers; `to` is aligned to 16 bytes.
+// Convert four half floats to floats; `to` is aligned to 16 bytes.
 LANE_INLINE void store_four_halves(float* to, const uint16_t* from) {
 #if defined(SPLATRL_AVX512) || defined(SPLATRL_AVX2)
     _mm_store_ps(to, _mm_cvtph_ps(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(from))));
@@ -143,7 +144,7 @@ LANE_INLINE void append_words(void* to, __m512i low, __m512i high) {
 
 #else
 
-// rows[lane][column] = columns[column][lane], four by four.
+// rows[lane][column] = columns[column][lane], in blocks of 4×4.
 template <int COLUMNS>
 LANE_INLINE void transpose(const Lanes (&columns)[COLUMNS], float (*rows)[COLUMNS]) {
     static_assert(COLUMNS % 4 == 0, "whole quads");
@@ -159,23 +160,23 @@ LANE_INLINE void transpose(const Lanes (&columns)[COLUMNS], float (*rows)[COLUMN
 
 #endif
 
-// What is appended for every visible lane. `words` are those of a Splat.
+// What is appended for each visible lane. `words` are those of a Splat.
 struct Record {
     Lanes words[8];
     Lanes depth;
-    IntLanes rest, original_index;  // decide between equal depths
+    IntLanes rest, original_index;  // tie-breakers for equal depths
     Lanes peak;
-    bool merging;  // peaks are kept
-    bool ranked;   // what decides between equal depths is
+    bool merging;  // whether peaks are kept
+    bool ranked;   // whether the tie-breakers are kept
 };
 
-// Write the lanes of the mask, in their order, at `count` and beyond, and return the new count. Up to SPARE places
-// after it are overwritten too.
+// Write the lanes of the mask, in order, from position `count` on, and return the new count. Up to SPARE places after
+// it are overwritten too.
 LANE_INLINE uint32_t append(const Record& record, uint32_t mask, const Scratch& scratch, uint32_t count) {
 #if defined(SPLATRL_AVX512)
     const __m512i ordinals = _mm512_set_epi32(15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0);
     const __m512i kept_lanes = _mm512_maskz_compress_epi32(__mmask16(mask), ordinals);
-    __m512 pairs[8];  // of two rows: [word 0 to 3 of lane 4q + i] in quarter q
+    __m512 pairs[8];  // pairs[half + i]: words half to half + 3 of lane 4q + i in quarter q
     for (int half = 0; half < 8; half += 4) {
         const __m512 a = kept(record.words[half], kept_lanes), b = kept(record.words[half + 1], kept_lanes);
         const __m512 c = kept(record.words[half + 2], kept_lanes), d = kept(record.words[half + 3], kept_lanes);
@@ -212,7 +213,7 @@ LANE_INLINE uint32_t append(const Record& record, uint32_t mask, const Scratch& 
     store(peaks, record.peak);
     std::memcpy(rests, &record.rest, sizeof(rests));
     std::memcpy(indices, &record.original_index, sizeof(indices));
-    for (uint32_t lane = 0; lane < uint32_t(LANES); ++lane) {  // write each, then overwrite it unless it is kept
+    for (uint32_t lane = 0; lane < uint32_t(LANES); ++lane) {  // the next lane overwrites one that is not kept
         std::memcpy(&scratch.splats[count], rows[lane], sizeof(Splat));
         if (record.merging) scratch.peaks[count] = peaks[lane];
         if (record.ranked) scratch.ties[count] = uint64_t(rests[lane]) << 32 | indices[lane];

@@ -24,7 +24,7 @@ std::vector<T> values_of(const T* values, size_t count) {
     return std::vector<T>(values, values + count);
 }
 
-// The kernels follow these numbers unchecked, so refuse any that lead out of the arrays.
+// The kernels follow these indices unchecked, so reject any that lead outside the arrays.
 bool is_sound(const std::vector<Cluster>& clusters, size_t groups) {
     for (size_t i = 0; i < clusters.size(); ++i) {
         const Cluster& cluster = clusters[i];

@@ -1,4 +1,4 @@
-// Scenes as arrays, to keep in a file or in part.
+// Scenes as arrays, to be kept in a file, whole or in part.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -9,11 +9,11 @@
 
 namespace splatrl {
 
-// The arrays of a scene by name, as numpy arrays; renderers/packed.py describes them.
+// The arrays of a scene, as numpy arrays by name; renderers/packed.py describes them.
 nanobind::dict to_arrays(const Scene& scene);
 
-// The scene that arrays hold, in which colours are relative to this background.
-// Throws std::invalid_argument for arrays of other shapes, or with numbers that lead out of them.
+// The scene that such arrays hold, with colours relative to this background.
+// Throws std::invalid_argument for arrays of other shapes, or with indices that lead outside them.
 Scene from_arrays(const nanobind::dict& arrays, std::array<float, 3> background);
 
 }  // namespace splatrl

@@ -1,4 +1,4 @@
-// Owns the memory of a grid.
+// A grid that owns its memory.
 #pragma once
 
 #include <algorithm>
@@ -11,7 +11,8 @@ namespace splatrl {
 
 class PackedGrid {
 public:
-    // From whether each voxel is solid, and metres between its centre and the nearest solid one's, [x, y, z] each.
+    // `solid` is whether each voxel is solid, `metres` the distance from its centre to that of the nearest solid one;
+    // both are [x, y, z].
     PackedGrid(const bool* solid, const float* metres, const int (&size)[3], const Vec3& corner, double resolution)
         : grid_{{size[0], size[1], size[2]}, (size[2] + 63) / 64, true, resolution, 1.0 / resolution, corner, nullptr,
                 nullptr} {
@@ -25,7 +26,7 @@ public:
             }
         distance_ = make_buffer<uint16_t>(columns * height);
         for (size_t i = 0; i < columns * height; ++i) {
-            const double steps = metres[i] / resolution * (1.0 - 1e-6) * DISTANCE_STEPS;  // allows for single precision
+            const double steps = metres[i] / resolution * (1.0 - 1e-6) * DISTANCE_STEPS;  // allow for single precision
             distance_[i] = uint16_t(std::min(steps, double(FARTHEST)));
         }
         grid_.bits = bits_.data();

@@ -1,23 +1,23 @@
-// Where the tests' emulator counts how often a warp comes by, which is as often as its busiest lane does. Nothing
-// elsewhere.
+// Places where the tests' emulator counts how often a warp passes, which is as often as its busiest lane does. Compiled
+// to nothing everywhere else.
 #pragma once
 
 namespace splatrl {
 
 enum class Pass {
-    node,     // of a tree, tested
-    groups,   // of two nodes, tested
-    test,     // of a Gaussian
-    key,      // counted, dealt or gathered
-    slab,     // put in order
-    place,    // of a key in its slab
-    compare,  // with another key
-    project,  // a Gaussian
-    color,    // a splat, and begin to note its cells
-    row,      // of cells that a splat may meet
-    cell,     // noted
-    chunk,    // of splats on a cell, fetched
-    pair,     // of a splat and a cell, blended
+    node,     // test a node of a tree
+    groups,   // test the groups of two nodes
+    test,     // test a Gaussian
+    key,      // count, deal or gather a key
+    slab,     // sort a slab
+    place,    // find the place of a key in its slab
+    compare,  // compare a key with another
+    project,  // project a Gaussian
+    color,    // colour a splat, and begin to note its cells
+    row,      // go through a row of cells that a splat may meet
+    cell,     // note a cell
+    chunk,    // fetch a chunk of splats on a cell
+    pair,     // blend a splat over a cell
     count
 };
 

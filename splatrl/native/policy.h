@@ -1,4 +1,4 @@
-// A gradient step of a policy over discrete actions: the loss of proximal policy optimisation, and Adam.
+// A gradient step of a policy over discrete actions: the loss of proximal policy optimisation (PPO), and Adam.
 #pragma once
 
 #include <cstddef>
@@ -15,7 +15,7 @@ struct PolicyFrames {
     size_t count, features, actions;
 };
 
-// Of two linear layers: [actions, features] and [actions], [features] and [1].
+// Weights and biases of two linear layers: policy [actions, features] and [actions], value [features] and [1].
 struct PolicyHeads {
     const float *policy, *policy_bias, *value, *value_bias;
 };
@@ -30,7 +30,7 @@ struct PolicyWeights {
 
 enum PolicyStatistic { OBJECTIVE, CRITIC, ENTROPY, KL_APPROX, CLIP_FRACTION, POLICY_STATISTICS };
 
-// A tensor and what Adam keeps of it.
+// A tensor, its gradient, and the moments that Adam keeps of it.
 struct Moments {
     float* values;
     const float* gradient;
@@ -44,10 +44,10 @@ struct AdamSettings {
 };
 
 struct PolicyKernels {
-    // Write the gradients of the loss, and its statistics. `scratch` holds [count + 2 · actions].
+    // Write the gradients of the loss and its statistics. `scratch` has room for [count + 2 · actions].
     void (*loss)(const PolicyFrames&, const PolicyHeads&, const PolicyWeights&, const PolicyGradients&, float* statistics,
                  float* scratch);
-    // Clip the gradients of all tensors to a norm, and take a step.
+    // Clip the joint norm of the gradients of all tensors, and take a step.
     void (*adam)(const Moments*, size_t count, const AdamSettings&);
 };
 

@@ -22,8 +22,8 @@ using Address = uintptr_t;
 
 float* at(Address address) { return reinterpret_cast<float*>(address); }
 
-// `frames`: hidden, action, log_prob, advantage, value_target. `heads`: weights and biases of policy and value.
-// `gradients`: those of the heads, then of hidden.
+// The arrays hold addresses. `frames`: hidden, action, log_prob, advantage, value_target. `heads`: weights and bias of
+// the policy head, then of the value head. `gradients`: gradients of the heads, in the same order, then of hidden.
 void policy_loss(const std::array<Address, 5>& frames, const std::array<size_t, 3>& sizes,
                  const std::array<Address, 4>& heads, float clip_epsilon, float critic_coeff, float entropy_coeff,
                  const std::array<Address, 5>& gradients, Address statistics) {
@@ -41,7 +41,7 @@ void policy_loss(const std::array<Address, 5>& frames, const std::array<size_t, 
                  at(statistics), scratch.get());
 }
 
-// `tensors`: values, gradient, first and second moment of each.
+// `tensors` holds the addresses of each tensor's values, gradient, first moment and second moment.
 void adam(const std::vector<std::array<Address, 4>>& tensors, const std::vector<size_t>& counts, double step, double rate,
           double beta1, double beta2, double epsilon, double max_norm) {
     if (tensors.size() != counts.size()) throw std::invalid_argument("counts: expected one for each tensor");

@@ -1,4 +1,4 @@
-// Images averaged over square cells.
+// Average pooling of images over square cells.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 
@@ -16,7 +16,7 @@ namespace splatrl {
 
 namespace {
 
-// Rows of a cell are added before its columns, since a row of an image is contiguous.
+// A cell's rows are summed before its columns, since the rows of an image are contiguous in memory.
 void pool_images(uintptr_t images, const std::array<size_t, 4>& shape, size_t side, uintptr_t out) {
     const auto [count, height, width, depth] = shape;
     if (side < 1 || side > 4096) throw std::invalid_argument("side: expected 1 to 4096 pixels");

@@ -1,4 +1,4 @@
-// Four floats as one value, for what is done four at a time with every instruction set.
+// Four floats as one value, for work that is done four at a time with every instruction set.
 #pragma once
 
 #include <cstdint>
@@ -10,14 +10,14 @@ namespace splatrl {
 typedef float Quad __attribute__((vector_size(16)));
 typedef int32_t QuadIndex __attribute__((vector_size(16)));
 
-// Four of the numbers of two quads, by their places: 0 to 3 in the first, 4 to 7 in the second.
+// Select four numbers from two quads by position: 0 to 3 in the first, 4 to 7 in the second.
 #if defined(__clang__)
 #define PICK(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
 #else
 #define PICK(a, b, ...) __builtin_shuffle(a, b, QuadIndex{__VA_ARGS__})
 #endif
 
-// The rows of a matrix to its columns.
+// Transpose a 4×4 matrix.
 SPLAT_INLINE void turn_quads(Quad (&rows)[4]) {
     const Quad low_ab = PICK(rows[0], rows[1], 0, 4, 1, 5), low_cd = PICK(rows[2], rows[3], 0, 4, 1, 5);
     const Quad high_ab = PICK(rows[0], rows[1], 2, 6, 3, 7), high_cd = PICK(rows[2], rows[3], 2, 6, 3, 7);

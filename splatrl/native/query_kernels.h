@@ -1,5 +1,4 @@
-// Bodies against grids on a CPU, many poses at a time, compiled once for each instruction set. All sets give the same
-// answers.
+// Collision queries on a CPU, many poses at a time, compiled for each instruction set. All sets give the same answers.
 #pragma once
 
 #include "collision_grid.h"
@@ -8,12 +7,13 @@
 
 namespace splatrl {
 
-// Balls that say more than the ones about the origin: some within a body, as far from its middle as they can be, then as
-// many that cover it. What one of the former surely touches, the body touches; where all of the latter are free, it is.
+// More informative balls than those about the origin: COUNT balls inside a body, as far from its middle as possible,
+// then COUNT that cover it. If one of the former surely touches something, so does the body; if all of the latter are
+// free, so is the body.
 struct Balls {
     static constexpr int COUNT = 4;  // of each kind
-    bool some;                       // not where the body is a ball
-    double within, around;           // radii
+    bool some;                       // whether there are any; not if the body is a ball
+    double within, around;           // radii of the balls inside, and of those that cover the body
     alignas(64) double at[3][2 * COUNT];  // centres, by axis
 };
 
@@ -31,7 +31,7 @@ inline Balls balls_in(const Shape& shape) {
         const Vec3& half = shape.half;
         const int longest = half[0] >= half[1] ? (half[0] >= half[2] ? 0 : 2) : (half[1] >= half[2] ? 1 : 2);
         const int a = (longest + 1) % 3, b = (longest + 2) % 3, second = half[a] >= half[b] ? a : b;
-        Vec3 piece = half;  // of the box cut in four: along its longest side, or along two
+        Vec3 piece = half;  // a quarter of the box, cut along its longest side or its two longest
         piece[longest] *= 0.5;
         piece[second] *= 0.5;
         const bool in_a_row = 0.5 * half[longest] >= 2.0 * half[second];
@@ -50,25 +50,25 @@ inline Balls balls_in(const Shape& shape) {
     return out;
 }
 
-// A grid and a body in it, whose lengths are in voxels of that grid.
+// A grid and a body in it; the body's lengths are in voxels of that grid.
 struct Fitted {
     Grid grid;
     Shape shape;
     Balls balls;
 };
 
-// Which grid each query of a batch asks.
+// The grids that the queries of a batch ask.
 struct Asked {
     const Fitted* const* fitted;
     size_t count;
-    const int64_t* places;  // of each query, in [0, count); null where all ask the first
+    const int64_t* places;  // index of each query's grid, in [0, count); null if all ask the first
 
     bool knows(size_t i) const { return places == nullptr || uint64_t(places[i]) < count; }
     const Fitted& operator()(size_t i) const { return *fitted[places == nullptr ? 0 : places[i]]; }
 };
 
-// Each answers the queries [begin, end) of a batch, whose poses are row-major 4×4 matrices. It returns `end`, or the
-// first query with a place that there is not or a pose that is not rigid; then answers are missing.
+// Each kernel answers the queries [begin, end) of a batch, whose poses are row-major 4×4 matrices. It returns `end`, or
+// the first query whose grid does not exist or whose pose is not rigid; in that case answers are missing.
 struct QueryKernels {
     size_t (*collides)(const Asked&, const float* poses, bool* hits, size_t begin, size_t end);
     size_t (*sweeps)(const Asked&, const float* starts, const float* ends, bool* hits, size_t begin, size_t end);

@@ -1,4 +1,4 @@
-// Casts beams on a CPU, compiled once for each instruction set.
+// Ray casting on a CPU, compiled once for each instruction set.
 #pragma once
 
 #include <cstddef>
@@ -8,14 +8,14 @@
 
 namespace splatrl {
 
-// Beams of a batch of bodies: ray i is beam i % along of body i / along.
+// The beams of a batch of bodies: ray i is beam i % along of body i / along.
 struct Beams {
     const float* poses;  // [bodies, 4, 4] rigid
     const float* ways;   // [along, 3] in the frame of each body
     size_t along;
 };
 
-// Cast the rays [begin, begin + count); write metres up to `reach` for each.
+// Cast the rays [begin, begin + count), and write the range of each in metres, at most `reach`.
 using CastBeams = void (*)(const RayGrid&, const Beams&, size_t begin, size_t count, double reach, float* metres);
 
 namespace portable { extern const CastBeams cast_beams; }

@@ -29,11 +29,11 @@ CastBeams cast_beams_of(Isa isa) {
 
 namespace {
 
-constexpr size_t CHUNK = 4096;  // rays that a thread takes at once
+constexpr size_t CHUNK = 4096;  // rays per work item of a thread
 
 using Room = Tensor<const uint8_t, -1, -1, -1>;
 
-// Casts beams from many bodies against one grid, whose array it keeps.
+// Casts beams from many bodies against one grid, of which it keeps a copy.
 class RayCaster {
 public:
     RayCaster(const Room& room, std::array<double, 3> corner, double resolution) : cast_(cast_beams_of(choose_isa())) {
@@ -46,8 +46,8 @@ public:
                  {corner[0], corner[1], corner[2]}, room_.get()};
     }
 
-    // poses [count, 4, 4]; beams [along, 3] in their frames; out [count, along] metres. Returns -1, or the first pose that is
-    // not rigid; then nothing is written.
+    // poses [count, 4, 4]; beams [along, 3] in the frames of the poses; out [count, along] metres. Returns -1, or the
+    // first pose that is not rigid, in which case nothing is written.
     int64_t ranges(uintptr_t poses, uintptr_t beams, uintptr_t out, size_t count, size_t along, double reach,
                    size_t threads) const {
         const auto* matrices = reinterpret_cast<const float*>(poses);

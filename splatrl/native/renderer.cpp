@@ -23,13 +23,13 @@ RenderTile kernel_of(Isa isa) {
     }
 }
 
-// A tile, or one of several pieces of it, one below the other.
+// A whole tile, and one of the pieces that it is cut into, which lie one below the other. Often there is only one.
 struct Piece {
     Tile whole, tile;
 };
 
-// Frames are cut into independent tiles so that a tile's memory stays small; and tiles into pieces where there are fewer
-// frames than threads.
+// Frames are cut into independent tiles so that the working memory of each stays small; tiles are cut into pieces if
+// there are fewer frames than threads.
 std::vector<Piece> pieces_of(size_t batch, int width, int height, size_t threads) {
     const int rows = (height + BLOCK - 1) / BLOCK, down = (height + TILE - 1) / TILE;
     const size_t least = batch == 0 || batch >= threads ? 1 : (threads + batch - 1) / batch;
@@ -49,7 +49,7 @@ std::vector<Piece> pieces_of(size_t batch, int width, int height, size_t threads
     return pieces;
 }
 
-// Rows that see the same models in the same direction one after another, so that what they read is still in the cache.
+// Order rows so that those that see the same model in a similar direction follow each other and find it in the cache.
 std::vector<size_t> by_likeness(const Batch& batch) {
     std::vector<std::tuple<int64_t, float, size_t>> rows;
     for (size_t row = 0; row < batch.rows; ++row) {
@@ -105,7 +105,7 @@ struct Renderer::Workspace {
     }
 };
 
-// A workspace borrowed for one call.
+// A workspace that is borrowed from the renderer for one call.
 class Renderer::Loan {
 public:
     Loan(Renderer& owner, size_t capacity) : owner_(owner) {
@@ -115,7 +115,7 @@ public:
             owner.idle_.pop_back();
         }
         if (workspace_ && workspace_->capacity >= capacity) return;
-        workspace_.reset();  // freed before a larger one is made
+        workspace_.reset();  // free it before a larger one is allocated
         workspace_ = std::make_unique<Workspace>(capacity);
     }
     ~Loan() {
@@ -154,7 +154,7 @@ const Scene& Renderer::scene(int64_t model) const {
 }
 
 void Renderer::needs(const Bounds* bounds, const float* errors, size_t count, const Batch& batch, uint8_t* out) const {
-    constexpr float SLACK = 1.001f;  // the bounds of a node may reach beyond those of the root by rounding
+    constexpr float SLACK = 1.001f;  // rounding may make a node's bounds extend beyond the root's
     for (size_t row = 0; row < batch.rows; ++row) {
         const Camera camera = camera_of(batch.camera_to_models + 16 * row, batch.K + 9 * row, batch.width, batch.height);
         const Frustum frustum = frustum_of(camera, {0, 0, batch.width, batch.height});
@@ -174,9 +174,9 @@ void Renderer::needs(const Bounds* bounds, const float* errors, size_t count, co
     }
 }
 
-// The most Gaussians that the parts of a row have together.
+// The largest number of Gaussians, summed over its parts, of any row.
 size_t Renderer::capacity_of(const Batch& batch) const {
-    constexpr size_t MOST = ~uint32_t(0);  // the most that keys and ties can number
+    constexpr size_t MOST = ~uint32_t(0);  // keys and ties hold 32-bit indices
     size_t most = 0;
     for (size_t row = 0; row < batch.rows; ++row) {
         size_t sum = 0;
@@ -190,7 +190,7 @@ size_t Renderer::capacity_of(const Batch& batch) const {
     return most;
 }
 
-// The parts that a row draws.
+// List the parts that a row draws.
 void Renderer::place(const Batch& batch, size_t row, const SceneView* views, std::vector<Part>& parts) const {
     parts.clear();
     uint32_t first_index = 0;

@@ -1,4 +1,4 @@
-// Renders batches of cameras over threads, frame by frame, with the kernels of one instruction set.
+// Renders batches of cameras on several threads, frame by frame, with the kernels of one instruction set.
 #pragma once
 
 #include <array>
@@ -13,9 +13,9 @@
 
 namespace splatrl {
 
-// What the rows of a batch draw, row-major.
+// What the rows of a batch draw; all arrays are row-major.
 struct Batch {
-    const int64_t* models;          // [rows, parts], -1 for none; null: model 0 in each row
+    const int64_t* models;          // [rows, parts], -1 for none; null draws model 0 in each row
     const float* camera_to_models;  // [rows, parts, 4, 4], ignored where there is no model
     const float* K;                 // [rows, 3, 3]
     size_t rows, parts;
@@ -31,18 +31,18 @@ public:
 
     void add(const GaussianArrays& gaussians, const Levels& levels);
 
-    // Let a model be another, or none, which must not be drawn. Not while anything is drawn.
+    // Replace or remove a model; one that has been removed must not be drawn. Not to be called while anything is drawn.
     void put(size_t model, std::optional<Scene> scene);
 
-    // What each camera needs to see of models in one frame, by the bounds of their trees: NOTHING where a model cannot
-    // show, TOP where its tree is cut above nodes of this error, else WHOLE; [rows, count].
+    // What each camera needs of each of several models in one frame, given the bounds of their trees: NOTHING if the
+    // model cannot be visible, TOP if nodes with this error would be within the tolerance, else WHOLE; [rows, count].
     enum Need : uint8_t { NOTHING, TOP, WHOLE };
     void needs(const Bounds* bounds, const float* errors, size_t count, const Batch& batch, uint8_t* out) const;
 
     std::array<float, 3> background() const { return background_; }
 
-    // The images of the batch lie one after another; efforts [rows] receives the work of each
-    // frame, if it is not null.
+    // The images of the batch lie one after another in memory; efforts [rows] receives the work of each frame, unless
+    // it is null.
     void render(const Batch& batch, size_t threads, const Images& images, Effort* efforts);
 
 private:
@@ -60,7 +60,7 @@ private:
     float tolerance_;
     RenderTile render_tile_;
     std::mutex mutex_;
-    std::vector<std::unique_ptr<Workspace>> idle_;  // kept, because fresh memory costs a page fault every 4 KiB
+    std::vector<std::unique_ptr<Workspace>> idle_;  // reused, as fresh memory costs a page fault every 4 KiB
 };
 
 }  // namespace splatrl

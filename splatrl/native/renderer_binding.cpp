@@ -19,7 +19,7 @@ namespace {
 using Models = std::optional<Tensor<const int64_t, -1, -1>>;
 using Poses = Tensor<const float, -1, -1, 4, 4>;
 using Lenses = Tensor<const float, -1, 3, 3>;
-// For each frame: projected, visible, blended, project_ms, sort_ms, blend_ms.
+// Columns of each frame: projected, visible, blended, project_ms, sort_ms, blend_ms.
 using Efforts = std::optional<Tensor<float, -1, 6>>;
 
 void add_model(Renderer& renderer, Tensor<const float, -1, 3> means, Tensor<const float, -1, 3, 3> axes,
@@ -62,14 +62,15 @@ void needs(const Renderer& renderer, Tensor<const float, -1, 6> bounds, Tensor<c
     renderer.needs(of_models.data(), errors.data(), of_models.size(), batch, out.data());
 }
 
-// The first row whose pose is no camera's or whose K is no pinhole's; -1 where all are right.
+// The first row whose pose is not rigid or whose K is not that of a pinhole; -1 if all rows are valid.
 int64_t first_bad_camera(const Tensor<const float, -1, 4, 4>& poses, const Lenses& K) {
     for (size_t row = 0; row < poses.shape(0); ++row)
         if (!is_pose_by_fours(poses.data() + 16 * row) || !is_lens(K.data() + 9 * row)) return int64_t(row);
     return -1;
 }
 
-// The first part, row by row, whose model is none of so many or whose pose is not rigid; -1 where all are right.
+// The first part, in row-major order, whose model is neither -1 nor in [0, count) or whose pose is not rigid; -1 if all
+// are valid.
 int64_t first_bad_part(const Tensor<const int64_t, -1, -1>& models, const Poses& poses, int64_t count) {
     const size_t parts = models.shape(0) * models.shape(1);
     if (poses.shape(0) * poses.shape(1) != parts) throw std::invalid_argument("parts: expected a pose for each model");
@@ -81,8 +82,8 @@ int64_t first_bad_part(const Tensor<const int64_t, -1, -1>& models, const Poses&
     return -1;
 }
 
-// The pose of each row's camera in the frame of each of its parts, in double precision and rounded once, as
-// camera_to_models of renderers/parts.py.
+// The pose of each row's camera in the frame of each of its parts, computed in double precision and rounded once, like
+// camera_to_models in renderers/parts.py.
 void camera_to_models(const Tensor<const float, -1, 4, 4>& camera_to_world, const Poses& model_to_world,
                       const Tensor<float, -1, -1, 4, 4>& out) {
     const size_t rows = camera_to_world.shape(0), parts = model_to_world.shape(1);

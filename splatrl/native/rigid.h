@@ -1,4 +1,4 @@
-// Whether a row-major 4×4 matrix is a pose: finite, a rotation, rigid.
+// Whether a row-major 4×4 matrix is a rigid pose: a rotation and a finite translation.
 #pragma once
 
 #include "inline.h"
@@ -14,7 +14,8 @@ namespace splatrl {
 
 constexpr float ORTHONORMAL = 1e-3f;
 
-// The columns of the rotation are orthonormal: their squares, and the products of each with the next.
+// Checks that the columns of the rotation are orthonormal and right-handed, by their squared lengths, the dot product
+// of each with the next, and their determinant.
 SPLAT_INLINE bool is_pose(const float* matrix) {
     const float *x = matrix, *y = matrix + 4, *z = matrix + 8, *last = matrix + 12;
     float off[10], volume = 0.0f;
@@ -26,7 +27,7 @@ SPLAT_INLINE bool is_pose(const float* matrix) {
         volume += z[i] * (x[next] * y[after] - x[after] * y[next]);
     }
     off[9] = last[3] - 1.0f;
-    // NaN where the position is not finite
+    // The sum is NaN if the position is not finite.
     bool right = volume > 0.0f && 0.0f * x[3] + 0.0f * y[3] + 0.0f * z[3] == 0.0f;
     for (float value : off) right &= fabs(value) <= ORTHONORMAL;
     return right;
@@ -34,14 +35,14 @@ SPLAT_INLINE bool is_pose(const float* matrix) {
 
 #ifndef __CUDACC__
 
-// The same, but faster where registers hold four numbers.
 SPLAT_INLINE Quad next_of(const Quad& a) { return PICK(a, a, 1, 2, 0, 3); }        // y, z, x
 SPLAT_INLINE Quad after_next_of(const Quad& a) { return PICK(a, a, 2, 0, 1, 3); }  // z, x, y
 
+// The same as `is_pose`, but faster where registers hold four numbers.
 SPLAT_INLINE bool is_pose_by_fours(const float* matrix) {
     Quad rows[4];
     std::memcpy(rows, matrix, sizeof(rows));
-    // 0 in the fourth lane, or NaN where the position is not finite; then the position is dropped.
+    // The fourth lane is 0, or NaN if the position is not finite. After this the position is masked out.
     const Quad position = 0.0f * rows[0] + 0.0f * rows[1] + 0.0f * rows[2];
     const QuadIndex three = {-1, -1, -1, 0};
     const Quad x = (Quad)((QuadIndex)rows[0] & three), y = (Quad)((QuadIndex)rows[1] & three);

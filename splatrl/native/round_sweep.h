@@ -1,4 +1,4 @@
-// A sphere or a capsule, at rest or on a straight way, against voxels.
+// A sphere or a capsule, at rest or moving in a straight line, against voxels.
 #pragma once
 
 #include "collision_pose.h"
@@ -8,15 +8,15 @@
 namespace splatrl {
 inline namespace EACH_ISA {
 
-constexpr double PARALLEL = 1e-10;  // the sine, squared, below which two directions count as one
+constexpr double PARALLEL = 1e-10;  // the squared sine below which two directions count as parallel
 
-// What a cylinder's axis passes over on its way: bottom + s axis + t way for s and t in [0, 1].
+// The parallelogram that a cylinder's axis sweeps over: bottom + s axis + t way for s and t in [0, 1].
 struct Swept {
     Vec3 bottom, axis, way;
-    double along, across, turning;           // |axis|², |way|² and their product
-    double per_along, per_across, per_area;  // inverse, 0 where there is nothing to divide by
+    double along, across, turning;           // |axis|², |way|² and the dot product of axis and way
+    double per_along, per_across, per_area;  // inverses; 0 where the divisor would be 0
 
-    // The squared distance of a point: the best s for any t, the best t for it, and the best s for that.
+    // The squared distance from a point: find the best s over all t, the best t for that s, and the best s for that t.
     HOST_DEVICE double squared_distance(const Vec3& point) const {
         const Vec3 off = between(bottom, point);
         const double u = dot(off, axis), v = dot(off, way);
@@ -43,11 +43,11 @@ SPLAT_INLINE Swept swept_by(const Vec3& bottom, const Vec3& axis, const Vec3& wa
 }
 
 struct RoundSweep {
-    Swept swept;  // the cylinder is bottom to bottom + axis at the start
+    Swept swept;  // at the start, the cylinder reaches from bottom to bottom + axis
     double radius;
-    bool ball;  // the axis has length 0
-    // Of a capsule alone: a voxel touches where its middle is as near to what the axis passes over, and does not where
-    // it is as far.
+    bool ball;  // whether the axis has length 0
+    // Only for a capsule: a voxel surely touches if its centre is at most `near` from what the axis sweeps over, and
+    // surely does not if it is further away than `far`.
     double near, far;  // squared
 
     HOST_DEVICE double contact(const Column& column, bool any) const {
@@ -76,7 +76,7 @@ private:
 };
 
 SPLAT_INLINE RoundSweep round_sweep(const Shape& shape, const Pose& pose, const Vec3& way) {
-    constexpr double SURE = 1e-6;  // voxels: more than what searches for a contact are off
+    constexpr double SURE = 1e-6;  // voxels: more than the error of the searches for a contact
     const bool ball = shape.kind == Shape::SPHERE;
     Vec3 bottom = pose.position, axis{};
     for (int i = 0; i < 3; ++i) {

@@ -1,4 +1,4 @@
-// Numbers for rows of bytes that were met before.
+// An index that maps rows of bytes to numbers.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/vector.h>
@@ -16,9 +16,9 @@ namespace splatrl {
 
 namespace {
 
-using Columns = std::vector<std::array<uintptr_t, 3>>;  // address, bytes of a row, bytes from one row to the next
+using Columns = std::vector<std::array<uintptr_t, 3>>;  // address, bytes per row, stride between rows in bytes
 
-// The bytes of a row in all columns, one after the other, in `key`.
+// Concatenate a row's bytes from all columns into `key`.
 void read_row(const Columns& columns, size_t row, std::string& key) {
     key.clear();
     for (const auto& [address, bytes, stride] : columns)
@@ -27,8 +27,8 @@ void read_row(const Columns& columns, size_t row, std::string& key) {
 
 class RowIndex {
 public:
-    // Write the number of each row, or for one that was not met -1 - i, where i is the first alike in what it returns:
-    // the first of each of these, in their order.
+    // Write the number of each row. Returns the rows that have none, in order and without duplicates; each of them, and
+    // every later row with the same bytes, gets -1 - i, where i is its position in what is returned.
     std::vector<size_t> find(const Columns& columns, size_t count, uintptr_t out) const {
         auto* numbers = reinterpret_cast<int64_t*>(out);
         std::vector<size_t> first;
@@ -47,7 +47,7 @@ public:
         return first;
     }
 
-    // Give these rows, which were not met, the next numbers.
+    // Give these rows, which have no numbers yet, the next ones.
     void add(const Columns& columns, const std::vector<size_t>& rows) {
         std::string key;
         for (size_t row : rows) {

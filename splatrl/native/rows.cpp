@@ -1,4 +1,4 @@
-// Batches of which some rows are others.
+// Copies of batches in which some rows are replaced.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/vector.h>
@@ -16,14 +16,15 @@ namespace splatrl {
 
 namespace {
 
-// `tensors`: addresses of old, fresh and written values, and the bytes of all that are written.
+// `tensors` holds, for each tensor, the addresses of the old, the fresh and the written values, and the size of the
+// latter in bytes.
 void with_rows(const std::vector<std::array<uintptr_t, 4>>& tensors, uintptr_t rows, size_t some, size_t count) {
     const auto* places = reinterpret_cast<const int64_t*>(rows);
     for (size_t i = 0; i < some; ++i)
         if (places[i] < 0 || size_t(places[i]) >= count) throw std::invalid_argument("rows: expected those of the batch");
     for (const auto& [old, fresh, out, size] : tensors) {
         auto* written = reinterpret_cast<char*>(out);
-        const size_t bytes = size / count;  // of a row
+        const size_t bytes = size / count;  // per row
         std::memcpy(written, reinterpret_cast<const char*>(old), size);
         for (size_t i = 0; i < some; ++i)
             std::memcpy(written + size_t(places[i]) * bytes, reinterpret_cast<const char*>(fresh) + i * bytes, bytes);

@@ -1,5 +1,5 @@
-// The functions that splat.h needs, for one float; lanes.h has them for sixteen. On a GPU they are the hardware's own,
-// with errors of a few units in the last place.
+// The functions that splat.h needs, for one float; lanes.h has them for sixteen. On a GPU they are single instructions
+// of the hardware, with errors of a few units in the last place.
 #pragma once
 
 #include "inline.h"
@@ -12,7 +12,7 @@ namespace splatrl {
 
 SPLAT_INLINE float select_if_at_least(float tested, float bound, float value) { return tested >= bound ? value : 0.0f; }
 
-// Whether this count of members is that of a merged Gaussian.
+// Whether a Gaussian with this count of members is a merged one.
 SPLAT_INLINE bool stand_for_many(float members) { return members > 0.0f; }
 
 #ifdef __CUDA_ARCH__

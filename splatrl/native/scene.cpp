@@ -15,8 +15,8 @@ namespace {
 
 size_t groups_of(const Node& node) { return (node.count + GROUP - 1) / GROUP; }
 
-// Bounds of the Gaussians that [first, last) name, slightly loose so that rounding never cuts one off. `opacities` are
-// the most that they can have on an image.
+// Bounds of the Gaussians with the indices [first, last), slightly loose so that rounding never cuts one off.
+// `opacities` are the highest that they can reach in an image.
 Bounds bounds_of(const GaussianArrays& gaussians, const float* opacities, const uint32_t* first, const uint32_t* last) {
     Bounds bounds{};
     float low[3], high[3];
@@ -42,7 +42,7 @@ Bounds bounds_of(const GaussianArrays& gaussians, const float* opacities, const 
     return bounds;
 }
 
-// Bounds of everything within `a` and `b`.
+// Bounds that enclose both `a` and `b`.
 Bounds both(const Bounds& a, const Bounds& b) {
     float apart = 0.0f;
     for (int i = 0; i < 3; ++i) apart = std::hypot(apart, b.center[i] - a.center[i]);
@@ -67,7 +67,7 @@ Buffer<T> copied(const T* values, size_t count) {
     return buffer;
 }
 
-// The lower triangle L, row by row, for which L Lᵀ = A Aᵀ: the rows of A in the axes of Gram and Schmidt.
+// The lower triangle L, row by row, for which L Lᵀ = A Aᵀ: the rows of A expressed in their Gram-Schmidt basis.
 std::array<float, 6> triangle_of(const float* axes) {
     double rows[3][3];
     std::copy_n(axes, 9, rows[0]);
@@ -85,10 +85,10 @@ std::array<float, 6> triangle_of(const float* axes) {
     return out;
 }
 
-// Merged Gaussians in half floats, at most GROUP of them.
+// Convert merged Gaussians, at most GROUP of them, to half floats.
 MergedGroup in_halves(const Levels& levels, size_t first, size_t count) {
     MergedGroup out{};
-    std::fill_n(out.log2_opacity, GROUP, to_half(-LARGEST_HALF));  // padding never shows
+    std::fill_n(out.log2_opacity, GROUP, to_half(-LARGEST_HALF));  // padding is never visible
     std::vector<std::array<float, 6>> factors(count);
     float largest = 0.0f;
     for (int i = 0; i < 3; ++i) {
@@ -104,7 +104,7 @@ MergedGroup in_halves(const Levels& levels, size_t first, size_t count) {
         factors[k] = triangle_of(levels.axes.data() + 9 * (first + k));
         for (float value : factors[k]) largest = std::max(largest, std::fabs(value));
     }
-    constexpr int LEAST = -100, OF_HALVES = 15;  // powers of two: that of the largest half float is 15
+    constexpr int LEAST = -100, OF_HALVES = 15;  // exponents of two; that of the largest half float is 15
     out.scale = std::ldexp(1.0f, largest > 0.0f ? std::max(std::ilogb(largest) + 1 - OF_HALVES, LEAST) : 0);
     const auto scaled = [&out](float value) { return to_half(value / out.scale); };
     for (size_t k = 0; k < count; ++k) {
@@ -136,7 +136,7 @@ float reach_of(float opacity) {
     return std::sqrt(std::max(0.0f, log2_reach / HALF_LOG2_E));
 }
 
-// The root of the largest eigenvalue of Σ = A Aᵀ, in closed form (Smith 1961).
+// The square root of the largest eigenvalue of Σ = A Aᵀ, in closed form (Smith 1961).
 float longest_axis(const float* axes) {
     double m[3][3];
     for (int i = 0; i < 3; ++i)
@@ -198,8 +198,8 @@ Scene::Scene(const GaussianArrays& gaussians, const Levels& levels, std::array<f
     enclose_means();
 }
 
-// The nodes of merged Gaussians. Bounds are those of the numbers that are kept, and so far as rounding moves a mean, the
-// node is displaced more.
+// Add the nodes of merged Gaussians. Their bounds are those of the rounded values that are stored, and the distance by
+// which rounding moves a mean adds to the node's error.
 void Scene::add_merged(const Levels& levels, const GaussianArrays& gaussians, bool antialiased) {
     const size_t count = levels.opacities.size();
     std::vector<float> means(3 * count), axes(9 * count), most(count);
@@ -242,12 +242,12 @@ Scene::Scene(const SceneView& view, size_t groups)
     enclose_means();
 }
 
-// The geometry of a node of the scene's own Gaussians, in whole groups, behind what there is.
+// Append the geometry of a node of the scene's own Gaussians, padded to whole groups.
 void Scene::pack(const GaussianArrays& gaussians, const uint32_t* order, const Node& node) {
     for (size_t i = 0; i < groups_of(node) * GROUP; ++i) {
         const size_t slot = groups_ * GROUP + i;
         float* geometry = geometry_.get() + slot / GROUP * GEOMETRY * GROUP + slot % GROUP;
-        geometry[LOG2_OPACITY * GROUP] = NEVER_SHOWS;  // padding of the last group
+        geometry[LOG2_OPACITY * GROUP] = NEVER_SHOWS;  // for the padding of the last group
         if (i >= node.count) continue;
         const size_t source = order[node.first + i];
         for (int k = 0; k < 3; ++k) geometry[(MEAN + k) * GROUP] = gaussians.means[3 * source + k];
@@ -258,8 +258,8 @@ void Scene::pack(const GaussianArrays& gaussians, const uint32_t* order, const N
     }
 }
 
-// All else of a node, whose geometry is that of the groups behind what there is. `opacities` are the most that its
-// Gaussians can have on an image.
+// Append everything of a node but its geometry, which the groups from `groups_` on already hold. `opacities` are the
+// highest that its Gaussians can reach in an image.
 void Scene::add(const GaussianArrays& gaussians, const float* opacities, const uint32_t* order, uint32_t first_index,
                 const Node& node, size_t index) {
     poll();
@@ -286,7 +286,7 @@ void Scene::add(const GaussianArrays& gaussians, const float* opacities, const u
     groups_ += cluster.groups;
 }
 
-// Let inner nodes bound all below them.
+// Extend the bounds of inner nodes to everything below them.
 void Scene::enclose(const std::vector<Node>& nodes) {
     for (size_t i = clusters_.size(); i-- > 0;) {
         if (nodes[i].leaf) continue;
@@ -297,7 +297,7 @@ void Scene::enclose(const std::vector<Node>& nodes) {
     }
 }
 
-// The boxes around what each node shows.
+// Compute the box around the means that each node shows.
 void Scene::enclose_means() {
     boxes_.resize(clusters_.size());
     const SceneView scene = view(0.0f);

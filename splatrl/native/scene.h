@@ -12,24 +12,24 @@
 
 namespace splatrl {
 
-// The tolerance to keep to: classic images enlarge every small Gaussian to a pixel, where merging it shows.
+// The tolerance to apply: classic images enlarge every small Gaussian to a pixel, which makes merging more visible.
 inline float held_tolerance(float tolerance, bool antialiased) { return antialiased ? tolerance : tolerance / 4.0f; }
 
-// The most opacity that a merged Gaussian can have on an image. In classic ones each of its members is dilated, so that
-// together they may cover more than their area.
+// The highest opacity that a merged Gaussian can reach in an image. In classic images each of its members is dilated,
+// so that together they may cover more than their area.
 inline float most_opacity(float opacity, float sum, bool antialiased) { return antialiased ? opacity : opacity + sum; }
 
-// The most standard deviations at which a Gaussian of this opacity shows.
+// The largest distance, in standard deviations, at which a Gaussian of this opacity is visible.
 float reach_of(float opacity);
 
-// The longest axis of a Gaussian, one standard deviation, from a factor A of its covariance (row-major 3×3); slightly
-// more, so that rounding never makes it shorter.
+// The longest axis of a Gaussian (one standard deviation), from a factor A of its covariance (row-major 3×3); slightly
+// enlarged, so that rounding never makes it too short.
 float longest_axis(const float* axes);
 
-// The logarithm of the opacity of what pads a group, or is transparent.
+// log2 of the opacity of slots that pad a group, and of transparent Gaussians.
 constexpr float NEVER_SHOWS = std::numeric_limits<float>::lowest();
 
-// The numbers of a Gaussian in memory.
+// The values of one Gaussian as they are stored.
 struct Stored {
     float mean[3], factor[6], log2_opacity;
     float members, sum;  // 0 for one of the scene's own
@@ -37,7 +37,7 @@ struct Stored {
 
 Stored stored(const SceneView& scene, size_t group, size_t lane);
 
-// Write a factor, whose upper triangle is left out, as a matrix (row-major 3×3); what is above stays.
+// Write a factor without its upper triangle into a matrix (row-major 3×3), whose upper triangle is left as it is.
 inline void copy_factor(const float (&factor)[6], float* axes) {
     for (int row = 0, i = 0; row < 3; ++row)
         for (int column = 0; column <= row; ++column, ++i) axes[3 * row + column] = factor[i];
@@ -45,9 +45,9 @@ inline void copy_factor(const float (&factor)[6], float* axes) {
 
 class Scene {
 public:
-    // The colours are kept relative to the background.
+    // Colours are stored relative to the background.
     Scene(const GaussianArrays& gaussians, const Levels& levels, std::array<float, 3> background, bool antialiased);
-    // A copy of a scene with so many groups.
+    // A copy of a scene that has this many groups.
     Scene(const SceneView& view, size_t groups);
 
     SceneView view(float tolerance) const;

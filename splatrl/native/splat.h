@@ -1,9 +1,9 @@
 // The mathematics of a splat, for one number or a vector of them, on any processor.
 //
-// `F` is a number type: float, or Lanes of sixteen floats. Overloads of reciprocal, reciprocal_sqrt, log2, exp2,
-// exp2_if_at_least, min and max for it are found where a template is used. The formulas are those of
-// renderers/reference.py, with one change for precision: covariances are kept as factors A (Σ = A Aᵀ), from which
-// determinants come without cancellation.
+// `F` is a number type: float, or Lanes of sixteen floats. Its overloads of reciprocal, reciprocal_sqrt, log2, exp2,
+// exp2_if_at_least, min and max are found where a template is instantiated. The formulas are those of
+// renderers/reference.py, with one change for precision: covariances are kept as factors A (Σ = A Aᵀ), which give
+// determinants without cancellation.
 #pragma once
 
 #include "camera.h"
@@ -18,31 +18,31 @@ constexpr float MAX_ALPHA = 0.999f;
 constexpr float LOG2_BELOW_PEAK = -0.0016f;   // opacities up to here stay below MAX_ALPHA, however they are rounded
 constexpr float MIN_TRANSMITTANCE = 1e-4f;
 constexpr float LOG2_GREY_LEVEL = -7.99435344f;             // log2(1 / 255)
-constexpr float LOG2_INVISIBLE_ANTIALIASED = -9.99435344f;  // a quarter of it: far surfaces are many faint Gaussians
+constexpr float LOG2_INVISIBLE_ANTIALIASED = -9.99435344f;  // a quarter: distant surfaces are many faint Gaussians
 constexpr float HALF_LOG2_E = 0.72134752f, ROOT_HALF_LOG2_E = 0.84932180f;
 constexpr float SH_C0 = 0.28209479177387814f;
 
-// A Gaussian on the image: alpha(p) = min(peak, 2^(log2_opacity - u² - v²)), u = l11 dx + l12 dy, v = l22 dy, (dx, dy)
-// = p - mean.
+// A Gaussian on the image: alpha(p) = min(peak, 2^(log2_opacity - u² - v²)), where u = l11 dx + l12 dy, v = l22 dy and
+// (dx, dy) = p - mean.
 template <class F>
 struct Footprint {
     F x, y, depth;        // pixels, pixels, metres
     F l11, l12, l22;      // 1 / pixels
     F log2_opacity, peak;
-    F extent_x, extent_y; // half the box in which it can show, pixels
+    F extent_x, extent_y; // half the size of the box in which it can be visible, pixels
 };
 
-// The transmittance at which a pixel is finished. In exact images a splat whose blending would lead there is left out,
-// as in gsplat. Where what is shown may be displaced by a pixel, a quarter of a grey level may be missing from behind,
-// and the last splat is blended.
+// The transmittance at which a pixel is finished. In exact images the splat that would bring it down to that is left
+// out, as in gsplat. If what is shown may be displaced by a pixel, a quarter of a grey level may be missing from
+// behind, and the last splat is blended.
 SPLAT_INLINE float finished_at(float tolerance) {
     constexpr float PER_PIXEL = 1e-3f, MOST = 1e-3f;
     return max(MIN_TRANSMITTANCE, min(PER_PIXEL * tolerance, MOST));
 }
 
-// The opacity below which a splat does not show at a pixel, as a logarithm to base 2: a grey level in classic images
-// and a quarter of it in antialiased ones. Where what is shown may be displaced by half a pixel, a level of its rim may
-// be missing: what is far and faint has been merged, and of a splat's neighbours each covers the rim of the other.
+// log2 of the opacity below which a splat is invisible at a pixel: a grey level in classic images, a quarter of it in
+// antialiased ones. If what is shown may be displaced by half a pixel, a full level may be missing at a splat's rim:
+// what is distant and faint has been merged, and neighbouring splats cover each other's rims.
 SPLAT_INLINE float log2_invisible_at(float tolerance, bool antialiased) {
     constexpr float LEVELS_PER_PIXEL = 2.0f, MOST_LEVELS = 1.0f, LEAST_LEVELS = 0.25f;
     if (!antialiased) return LOG2_GREY_LEVEL;
@@ -50,8 +50,8 @@ SPLAT_INLINE float log2_invisible_at(float tolerance, bool antialiased) {
     return levels > LEAST_LEVELS ? LOG2_GREY_LEVEL + log2(levels) : LOG2_INVISIBLE_ANTIALIASED;
 }
 
-// Whether the order of Gaussians is that of their depths in double precision, and ties are broken. What may be displaced
-// by pixels may be drawn in the order in which it lies in the tree, if its depths hardly differ.
+// Whether Gaussians are ordered by their depths in double precision, and ties are broken. What may be displaced by
+// pixels may be drawn in the order of the tree where depths hardly differ.
 SPLAT_INLINE bool ranked_at(float tolerance) {
     constexpr float LEAST = 1.0f / 64.0f;
     return tolerance < LEAST;
@@ -68,17 +68,17 @@ SPLAT_INLINE Vector<F> rotate(const float* rotation, F x, F y, F z) {
             x * rotation[6] + y * rotation[7] + z * rotation[8]};
 }
 
-// What a merged Gaussian stands for: this many Gaussians of equal mass, whose opacities have this sum. No members
-// means one of the scene's own.
+// What a merged Gaussian stands for: `members` Gaussians of equal mass, whose opacities add up to `sum`. Zero members
+// mark one of the scene's own.
 template <class F>
 struct Merging {
     F members, sum;
 };
 
-// The opacity of n Gaussians that lie within one, each with x / n of its mass, is 1 - (1 - x g / n)^n where its
-// fall-off is g: a peak and a fall-off with a flat top. min(peak, 2^log2_opacity g) has the same peak and nearly the
-// same integral, which is peak (1 + ln(2^log2_opacity / peak)). The ratio in the logarithm is a fit for many members,
-// extended to few by y: for few that cover each other it falls short, and it never adds opacity.
+// n Gaussians that lie within one, each with x / n of its mass, have the opacity 1 - (1 - x g / n)^n where its fall-off
+// is g: a fall-off with a flat top, below a peak. min(peak, 2^log2_opacity g) has the same peak and nearly the same
+// integral, which is peak (1 + ln(2^log2_opacity / peak)). The ratio in the logarithm is a fit for many members,
+// extended to few members by y: it is too low for few members that cover each other, and it never adds opacity.
 template <class F>
 SPLAT_INLINE void merge_opacities(F x, F members, F& log2_opacity, F& peak) {
     const F share = reciprocal(members);
@@ -89,7 +89,7 @@ SPLAT_INLINE void merge_opacities(F x, F members, F& log2_opacity, F& peak) {
     log2_opacity = log2(max(opacity * ratio, 1e-12f));
 }
 
-// A Gaussian on the image plane, before dilation.
+// A Gaussian projected onto the image plane, before dilation.
 template <class F>
 struct Flat {
     F x, y, depth;  // pixels, pixels, metres
@@ -97,7 +97,7 @@ struct Flat {
     F determinant;
 };
 
-// A row of J · rotation: how a coordinate of the image changes with the place in the world, where it has this slope.
+// A row of J · rotation: the derivative of an image coordinate by the position in the world, given x / z or y / z.
 template <class F>
 SPLAT_INLINE Vector<F> slope_of(const Camera& camera, int row, F scale, F slope) {
     const float *along = camera.rotation + 3 * row, *forward = camera.rotation + 6;
@@ -105,20 +105,21 @@ SPLAT_INLINE Vector<F> slope_of(const Camera& camera, int row, F scale, F slope)
             scale * (along[2] - slope * forward[2])};
 }
 
-// The row v · A for a factor A of a covariance, row-major; and for one whose upper triangle is zero and left out.
+// The row v · A for a factor A of a covariance, row-major.
 template <class F>
 SPLAT_INLINE Vector<F> times(Vector<F> v, const F (&a)[9]) {
     return {v.x * a[0] + v.y * a[3] + v.z * a[6], v.x * a[1] + v.y * a[4] + v.z * a[7],
             v.x * a[2] + v.y * a[5] + v.z * a[8]};
 }
 
+// The row v · A for a factor A whose upper triangle is zero and left out.
 template <class F>
 SPLAT_INLINE Vector<F> times(Vector<F> v, const F (&a)[6]) {
     return {v.x * a[0] + v.y * a[1] + v.z * a[3], v.y * a[2] + v.z * a[4], v.z * a[5]};
 }
 
-// Flatten a Gaussian whose mean is `offset` from the camera (world axes) and whose covariance has the factor `axes`.
-// Meaningful where depth >= NEAR_DEPTH. EWA: eq. 29 to 31 of Zwicker et al. 2001.
+// Flatten a Gaussian whose mean is at `offset` from the camera (world axes) and whose covariance has the factor `axes`.
+// Meaningful only where depth >= NEAR_DEPTH. EWA: eq. 29 to 31 of Zwicker et al. 2001.
 template <class F, int NUMBERS>
 SPLAT_INLINE Flat<F> flatten(const Camera& camera, Vector<F> offset, const F (&axes)[NUMBERS]) {
     const Vector<F> mean = rotate(camera.rotation, offset.x, offset.y, offset.z);
@@ -145,7 +146,7 @@ SPLAT_INLINE Flat<F> flatten(const Camera& camera, Vector<F> offset, const F (&a
     return out;
 }
 
-// The footprint of a flattened Gaussian, which shows where it is no fainter than `log2_invisible`.
+// The footprint of a flattened Gaussian, which is visible where it is no fainter than `log2_invisible`.
 template <bool ANTIALIASED, bool MERGED, class F>
 SPLAT_INLINE Footprint<F> dilate(const Flat<F>& flat, F log2_opacity, Merging<F> merging, float log2_invisible) {
     const F determinant = flat.determinant + (flat.xx + flat.yy) * DILATION + DILATION * DILATION;
@@ -162,19 +163,19 @@ SPLAT_INLINE Footprint<F> dilate(const Flat<F>& flat, F log2_opacity, Merging<F>
         out.log2_opacity = log2_opacity + 0.5f * log2(max(flat.determinant * (inverse_root * inverse_root), 1e-30f));
     if (MERGED && stand_for_many(merging.members)) {
         F mass = exp2(max(out.log2_opacity, -60.0f));
-        if (!ANTIALIASED) {  // each member was dilated
+        if (!ANTIALIASED) {  // each member is dilated
             const F bare = max(flat.determinant, 1e-20f);
             mass = (mass * (bare * reciprocal_sqrt(bare)) + DILATION * merging.sum) * inverse_root;
         }
         merge_opacities(mass, merging.members, out.log2_opacity, out.peak);
     }
-    // The Cholesky factor of the inverse covariance: no cancellation, however thin the needle.
+    // The Cholesky factor of the inverse covariance, free of cancellation however thin the ellipse.
     const F root_xx = xx * reciprocal_sqrt(xx), inverse_root_yy = reciprocal_sqrt(yy), root_yy = yy * inverse_root_yy;
     const F l11 = ROOT_HALF_LOG2_E * (root_yy * inverse_root);
     out.l11 = l11;
     out.l12 = -(l11 * (flat.xy * (inverse_root_yy * inverse_root_yy)));
     out.l22 = ROOT_HALF_LOG2_E * inverse_root_yy;
-    // alpha is invisible where (u² + v²) = log2_opacity - log2_invisible; the box of that ellipse, slightly wider.
+    // alpha becomes invisible at u² + v² = log2_opacity - log2_invisible. This is that ellipse's box, slightly wider.
     const F squared_reach = max(out.log2_opacity - log2_invisible, 1e-30f) * (1.0002f / HALF_LOG2_E);
     const F reach = squared_reach * reciprocal_sqrt(squared_reach);
     out.extent_x = reach * root_xx;
@@ -189,8 +190,8 @@ SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const 
     return dilate<ANTIALIASED, MERGED>(flatten(camera, offset, axes), log2_opacity, merging, log2_invisible);
 }
 
-// The (degree + 1)² basis functions along a unit direction, as in spherical_harmonics.py. A colour is their product
-// with the coefficients + 0.5, clamped at 0 from below.
+// The (degree + 1)² basis functions along a unit direction, as in spherical_harmonics.py. A colour is their dot product
+// with the coefficients, plus 0.5, clamped at 0 from below.
 template <class F>
 SPLAT_INLINE void sh_basis(int degree, F x, F y, F z, F* basis) {
     basis[0] = x * 0.0f + SH_C0;
@@ -215,7 +216,7 @@ SPLAT_INLINE void sh_basis(int degree, F x, F y, F z, F* basis) {
     basis[15] = -0.5900435899266435f * (x * (xx - 3.0f * yy));
 }
 
-// The slopes [3] by x, y and z of the sum of weights [(degree + 1)²] times the basis functions.
+// The gradient [3] by x, y and z of the dot product of weights [(degree + 1)²] with the basis functions.
 template <class F>
 SPLAT_INLINE void sh_slopes(int degree, F x, F y, F z, const F* weights, F* out) {
     out[0] = out[1] = out[2] = x * 0.0f;
@@ -242,8 +243,7 @@ SPLAT_INLINE void sh_slopes(int degree, F x, F y, F z, const F* weights, F* out)
              1.1195289977703462f * (w[12] * (2.0f * zz - xx - yy)) + 1.445305721320277f * (w[14] * (xx - yy));
 }
 
-// The opacity of a splat where u and v are known, 0 where it is invisible. Not PEAKED where that cannot exceed the peak
-// anyway.
+// The opacity of a splat given u and v, 0 where it is invisible. PEAKED is false if it cannot exceed the peak anyway.
 template <bool PEAKED = true, class F>
 SPLAT_INLINE F alpha_of(F u, F v, float log2_opacity, float peak, float log2_invisible) {
     const F exponent = log2_opacity - u * u - v * v;

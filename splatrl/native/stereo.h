@@ -1,4 +1,4 @@
-// Depth of the pixels of photos by plane sweep (Collins 1996), smoothed along paths (Hirschmüller 2008).
+// Depth maps of photos by plane sweep (Collins 1996), smoothed along paths (Hirschmüller 2008).
 #pragma once
 
 #include <cstddef>
@@ -8,8 +8,8 @@
 
 namespace splatrl {
 
-constexpr int STEREO_RADIUS = 2;  // of the window that is compared, 5×5 pixels
-constexpr int STEREO_BEST = 3;    // of the neighbours, those that agree best count: others may see something in front
+constexpr int STEREO_RADIUS = 2;  // of the windows that are compared, 5×5 pixels
+constexpr int STEREO_BEST = 3;    // best-matching neighbours that count; in others the point may be occluded
 
 struct StereoPhotos {
     const float* grey;              // [photos, height, width]
@@ -20,18 +20,19 @@ struct StereoPhotos {
     size_t area() const { return size_t(width) * size_t(height); }
 };
 
-// One photo and what it is compared with.
+// One photo and the neighbours that it is compared with.
 struct StereoTask {
     size_t photo;
-    const int64_t* neighbours;  // [neighbour_count], photos
+    const int64_t* neighbours;  // [neighbour_count] indices of photos
     size_t neighbour_count;
     float low, high;            // range of inverse depths
-    int depths;                 // how many there are from low to high, a multiple of sixteen
-    const float* soundings;     // [sounding_count, 3]: column, row, inverse depth of places that are known
+    int depths;                 // number of levels from low to high, a multiple of sixteen
+    const float* soundings;     // [sounding_count, 3]: column, row and inverse depth of points whose depth is known
     size_t sounding_count;
 };
 
-// What matching keeps for each pixel: the photo's own windows, a neighbour's view, sums, and lines in between.
+// Planes that matching keeps per pixel: statistics of the photo's own windows, the warped neighbour, window sums, the
+// intermediate rows of those sums, and one over the number of pixels in each window.
 enum StereoPlane {
     OWN_MEAN, OWN_VARIANCE, WARPED, OUTSIDE, SUM, SUM_OF_SQUARES, SUM_OF_PRODUCTS, LINE, SQUARES, PRODUCTS, SHARE,
     STEREO_PLANES
@@ -45,10 +46,10 @@ struct StereoScratch {
 };
 
 struct StereoKernels {
-    // Inverse depths [height, width] of a photo.
+    // Estimate the inverse depths [height, width] of a photo.
     void (*sweep)(const StereoPhotos&, const StereoTask&, const StereoScratch&, float* out);
-    // From inverse depths [photos, height, width] the mean of each with those of the neighbours that agree to within a
-    // share, or 0 where fewer than `least` do.
+    // Given inverse depths [photos, height, width], average each of the photo's own with those of the neighbours that
+    // agree within a relative tolerance; 0 where fewer than `least` do.
     void (*agree)(const StereoPhotos&, const StereoTask&, const float* inverse, float tolerance, int least, float* out);
 };
 

@@ -27,7 +27,7 @@ StereoPhotos photos_of(const Images& grey, const Poses& poses, const Tensor<cons
     return {grey.data(), poses.data(), K.data(), int(grey.shape(2)), int(grey.shape(1))};
 }
 
-// A photo and its neighbours, which end at the first -1.
+// The task of one photo, whose list of neighbours ends at the first -1.
 StereoTask task_of(const Rows& rows, const Neighbours& neighbours, size_t item, size_t photos) {
     StereoTask task{};
     if (neighbours.shape(0) != rows.shape(0)) throw std::invalid_argument("neighbours: expected a line for each row");

@@ -1,4 +1,5 @@
-// Work spread over threads that live as long as the call: safe to fork between calls, nothing to shut down.
+// Parallel loops on threads that live only as long as the call: it is safe to fork between calls, and there is nothing
+// to shut down.
 #pragma once
 
 #include <atomic>
@@ -9,7 +10,8 @@
 
 namespace splatrl {
 
-// Asked now and then by the thread that called, during long work; it may throw to end it. interpreter.cpp sets it.
+// A callback that the calling thread invokes now and then during long work, and that may throw to end it. Set by
+// interpreter.cpp.
 inline void (*on_poll)() = nullptr;
 
 inline void poll() {
@@ -23,8 +25,8 @@ struct Joined {
     }
 };
 
-// Call work(worker, item) for every item in [0, count), from at most `threads` workers numbered from 0; from fewer where
-// the system has no more threads. The first exception that a worker throws is rethrown here.
+// Call work(worker, item) for every item in [0, count), on at most `threads` workers numbered from 0, or fewer if the
+// system cannot start as many. The first exception that a worker throws is rethrown here.
 template <class Work>
 void parallel_for(size_t count, size_t threads, Work&& work) {
     std::atomic<size_t> next{0};
@@ -46,7 +48,7 @@ void parallel_for(size_t count, size_t threads, Work&& work) {
         Joined others;
         try {
             for (size_t worker = 1; worker < threads && worker < count; ++worker) others.threads.emplace_back(run, worker);
-        } catch (const std::exception&) {  // no more threads or memory: those that run take all items
+        } catch (const std::exception&) {  // out of threads or memory: the running workers take all items
         }
         run(0);
     }

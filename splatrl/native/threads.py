@@ -1,16 +1,18 @@
-"""How many threads the C++ core may use."""
+"""The number of threads that the C++ core may use."""
 
 import os
 
 CORES = "SPLATRL_CORES"
-"""Environment variable: how many cores a process and those it starts may use, at most."""
+"""Environment variable: the most cores that a process and its subprocesses may use."""
 
 
 def usable_cores() -> int:
-    """Cores that this process may use: its affinity mask where the system has one, at most ``SPLATRL_CORES``.
+    """Return the number of cores that this process may use: those of its affinity mask, at most ``SPLATRL_CORES``.
+
+    Where the system has no affinity masks, all cores count.
 
     Raises:
-        ValueError: for an environment variable that is no whole number of at least 1.
+        ValueError: if the environment variable is not a whole number of at least 1.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     most = os.environ.get(CORES, str(cores))
@@ -20,10 +22,10 @@ def usable_cores() -> int:
 
 
 def threads_of(asked: int | None) -> int:
-    """How many threads to use: as many as asked, but no more than there are cores, since each has its own memory.
+    """Return the number of threads to use: as many as asked for, but at most one per core, as each has its own memory.
 
     Args:
-        asked: how many; None for all cores.
+        asked: the requested number of threads; None for all cores.
 
     Raises:
         ValueError: for anything but None or a whole number of at least 1.

@@ -8,15 +8,15 @@
 namespace splatrl {
 
 constexpr int TRUNK_LANES = 16;  // the channels of the convolutions are multiples of it
-constexpr int TRUNK_CHUNK = 16;  // images that a worker takes at once; sums over images are made of those of chunks
+constexpr int TRUNK_CHUNK = 16;  // images per work item; sums over images are sums of those of the chunks
 
-// A convolution without padding over images [height, width, in], to [tall, wide, out].
+// A convolution without padding, from images [height, width, in] to [tall, wide, out].
 struct Convolution {
     int height, width, in, out, side, stride;
 
     int tall() const { return (height - side) / stride + 1; }
     int wide() const { return (width - side) / stride + 1; }
-    int run() const { return side * in; }  // a window's numbers in one row of the image, which are contiguous
+    int run() const { return side * in; }  // numbers of a window in one row of the image, which are contiguous
     size_t read() const { return size_t(height) * size_t(width) * size_t(in); }
     size_t written() const { return size_t(tall()) * size_t(wide()) * size_t(out); }
     size_t weights() const { return size_t(side) * size_t(run()) * size_t(out); }
@@ -29,7 +29,7 @@ struct TrunkShape {
     size_t flat() const { return second.written(); }
 };
 
-// Weights as PyTorch has them: [out, in, side, side] of convolutions, [features, flat] of the dense layer.
+// Weights in PyTorch's layout: [out, in, side, side] of convolutions, [features, flat] of the dense layer.
 struct TrunkWeights {
     const float *first, *first_bias, *second, *second_bias, *dense, *dense_bias;
 };
@@ -38,26 +38,26 @@ struct TrunkGradients {
     float *first, *first_bias, *second, *second_bias, *dense, *dense_bias;
 };
 
-// What the layers give, after their ReLUs: [count, tall, wide, out] of convolutions, [count, features].
+// Outputs of the layers, after their ReLUs: [count, tall, wide, out] of convolutions, [count, features] of the last.
 struct TrunkLayers {
     float *first, *second, *hidden;
 };
 
-// Weights of a convolution in the order in which the kernels read them: [side, run, out] forwards, and backwards
-// [side, out, run].
+// Weights of the convolutions in the order in which the kernels read them: [side, run, out] for the forward pass, and
+// [side, out, run] for the backward pass.
 struct PackedTrunk {
     float *first, *second, *second_back;
 };
 
 struct TrunkKernels {
-    // Layers of images [count, height, width, in].
+    // Compute the outputs of all layers for images [count, height, width, in].
     void (*forward)(const TrunkShape&, const PackedTrunk&, const TrunkWeights&, const float* images, size_t count,
                     const TrunkLayers&);
-    // Add to the gradients of the convolutions, [side, run, out], what images give; `slope` [count, features] is that
-    // of the dense layer before its ReLU, and `scratch` holds [count · flat + first.written()].
+    // Add the images' contribution to the gradients of the convolutions, [side, run, out]. `slope` [count, features] is
+    // the gradient of the dense layer before its ReLU, and `scratch` has room for [count · flat + first.written()].
     void (*backward)(const TrunkShape&, const PackedTrunk&, const TrunkWeights&, const float* images, size_t count,
                      const TrunkLayers&, const float* slope, const TrunkGradients&, float* scratch);
-    // Gradient of the dense layer's weights at numbers [begin, end) of what it reads, multiples of sixteen.
+    // Compute the gradient of the dense layer's weights for its inputs [begin, end), both multiples of sixteen.
     void (*dense_gradient)(const TrunkShape&, const float* read, const float* slope, size_t count, size_t begin,
                            size_t end, float* out);
 };

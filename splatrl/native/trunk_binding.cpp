@@ -18,7 +18,7 @@ namespace splatrl {
 
 namespace {
 
-constexpr size_t DENSE_CHUNK = 16 * TRUNK_LANES;  // numbers whose weights' gradients a worker computes at once
+constexpr size_t DENSE_CHUNK = 16 * TRUNK_LANES;  // dense-layer inputs per work item of the weight gradient
 
 using Addresses = std::array<uintptr_t, 6>;
 using LayerAddresses = std::array<uintptr_t, 3>;
@@ -36,7 +36,7 @@ TrunkLayers from(const TrunkShape& shape, const TrunkLayers& layers, size_t imag
 
 class Trunk {
 public:
-    // Height, width and channels of the image; channels of the two convolutions; features.
+    // numbers: height, width and channels of the image; channels of the two convolutions; features.
     explicit Trunk(const std::array<int, 6>& numbers) {
         const auto [height, width, depth, first, second, features] = numbers;
         if (height < 8 || width < 8 || height > 4096 || width > 4096)
@@ -73,9 +73,9 @@ public:
         const Release release;
         const Packed packed(shape_, w);
         const size_t features = size_t(shape_.features), flat = shape_.flat();
-        const size_t parts = std::max(chunks(count), size_t(1));  // without images gradients are zero
+        const size_t parts = std::max(chunks(count), size_t(1));  // with no images, the gradients are zero
         const size_t dense_parts = (flat + DENSE_CHUNK - 1) / DENSE_CHUNK;
-        const Buffer<float> slope = make_buffer<float>(count * features);  // before the last ReLU
+        const Buffer<float> slope = make_buffer<float>(count * features);  // gradient before the last ReLU
         for (size_t i = 0; i < count * features; ++i) slope[i] = all.hidden[i] > 0.0f ? at(slopes)[i] : 0.0f;
         const size_t each = gradient_count();
         const Buffer<float> sums = make_buffer<float>(parts * each);
@@ -115,7 +115,7 @@ private:
         return shape_.first.weights() + shape_.second.weights() + size_t(shape_.first.out) + size_t(shape_.second.out);
     }
 
-    // Those of the convolutions, one after the other.
+    // The gradients of the convolutions, laid out one after another from `place` on.
     TrunkGradients gradients_at(float* place) const {
         TrunkGradients out{};
         out.first = place;
@@ -125,7 +125,8 @@ private:
         return out;
     }
 
-    // Call visit(place in [out, in, side, side], row, number in the run, output) for all weights of a convolution.
+    // Call visit(place, row, k, output) for all weights of a convolution: `place` is the index in [out, in, side,
+    // side], `row` the row of the window, and `k` the index in that row, [side, in].
     template <class Visit>
     static void each_weight(const Convolution& c, Visit&& visit) {
         size_t place = 0;

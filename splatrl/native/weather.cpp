@@ -1,4 +1,4 @@
-// Images in weather and light: what transforms/weather_images.py does with PyTorch, in one pass over each image.
+// Weather and light on images: the CPU version of envs/transforms/weather_images.py, in one pass over each image.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
@@ -25,28 +25,29 @@ using Colors = Tensor<const float, -1, 3>;
 using Maps = Tensor<const float, -1, -1, -1>;
 using Map = Tensor<const float, -1, -1>;
 using Numbers = Tensor<const float, -1>;
-// Rain and snow: cover and rank [K, T, U] and distance [K] of the layers, then of each image strength, wind, whether it
-// snows, where each of its layers begins [B, K / 2, 2], and colour.
+// Rain and snow. Per layer: cover and rank [K, T, U], and distance [K]. Per image: strength, wind, whether it snows,
+// where each of its layers begins on the pattern [B, K / 2, 2], and colour.
 using Falling = std::tuple<Maps, Maps, Numbers, Numbers, Numbers, Tensor<const bool, -1>,
                            Tensor<const float, -1, -1, 2>, Colors>;
-// Drops: shift [T, U, 2], cover, rank and shine [T, U], then of each image wetness, and where it is on the lens [B, 2].
+// Drops on the lens. Of the pattern: shift [T, U, 2], and cover, rank and shine [T, U]. Per image: wetness, and where
+// the lens begins on the pattern [B, 2].
 using Lens = std::tuple<Tensor<const int64_t, -1, -1, 2>, Map, Map, Map, Numbers, Tensor<const float, -1, 2>>;
 
 struct Image {
     size_t number, height, width;
-    const float* far;  // null where it is not known
+    const float* far;  // depth of each pixel, metres; null if unknown
 };
 
-// A number without what is behind its point; 0 where it is too large, or none.
+// Truncate a number to an integer; 0 if it is too large or NaN.
 int64_t whole(float value) { return std::fabs(value) < 1e9f ? int64_t(value) : 0; }
 
-// A number in [0, count), so many times around.
+// Wrap a number into [0, count).
 size_t around(int64_t value, size_t count) {
     const int64_t rest = value % int64_t(count);
     return size_t(rest < 0 ? rest + int64_t(count) : rest);
 }
 
-// Multiply what shows through by what the layers of an image let through; returns whether anything falls.
+// Write into `clear` the fraction of each pixel that rain or snow leaves uncovered. Returns false if nothing falls.
 bool fall(const Falling& falling, const Image& image, float* clear) {
     const auto& [cover, rank, distance, strength, wind, snows, begin, color] = falling;
     const size_t tall = cover.shape(1), wide = cover.shape(2), layers = cover.shape(0) / 2;
@@ -63,7 +64,7 @@ bool fall(const Falling& falling, const Image& image, float* clear) {
             size_t texel = around(first_column - whole(std::nearbyint(lean * float(y))), wide);
             float* through = clear + y * image.width;
             for (size_t x = 0; x < image.width;) {
-                const size_t some = std::min(image.width - x, wide - texel);  // up to where the picture begins anew
+                const size_t some = std::min(image.width - x, wide - texel);  // up to where the pattern repeats
                 const float *covers = cover.data() + line + texel, *ranks = rank.data() + line + texel;
                 const float* far = image.far == nullptr ? nullptr : image.far + y * image.width + x;
                 for (size_t i = 0; i < some; ++i) {
@@ -78,7 +79,7 @@ bool fall(const Falling& falling, const Image& image, float* clear) {
     return true;
 }
 
-// An image through drops: `colors` -> `out`.
+// Draw an image as seen through drops on the lens: `colors` -> `out`.
 void through_drops(const Lens& lens, const Image& image, const float* colors, float* out) {
     const auto& [shift, cover, rank, shine, wet, begin] = lens;
     const size_t tall = cover.shape(0), wide = cover.shape(1);
@@ -149,7 +150,7 @@ void put_into_weather(const Tensor<const uint8_t, -1, -1, -1, 3>& pixels, const 
         }
         uint8_t* written = out.data() + 3 * number * area;
         for (size_t i = 0; i < 3 * area; ++i)
-            written[i] = uint8_t(std::min(std::max(0.0f, 255.0f * colors[i] + 0.5f), 255.0f));  // 0 for what is no number
+            written[i] = uint8_t(std::min(std::max(0.0f, 255.0f * colors[i] + 0.5f), 255.0f));  // NaN becomes 0
     });
 }
 

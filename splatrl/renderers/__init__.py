@@ -1,4 +1,4 @@
-"""Renderers: from cameras to images of a scene, or of several placed models."""
+"""Renderers, which turn cameras into images of a scene or of several placed models."""
 
 from splatrl.renderers.base import Renderer, RenderOutput
 from splatrl.renderers.blocks import BlockRenderer

@@ -1,4 +1,4 @@
-"""What every renderer promises."""
+"""The interface of all renderers, and the checks that they share."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol, TypeVar
@@ -18,9 +18,9 @@ class RenderOutput(NamedTuple):
 
     Attributes:
         rgb: [B, H, W, 3] float32 in [0, 1], sRGB, over the background.
-        depth: [B, H, W] float32, metres along the optical axis: the mean over what the pixel shows, weighted by its
-            share of the pixel (expected depth); 0 where alpha is 0.
-        alpha: [B, H, W] float32 in [0, 1], the share of the pixel that Gaussians cover.
+        depth: [B, H, W] float32, metres along the optical axis: the expected depth, a mean over the Gaussians of the
+            pixel by blending weight; 0 where alpha is 0.
+        alpha: [B, H, W] float32 in [0, 1], the fraction of the pixel that Gaussians cover.
     """
 
     rgb: Tensor
@@ -29,24 +29,24 @@ class RenderOutput(NamedTuple):
 
 
 class Renderer(Protocol):
-    """Turns cameras into images of placed models. Frame i has the same bytes whatever else is in the batch.
+    """Turns cameras into images of placed models. A frame has the same bytes whatever else is in the batch.
 
-    A renderer takes one model or a sequence, which ``Parts.model`` indexes. Each row draws its ``parts``, all into one
-    image; where none are given, every row draws model 0 where it stands. Where ``only`` [B] bool is given, the
-    other rows are not drawn and are zero.
+    A renderer takes one model or a sequence, which ``Parts.model`` indexes. Each row draws all of its ``parts`` into
+    one image; without ``parts``, every row draws model 0 in its own frame. If ``only`` [B] bool is given, the other
+    rows are not drawn and are zero.
     """
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
-        """Colour, depth and alpha of each camera."""
+        """Render colour, depth and alpha for each camera."""
         ...
 
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
-        """The pixels of an observation: [B, H, W, 3] uint8, ``round(255 · rgb)``."""
+        """Render the pixels of an observation: [B, H, W, 3] uint8, ``round(255 · rgb)``."""
         ...
 
 
 UNIT = 1e-3
-"""By how much the length of a quaternion may differ from 1."""
+"""Tolerance on the length of a unit quaternion."""
 DRAWABLE = {
     "means": "finite metres",
     "quats": "a unit quaternion",
@@ -54,13 +54,13 @@ DRAWABLE = {
     "opacities": "a number from 0 to 1",
     "sh": "finite values",
 }
-"""What each field of ``Gaussians`` must be to be drawn."""
+"""Requirement on each field of ``Gaussians`` for drawing, as error messages word it."""
 
 Drawn = TypeVar("Drawn", Tensor, RenderOutput)
 
 
 def checked_only(only: Tensor, cameras: Cameras) -> Tensor:
-    """Check a mask of rows, and return it as it is.
+    """Check a mask of rows, and return it unchanged.
 
     Raises:
         ValueError: for another shape or type than [B] bool.
@@ -73,16 +73,16 @@ def checked_only(only: Tensor, cameras: Cameras) -> Tensor:
 def draw_only(
     draw: Callable[[Cameras, Parts | None], Drawn], cameras: Cameras, parts: Parts | None, only: Tensor | None
 ) -> Drawn:
-    """Draw some rows of a batch and leave the others zero, by reading the mask: for renderers that the host drives.
+    """Draw some rows of a batch and leave the others zero, for renderers that can read the mask on the host.
 
     Args:
-        draw: makes images of cameras and their parts, [N, ...] each.
+        draw: function that renders cameras and their parts, [N, ...] each.
         cameras: B views.
-        parts: of the B rows; None draws model 0 where it stands.
-        only: [B] bool, which to draw; None draws all.
+        parts: the parts of the B rows; None draws model 0 in its own frame.
+        only: [B] bool, which rows to draw; None draws all.
 
     Returns:
-        What ``draw`` gives, [B, ...].
+        The results of ``draw``, [B, ...].
 
     Raises:
         ValueError: for ``parts`` or an ``only`` of another shape or type.
@@ -101,11 +101,11 @@ def draw_only(
 
 
 def among_zeros(fresh: Tensor, rows: Tensor, count: int) -> Tensor:
-    """Some rows of a batch whose other rows are zero: [N, ...], [N] int64 -> [count, ...]."""
+    """Scatter rows into a batch whose other rows are zero: [N, ...], [N] int64 -> [count, ...]."""
     values = fresh.new_zeros(count, *fresh.shape[1:])
     if values.device.type != "cpu" or values.dtype is torch.bfloat16 or fresh.requires_grad:
         return values.index_copy_(0, rows, fresh)
-    values.numpy()[rows.numpy()] = fresh.numpy()  # row by row, where index_copy_ goes number by number
+    values.numpy()[rows.numpy()] = fresh.numpy()  # copies whole rows; index_copy_ copies single numbers
     return values
 
 
@@ -115,15 +115,15 @@ def to_pixels(rgb: Tensor) -> Tensor:
 
 
 def gaussians_of(scene: Scene | Gaussians) -> Gaussians:
-    """The Gaussians that a renderer is given, in a scene or bare."""
+    """Return the Gaussians of a scene, or Gaussians as they are."""
     return scene.gaussians if isinstance(scene, Scene) else scene
 
 
 def models_of(scene: Scene | Gaussians | Sequence[Scene | Gaussians]) -> list[Scene | Gaussians]:
-    """The models that a renderer is given: one or several.
+    """Return the models that a renderer is given, one or several, as a list.
 
     Raises:
-        ValueError: where there are none.
+        ValueError: if there are none.
     """
     models = [scene] if isinstance(scene, Scene | Gaussians) else list(scene)
     if not models:
@@ -132,10 +132,11 @@ def models_of(scene: Scene | Gaussians | Sequence[Scene | Gaussians]) -> list[Sc
 
 
 def require_cameras(cameras: Cameras) -> None:
-    """Refuse cameras that no renderer can draw.
+    """Reject cameras that no renderer can draw.
 
     Raises:
-        ValueError: names the first row whose pose is not rigid, or whose K is not that of a pinhole without skew.
+        ValueError: for a pose that is not rigid, or a K that is not that of a pinhole without skew; names the first
+            such row.
     """
     fault = first_not_rigid(cameras.camera_to_world.detach())
     if fault is not None:
@@ -153,10 +154,10 @@ def require_cameras(cameras: Cameras) -> None:
 
 
 def require_drawable(gaussians: Gaussians) -> None:
-    """Refuse Gaussians that no renderer can draw; see ``Gaussians`` for what each field must be.
+    """Reject Gaussians that no renderer can draw; ``DRAWABLE`` lists what each field must be.
 
     Raises:
-        ValueError: names the field and the first row.
+        ValueError: for such Gaussians; names the field and the first such row.
     """
     g, most = gaussians, torch.finfo(torch.float32).max
     lengths = g.quats.detach().double().norm(dim=1)
@@ -175,7 +176,7 @@ def require_drawable(gaussians: Gaussians) -> None:
 
 
 def checked_background(background: Sequence[float]) -> tuple[float, float, float]:
-    """A background colour as three floats.
+    """Check a background colour, and return it as three floats.
 
     Raises:
         ValueError: for anything but three numbers in [0, 1].

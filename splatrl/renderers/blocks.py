@@ -1,4 +1,4 @@
-"""The renderer for CPUs in scenes that are larger than memory: blocks are read when a camera needs them."""
+"""The renderer for CPUs for scenes larger than memory: blocks are loaded when a camera needs them."""
 
 import threading
 from collections import OrderedDict
@@ -23,19 +23,19 @@ from splatrl.scenes.scene import Scene
 from splatrl.values import require_number
 
 TOP_GROUPS = 512
-"""Groups of 16 Gaussians that stay in memory of each block, whatever is near."""
+"""Groups of 16 Gaussians per block that always stay in memory."""
 TOP, WHOLE = 1, 2
-"""What a camera may need of a block that it can see: ``Need`` of native/renderer.h."""
+"""Needs of a camera that sees a block, either its top or all of it: ``Need`` of native/renderer.h."""
 
 
 class _Kept(NamedTuple):
-    """What is known of a block while it is not in memory.
+    """Data about a block that is kept even while the block is not in memory.
 
     Attributes:
         block: the block.
-        bounds: [6] float32, those of its root, as in ``packed``.
-        error: metres, the largest of the nodes that end its top; infinite where it has none.
-        bytes: that the whole model takes.
+        bounds: [6] float32, bounds of its root, as in ``packed``.
+        error: largest error of the nodes where its top ends, metres; infinite if it has no top.
+        bytes: memory that the whole model takes.
     """
 
     block: Block
@@ -45,7 +45,7 @@ class _Kept(NamedTuple):
 
 
 class _Stack(NamedTuple):
-    """The blocks of a scene; block k has its top in slot ``first + 2 k`` of the core, and the whole in the next."""
+    """The blocks of a scene; slot ``first + 2 k`` of the core holds the top of block k, and the next slot all of it."""
 
     first: int
     kept: list[_Kept]
@@ -54,31 +54,32 @@ class _Stack(NamedTuple):
 
 
 class BlockRenderer(NativeRenderer):
-    """A ``NativeRenderer`` whose scenes may be ``BlockScene``, of which it keeps in memory what cameras see.
+    """A ``NativeRenderer`` that also draws ``BlockScene``, and keeps in memory only the blocks that cameras see.
 
-    Each camera draws the blocks that it can see as parts of one image, so a picture across a border is that of one
-    merged scene: with a ``tolerance`` of 0 but for Gaussians of equal depth, and with level of detail as if each block
-    were a model. The top of each block's tree, merged Gaussians alone, is always in memory, and shows what is far: a
-    block is read where the tolerance asks for more than its top has, so what is in memory never changes a byte.
+    Each camera draws its visible blocks as parts of one image, so an image across a border is the same as that of the
+    merged scene: with a ``tolerance`` of 0, except for Gaussians of equal depth; with level of detail, as if each block
+    were a model. The top of each block's tree, which holds only merged Gaussians, is always in memory and shows distant
+    blocks: the whole block is loaded if the tolerance requires more detail than its top has. So which blocks happen to
+    be in memory never changes a byte of an image.
 
-    ``budget`` bounds the memory of blocks; those that were used least recently make room. Where a batch needs more at
-    once, it is drawn in groups of rows. Where one camera needs more, the blocks nearest to it are whole and the others
-    are their tops: a frame depends on its camera and the settings, and on nothing that was drawn before.
+    ``budget`` bounds the memory of blocks; the least recently used ones are evicted. If a batch needs more at once, it
+    is drawn in groups of rows. If a single camera needs more, the blocks nearest to it are drawn whole, and only the
+    tops of the others: a frame depends on its camera and the settings, but not on what was drawn before.
 
-    The first time that a scene is drawn, its blocks are packed, one after the other, into the user's cache directory:
-    about 110 bytes a Gaussian without harmonics.
+    The first time that a scene is used, its blocks are packed into the user's cache directory: about 110 bytes per
+    Gaussian without harmonics.
 
     Args:
-        scene: as for ``NativeRenderer``; or a ``BlockScene``, or several models of which some are.
-        antialiased: likewise; so are ``background``, ``threads`` and ``tolerance``.
+        scene: as for ``NativeRenderer``; or a ``BlockScene``, or several models, some of which are.
+        antialiased: as for ``NativeRenderer``.
         background: colour behind the Gaussians, in [0, 1].
-        threads: cores that a batch is spread over, at most all that this process may use, as None does.
+        threads: cores that a batch is spread over, at most those that this process may use; None uses all of these.
         tolerance: pixels by which level of detail may displace what is shown; 0 renders every Gaussian.
         budget: bytes that blocks may take in memory.
 
     Raises:
-        ValueError: as ``NativeRenderer``; for a budget without room for all tops and the largest block; and, when
-            something is drawn with a tolerance of 0, for one that does not hold all blocks that a camera sees.
+        ValueError: as for ``NativeRenderer``; for a budget without room for all tops and the largest block; and, when
+            drawing with a tolerance of 0, for one that cannot hold all the blocks that a camera sees.
     """
 
     def __init__(
@@ -92,8 +93,8 @@ class BlockRenderer(NativeRenderer):
     ) -> None:
         require_number("renderer.budget", budget, 1)
         self._packing = Packing(tolerance > 0.0, checked_background(background), antialiased)
-        self._drawing = threading.Lock()  # what is in memory must not change while something is drawn
-        self._held: OrderedDict[int, int] = OrderedDict()  # slots of whole blocks, least recently used first: bytes
+        self._drawing = threading.Lock()  # blocks in memory must not change while drawing
+        self._held: OrderedDict[int, int] = OrderedDict()  # slot of a whole block: bytes; least recently used first
         self._whole: dict[int, _Kept] = {}  # by slot
         self._models_at: list[int | _Stack] = []
         self._slots = self._tops = 0
@@ -109,12 +110,12 @@ class BlockRenderer(NativeRenderer):
 
     @property
     def bytes_held(self) -> int:
-        """Memory that blocks take now, at most the budget."""
+        """Bytes that blocks currently take, at most the budget."""
         return self._tops + sum(self._held.values())
 
     @property
     def bytes_in_all(self) -> int:
-        """Memory that all blocks would take at once."""
+        """Bytes that all blocks together would take."""
         return self._tops + sum(kept.bytes for kept in self._whole.values())
 
     def _add(self, model: Scene | Gaussians, tolerance: float) -> None:
@@ -139,7 +140,7 @@ class BlockRenderer(NativeRenderer):
         return f"top-{TOP_GROUPS}-{self._packing.name(block)}"
 
     def _top(self, block: Block) -> tuple[Arrays, _Kept]:
-        """The top of a block, without arrays where every Gaussian is drawn, and what is known of it."""
+        """Return the top of a block (no arrays if every Gaussian is drawn) and the data that is kept about it."""
 
         def build() -> Arrays:
             whole = self._packing.packed(block)
@@ -172,10 +173,11 @@ class BlockRenderer(NativeRenderer):
                 efforts[rows] = taken
 
     def _groups(self, cameras: Cameras, parts: Parts | None) -> Iterator[tuple[Tensor, Parts]]:
-        """Rows that are drawn together, all of whose blocks are in memory until the next are asked for.
+        """Yield groups of rows to be drawn together; their blocks stay in memory until the next group is requested.
 
         Yields:
-            Rows, [R] int64, and what they draw, by slots of the core. Where they are all rows, they are in order.
+            The rows, [R] int64, and their parts, which refer to slots of the core. If the group has all rows, they are
+            in order.
         """
         if len(cameras) == 0:
             return
@@ -195,7 +197,7 @@ class BlockRenderer(NativeRenderer):
                 yield chosen, placed.rows(chosen)
 
     def _keep(self, needed: set[int]) -> None:
-        """Have some whole blocks in memory."""
+        """Load whole blocks, evicting the least recently used others if necessary."""
         for slot in sorted(needed & self._held.keys()):
             self._held.move_to_end(slot)
         for slot in sorted(needed - self._held.keys()):
@@ -209,7 +211,7 @@ class BlockRenderer(NativeRenderer):
             self._held[slot] = kept.bytes
 
     def _placed_blocks(self, cameras: Cameras, parts: Parts) -> Parts:
-        """What rows draw by slots of the core: the blocks that they see in place of their scene."""
+        """Return parts that refer to slots of the core, with each scene in blocks replaced by its visible blocks."""
         own, K = checked_cameras(cameras)
         poses = in_models(own, parts)
         plain = torch.tensor([ABSENT, *(ABSENT if isinstance(at, _Stack) else at for at in self._models_at)])
@@ -227,7 +229,7 @@ class BlockRenderer(NativeRenderer):
         return Parts(torch.cat([slots for slots, _ in columns], 1), parts.model_to_world[:, stands])
 
     def _seen(self, stack: _Stack, poses: Tensor, K: Tensor, cameras: Cameras) -> Tensor:
-        """The slots that cameras draw of a scene in blocks, in the order of the blocks: [R, most] int64."""
+        """Return the slots that each camera draws of a scene in blocks, in the order of the blocks: [R, most] int64."""
         needs = np.empty((len(poses), len(stack.kept)), np.uint8)
         self._core.needs(stack.bounds, stack.errors, poses.contiguous(), K, cameras.width, cameras.height, needs)
         sizes = np.array([kept.bytes for kept in stack.kept])
@@ -241,7 +243,7 @@ class BlockRenderer(NativeRenderer):
     def _spare(
         self, stack: _Stack, needs: NDArray[np.uint8], sizes: NDArray[np.int64], camera: NDArray[np.float32]
     ) -> None:
-        """Let a camera do with the tops of all blocks but the nearest that fit into memory."""
+        """Change a camera's needs to the tops of all blocks except the nearest ones, as many as fit into memory."""
         whole = np.flatnonzero(needs == WHOLE)
         if not self._packing.merge:
             raise ValueError(
@@ -254,7 +256,7 @@ class BlockRenderer(NativeRenderer):
 
 
 def _groups(needed: Sequence[set[int]], whole: dict[int, _Kept], room: int) -> Iterator[list[int]]:
-    """Rows whose blocks fit into memory together: neighbours in the order of their blocks."""
+    """Yield groups of rows whose blocks fit into memory together; rows are grouped in the order of their blocks."""
     group, union, held = list[int](), set[int](), 0
     for row in sorted(range(len(needed)), key=lambda row: sorted(needed[row])):
         held += _size(needed[row] - union, whole)

@@ -19,21 +19,21 @@ from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
 
 BLOCK_THREADS = 256
-"""Threads of a block, which draws one tile at a time."""
+"""Threads per block; a block draws one tile at a time."""
 SHARED_KIB = {"draw_pixels": 49, "draw_images": 60}
-"""Shared memory of a block, by kernel: a multiprocessor of a graphics card has 100, and needs one more for a block."""
+"""Shared memory per block by kernel, KiB: a multiprocessor of a graphics card has 100, and needs 1 more per block."""
 TILE = 32
 """Width and height of a tile, pixels."""
 
 
 def kernel_defines(antialiased: bool, sh_degree: int, levels: bool, parts: bool = False) -> dict[str, int]:
-    """Macros that ``cuda/render.cu`` is compiled with.
+    """Return the macros that ``cuda/render.cu`` is compiled with.
 
     Args:
         antialiased: True for antialiased images, False for classic ones.
-        sh_degree: of the scene.
-        levels: whether there are merged Gaussians, as with a tolerance above 0.
-        parts: whether rows draw parts; otherwise they draw the first model where it stands.
+        sh_degree: degree of the spherical harmonics.
+        levels: whether there are merged Gaussians, as there are with a tolerance above 0.
+        parts: whether rows draw parts; otherwise they draw the first model in its own frame.
     """
     return {
         "ANTIALIASED_IMAGES": int(antialiased),
@@ -47,12 +47,12 @@ def kernel_defines(antialiased: bool, sh_degree: int, levels: bool, parts: bool 
 
 
 def shared_bytes(kernel: str, parts: bool) -> int:
-    """Shared memory of a block; where each part of a row begins takes half a KiB."""
+    """Return the shared memory of a block in bytes; the offsets of a row's parts take half a KiB of it."""
     return 1024 * (SHARED_KIB[kernel] + int(parts))
 
 
 LEAST_KEYS = 2**15
-"""Room for candidates of a tile that every block has: half a megabyte."""
+"""Minimum number of a tile's candidates that every block has room for: half a megabyte."""
 
 
 class _Views(ctypes.Structure):
@@ -81,13 +81,13 @@ class _Images(ctypes.Structure):
 
 
 class _Working(NamedTuple):
-    """Working memory of blocks.
+    """Working memory of thread blocks.
 
     Attributes:
         keys: int64, enough for [blocks, 2, key_capacity] and for [1, 2, most_keys].
         nodes: [blocks, 3, node_capacity] int32.
-        key_capacity: what a block has room for where all are at work.
-        most_keys: what the tile with the most candidates needs, which only few blocks at a time have room for.
+        key_capacity: keys that each block has room for while all blocks are running.
+        most_keys: the most keys that a tile can need; only a few blocks at a time have room for as many.
     """
 
     keys: Tensor
@@ -97,42 +97,43 @@ class _Working(NamedTuple):
 
     @property
     def few_blocks(self) -> int:
-        """How many blocks have room for any tile."""
+        """Number of blocks that can run at a time if each is to have room for any tile."""
         return min(len(self.nodes), len(self.keys) // (2 * self.most_keys))
 
 
 class CudaRenderer:
     """Renders the same images as ``NativeRenderer`` on a CUDA device, without synchronising with the host.
 
-    A block of threads draws a tile of 32×32 pixels from beginning to end: it goes down the trees over the models, sorts
-    what may show a slab at a time in shared memory, and blends it with the pixels in registers. Frame i has the same
-    bytes alone and in any batch. Kernels are compiled once per machine, in seconds, and cached. Only the CPU's level of
-    detail draws what is behind a veil more coarsely: a byte in 1,000 may differ by more than a grey level.
+    A thread block draws a tile of 32×32 pixels from start to finish: it descends the trees over the models, sorts the
+    candidates by depth, one slab at a time in shared memory, and blends each slab into the pixels. A frame has the same
+    bytes alone and in any batch. Kernels are compiled once per machine, within seconds, and cached. One difference
+    remains: with level of detail, the CPU draws what is partly occluded more coarsely, so one byte in 1,000 may differ
+    by more than a grey level.
 
-    A camera whose pose is not rigid, or whose K has a skew or no positive focal lengths, gives a black image. A part
-    whose pose is not rigid, or whose model does not exist, shows nothing; a row whose parts together have more
-    Gaussians than fit shows the background. ``raise_faults`` reports all three. A row has at most 128 parts, with at
-    most 2²⁸ Gaussians in all, merged ones included. A ``BlockScene`` is one model, and all of it is kept on the device:
-    its blocks are drawn at the levels of detail of each, as ``BlockRenderer`` draws them.
+    A camera whose pose is not rigid, or whose K has skew or a focal length that is not positive, gives a black image. A
+    part whose pose is not rigid, or whose model does not exist, shows nothing; a row whose parts together have too many
+    Gaussians shows the background. ``raise_faults`` reports all three. A row has at most 128 parts, with at most 2²⁸
+    Gaussians in all, merged ones included. A ``BlockScene`` is a single model, kept on the device in full: its blocks
+    are each drawn at their own levels of detail, as ``BlockRenderer`` draws them.
 
     Args:
-        scene: a scene, whose levels of detail are kept in its cache, in blocks or not; or Gaussians; or several such
-            models, which the parts of a row choose from. Values are copied.
-        antialiased: keep the energy of Gaussians smaller than a pixel; False is the classic 3DGS image.
+        scene: a scene, in blocks or not, whose levels of detail are kept in its cache; or Gaussians; or several such
+            models, which ``Parts.model`` indexes. Values are copied.
+        antialiased: preserve the energy of Gaussians smaller than a pixel; False renders classic 3DGS images.
         background: colour behind the Gaussians, in [0, 1].
         tolerance: pixels by which level of detail may displace what is shown; 0 renders every Gaussian.
         device: a CUDA device.
-        memory: upper bound on working memory, bytes; None takes a quarter of the device's memory. With less, more tiles
-            have candidates for which most blocks of threads have no room, and are drawn later by a few that have. The
-            most that a tile can have is always taken: 16 bytes for each Gaussian.
-        most_gaussians: upper bound on the Gaussians of a row's parts together, merged ones not counted. The most that
-            a tile can have are this many, or M times those of the largest model where that is less: the host does not
-            read which models the M parts are.
-        load: loads the kernels; None compiles them for ``device``.
+        memory: upper bound on working memory, bytes; None means a quarter of the device's memory. With less memory,
+            more tiles have too many candidates for most thread blocks and are drawn later, by the few blocks that have
+            room. Enough for the most candidates that a tile can have, 16 bytes per Gaussian, is always allocated.
+        most_gaussians: upper bound on the Gaussians of a row's parts together, merged ones not counted. A tile can have
+            at most this many candidates, or M times the Gaussians of the largest model if that is less, since the host
+            does not read which models the M parts refer to.
+        load: function that loads the kernels; None compiles them for ``device``.
 
     Raises:
         ValueError: for Gaussians that are not finite or too many, or a tolerance that is negative or not finite.
-        ImportError: where the extra ``cuda`` is not installed.
+        ImportError: if the extra ``cuda`` is not installed.
     """
 
     def __init__(
@@ -152,18 +153,18 @@ class CudaRenderer:
         self._load = load or (lambda source, defines: CudaKernels(source, device, defines))
         self._settings = antialiased, packer.sh_degree, tolerance > 0
         self._kernels = self._load("render", kernel_defines(*self._settings))
-        self._parts: tuple[Kernels, CudaParts] | None = None  # loaded when there are parts
+        self._parts: tuple[Kernels, CudaParts] | None = None  # loaded when first needed
         self.device = self._kernels.device
         self._models = CudaModels(packer, self.device)
         self._most_gaussians = most_gaussians
         self._memory = self._kernels.memory // 4 if memory is None else memory
         self._faults = FaultFlag(self.device)
-        self._working: dict[int | None, _Working] = {}  # by the number of parts; launches share it, one after the other
+        self._working: dict[int | None, _Working] = {}  # by the number of parts; successive launches share it
         self._turns = Turns(self.device)
 
     @torch.compiler.disable
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
-        """Colour, depth and alpha of each camera, float32, on the cameras' device; see ``Renderer``."""
+        """Render colour, depth and alpha for each camera, float32, on the cameras' device; see ``Renderer``."""
         shape = (len(cameras), cameras.height, cameras.width)
         rgb, depth, alpha = self._zeros(*shape, 3), self._zeros(*shape), self._zeros(*shape)
         images = _Images(None, rgb.data_ptr(), depth.data_ptr(), alpha.data_ptr())
@@ -173,17 +174,17 @@ class CudaRenderer:
 
     @torch.compiler.disable
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
-        """The pixels of an observation: [B, H, W, 3] uint8, on the cameras' device; see ``Renderer``."""
+        """Render the pixels of an observation: [B, H, W, 3] uint8, on the cameras' device; see ``Renderer``."""
         pixels = self._zeros(len(cameras), cameras.height, cameras.width, 3, dtype=torch.uint8)
         self._draw("draw_pixels", cameras, parts, only, _Images(pixels.data_ptr(), None, None, None))
         return pixels.to(cameras.camera_to_world.device)
 
     @torch.compiler.disable
     def efforts(self, cameras: Cameras, parts: Parts | None = None) -> Tensor:
-        """What it takes to draw each view: [B, 3] int32, counted while drawing it.
+        """Measure the work that each view takes, by drawing it: [B, 3] int32.
 
-        The columns count the candidates for its tiles, those that show, and blended pairs of one and a cell of 4×2
-        pixels.
+        The columns count the candidates of its tiles, those among them that are visible, and the pairs of a Gaussian
+        and a cell of 4×2 pixels that were blended.
         """
         efforts = self._zeros(len(cameras), 3, dtype=torch.int32)
         pixels = self._zeros(len(cameras), cameras.height, cameras.width, 3, dtype=torch.uint8)
@@ -191,7 +192,7 @@ class CudaRenderer:
         return efforts.to(cameras.camera_to_world.device)
 
     def raise_faults(self) -> None:
-        """Raise the faults recorded in cameras and parts since the last call; see ``Faulty``."""
+        """Raise an error for the faults in cameras and parts that were recorded since the last call; see ``Faulty``."""
         row = self._faults.take()
         if row is not None:
             raise ValueError(
@@ -209,7 +210,7 @@ class CudaRenderer:
         images: _Images,
         efforts: Tensor | None = None,
     ) -> None:
-        """Queue the drawing. PyTorch keeps tensors that are freed before it is done for this stream."""
+        """Queue the drawing. Tensors may be freed before it is done, since only this stream reuses their memory."""
         if len(cameras) == 0:
             return
         if parts is not None:
@@ -236,18 +237,18 @@ class CudaRenderer:
 
         with self._turns.taken():
             launch(len(working.nodes), working.key_capacity, None, left)
-            if left is not None:  # tiles that had no room, by as many blocks as have room for any
+            if left is not None:  # tiles that had no room, on only as many blocks as have room for any tile
                 launch(working.few_blocks, working.most_keys, left, None)
 
     def _for_parts(self) -> tuple[Kernels, CudaParts]:
-        """The kernels that draw rows with parts, and what places the parts."""
+        """Return the kernels that draw rows with parts, and the placement of parts; both are loaded on first use."""
         if self._parts is None:
             drawing = self._load("render", kernel_defines(*self._settings, parts=True))
             self._parts = drawing, CudaParts(self._load("place", {}), self._models, self._most_gaussians)
         return self._parts
 
     def _working_for(self, parts: Parts | None) -> _Working:
-        """Keys and nodes for as many blocks as the device holds at a time, or as the memory allows."""
+        """Return working memory for as many blocks as the device runs at a time, or as the memory allows."""
         columns = None if parts is None else parts.model.shape[1]
         if columns not in self._working:
             kernels, most_keys = self._kernels, self._models.models[0].gaussians

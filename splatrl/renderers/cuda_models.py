@@ -1,4 +1,4 @@
-"""The models of a renderer as CUDA kernels read them: one after another in the same arrays."""
+"""The models of a renderer as CUDA kernels read them: concatenated in the same arrays."""
 
 import ctypes
 import math
@@ -25,13 +25,13 @@ from splatrl.scenes.scene import Scene
 MOST_INDICES = 2**28
 """The most Gaussians, merged ones included, that the index in a key can address: ``INDEX_BITS`` of cuda/tile.h."""
 MOST_CLUSTERS = 2**25
-"""The most nodes of all models' trees: as many as ``Node`` of cuda/candidates.h can address."""
+"""The most nodes in the trees of all models together: as many as ``Node`` of cuda/candidates.h can address."""
 GROUP = 16
-"""Slots of a group, of which nodes have some each."""
+"""Slots per group; each node has several groups."""
 
 
 class _SceneArrays(ctypes.Structure):
-    """``SceneArrays`` of cuda/tile.h, where all members are described."""
+    """``SceneArrays`` of cuda/tile.h, which describes the members."""
 
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("spheres", "indices", "shapes", "colors", "clusters", "group_bounds")),
@@ -41,7 +41,7 @@ class _SceneArrays(ctypes.Structure):
 
 
 class Model(NamedTuple):
-    """``Model`` of cuda/places.h: where one model lies in the arrays of all."""
+    """``Model`` of cuda/places.h: the position of one model in the arrays of all."""
 
     root: int
     first_index: int
@@ -53,13 +53,13 @@ class Packer:
     """Packs the models of a renderer, all with harmonics of the highest degree among them.
 
     Args:
-        scenes: the models; blocks that are new are packed into the cache, side by side.
+        scenes: the models; blocks that are not cached yet are packed into the cache in parallel.
         antialiased: whether images are antialiased.
         background: colour behind the Gaussians.
         tolerance: pixels by which level of detail may displace what is shown; 0 renders every Gaussian.
 
     Attributes:
-        sh_degree: that highest degree.
+        sh_degree: the highest degree among the models.
 
     Raises:
         ValueError: for Gaussians that cannot be drawn, or a tolerance that is negative or not finite.
@@ -80,7 +80,7 @@ class Packer:
         self.sh_degree = max([*whole, *self._degrees.values()])
 
     def _degrees_of(self, scene: Scene | Gaussians) -> Iterator[tuple[Block, int]]:
-        """The degree of each block, as it is packed."""
+        """Yield the degree of each block of a scene, which packs the block if necessary."""
         if isinstance(scene, BlockScene):
             files = [f"packed-{self._packing.name(block)}" for block in scene.blocks]
             yield from zip(scene.blocks, for_each_block(self._degree_of, scene.blocks, files), strict=True)
@@ -89,7 +89,7 @@ class Packer:
         return math.isqrt(self._packing.packed(block)["colors"].shape[1] // 3) - 1
 
     def packed(self, scene: Scene | Gaussians) -> Iterator[Arrays]:
-        """A model as ``packed_model`` packs it; a scene in blocks block by block."""
+        """Yield a model as ``packed_model`` packs it, or a scene in blocks block by block."""
         if isinstance(scene, BlockScene):
             for block in scene.blocks:
                 more = self._degrees[block] < self.sh_degree
@@ -104,22 +104,22 @@ class Packer:
 class CudaModels:
     """Models on a device, with everything that kernels need to know about them.
 
-    The blocks of a scene are one model, with a tree over their trees and their Gaussians in the order of the blocks;
-    one of them at a time is in main memory.
+    The blocks of a scene form one model: their trees are joined, and their Gaussians are in the order of the blocks.
+    While they are uploaded, only one block at a time is in main memory.
 
     Args:
-        packer: of the models.
-        device: where they are kept.
+        packer: packs the models.
+        device: the device that holds them.
 
     Attributes:
-        arrays: what kernels take for ``SceneArrays``.
-        models: where each one lies in the arrays.
-        table: [models, 4] int32 on the device, the same.
-        clusters: how many the largest tree has.
-        gaussians: how many the largest model has, merged ones not counted.
+        arrays: the ``SceneArrays`` that kernels take.
+        models: the position of each model in the arrays.
+        table: [models, 4] int32 on the device, the same positions.
+        clusters: number of clusters of the largest tree.
+        gaussians: number of Gaussians of the largest model, merged ones not counted.
 
     Raises:
-        ValueError: for Gaussians that cannot be drawn or too many.
+        ValueError: for Gaussians that cannot be drawn, or too many of them.
     """
 
     def __init__(self, packer: Packer, device: torch.device) -> None:
@@ -135,7 +135,7 @@ class CudaModels:
         self.arrays = _SceneArrays(**addresses, background=packer.background, tolerance=self._tolerance)
 
     def _add(self, packer: Packer, scene: Scene | Gaussians) -> None:
-        """Add a model behind the others."""
+        """Append a model to the others."""
         last = self.models[-1] if self.models else Model(0, 0, 0, 0)
         trees, size, gaussians = list[Tree](), 0, 0
         for packed in packer.packed(scene):
@@ -166,5 +166,5 @@ class CudaModels:
 
 
 def _one(pieces: list[Tensor]) -> Tensor:
-    """The pieces of an array in one, without a copy where there is one."""
+    """Concatenate the pieces of an array, without a copy if there is only one."""
     return pieces[0] if len(pieces) == 1 else torch.cat(pieces)

@@ -1,4 +1,4 @@
-"""Places the parts of each row on the device, before ``CudaRenderer`` draws them."""
+"""Placement of the parts of each row, computed on the device before ``CudaRenderer`` draws them."""
 
 import ctypes
 
@@ -12,9 +12,9 @@ from splatrl.renderers.cuda_models import MOST_INDICES, CudaModels
 from splatrl.renderers.parts import ABSENT, Parts, require_parts_of
 
 MOST_PARTS = 128
-"""The most parts of a row: a block of threads keeps the view of each in shared memory."""
+"""The most parts per row: a thread block keeps the view of each in shared memory."""
 PLACE_WORDS = 16
-"""Size of ``Place`` in cuda/places.h, in words of 32 bits."""
+"""Size of ``Place`` in cuda/places.h, in 32-bit words."""
 
 
 class _Asked(ctypes.Structure):
@@ -30,12 +30,12 @@ class _Asked(ctypes.Structure):
 
 
 class CudaParts:
-    """Expresses cameras in the frames of parts and numbers the parts' Gaussians, without the host reading anything.
+    """Expresses cameras in the frames of parts, and numbers the parts' Gaussians, without synchronising with the host.
 
     Args:
-        kernels: those of cuda/place.cu.
-        models: those that parts choose from.
-        most_gaussians: upper bound for a row, merged ones not counted.
+        kernels: the kernels of cuda/place.cu.
+        models: the models that parts refer to.
+        most_gaussians: upper bound on the Gaussians of a row, merged ones not counted.
     """
 
     def __init__(self, kernels: Kernels, models: CudaModels, most_gaussians: int) -> None:
@@ -43,19 +43,19 @@ class CudaParts:
         self._faults = FaultFlag(kernels.device)
 
     def capacity(self, parts: Parts) -> int:
-        """The most Gaussians that a row of so many parts can draw: M times the largest model's, within the bound."""
+        """Return the most Gaussians that a row with M parts can draw: M times the largest model's, within the bound."""
         return max(1, min(parts.model.shape[1] * self._models.gaussians, self._most_gaussians))
 
     def places(self, cameras: Tensor, parts: Parts, only: Tensor | None) -> Tensor:
-        """Queue the placing of each part.
+        """Queue the placement of each part.
 
         Args:
             cameras: camera_to_world [B, 4, 4] float32, on the device.
-            parts: of the B rows.
-            only: [B] bool, rows to look at; None for all.
+            parts: the parts of the B rows.
+            only: [B] bool, rows to process; None for all.
 
         Returns:
-            [B, M, ``PLACE_WORDS``] int32, ``Place`` of cuda/places.h; not set in the other rows.
+            [B, M, ``PLACE_WORDS``] int32, ``Place`` of cuda/places.h; uninitialised in the other rows.
         """
         device = self._kernels.device
         model = parts.model.to(device).contiguous()
@@ -68,7 +68,7 @@ class CudaParts:
         return places
 
     def raise_faults(self) -> None:
-        """Raise the faults recorded in parts since the last call; see ``Faulty``."""
+        """Raise an error for the faults in parts that were recorded since the last call; see ``Faulty``."""
         row = self._faults.take()
         if row is not None:
             raise ValueError(
@@ -78,7 +78,7 @@ class CudaParts:
 
 
 def require_few_parts_of(parts: Parts, cameras: Cameras) -> None:
-    """Refuse parts that do not belong to a batch of cameras or are too many, without looking at their values.
+    """Reject parts that do not match a batch of cameras or are too many, without looking at their values.
 
     Raises:
         ValueError: for another shape or type, or more than ``MOST_PARTS`` per row.

@@ -1,4 +1,4 @@
-"""The trees over models as CUDA kernels read them, and one tree over several, as over the blocks of a scene."""
+"""The trees over models as CUDA kernels read them, and how several are joined, such as those of a scene's blocks."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -22,11 +22,11 @@ CLUSTER = np.dtype(
 
 
 class Tree(NamedTuple):
-    """Nodes in preorder.
+    """A tree, as nodes in preorder.
 
     Attributes:
-        clusters: [C] ``CLUSTER``; ``skip`` counts from the first of them.
-        group_bounds: [C, bytes] uint8, of each, ``GroupBounds`` of native/tree.h.
+        clusters: [C] ``CLUSTER``; ``skip`` is an index from the first of them.
+        group_bounds: [C, bytes] uint8, ``GroupBounds`` of native/tree.h for each node.
     """
 
     clusters: NDArray[Any]
@@ -34,7 +34,7 @@ class Tree(NamedTuple):
 
 
 def joined(trees: Sequence[Tree]) -> Tree:
-    """One tree over several, which cuts each of them as before: its own nodes show nothing, so all are opened."""
+    """Join trees under common nodes, which show nothing and so are always opened; each tree is cut as before."""
     if len(trees) == 1:
         return trees[0]
     half = (len(trees) + 1) // 2
@@ -50,7 +50,7 @@ def joined(trees: Sequence[Tree]) -> Tree:
 
 
 def moved(clusters: NDArray[Any], nodes: int, groups: int = 0) -> NDArray[Any]:
-    """The nodes of a tree behind so many others, whose Gaussians are behind so many other groups."""
+    """Shift the indices of a tree's nodes, to be stored after other nodes and its Gaussians after other groups."""
     clusters = clusters.copy()
     clusters["skip"] += np.uint32(nodes)
     clusters["first_group"] += np.uint32(groups)
@@ -58,7 +58,7 @@ def moved(clusters: NDArray[Any], nodes: int, groups: int = 0) -> NDArray[Any]:
 
 
 def _ball_around(balls: Sequence[Any]) -> tuple[NDArray[np.float32], float]:
-    """Centre and radius of a ball around others, slightly loose so that rounding never cuts one off."""
+    """Return centre and radius of a ball around others, slightly loose so that rounding never cuts one off."""
     centers = np.array([ball["center"] for ball in balls], np.float64)
     radii = np.array([ball["radius"] for ball in balls], np.float64)
     low, high = (centers - radii[:, None]).min(0), (centers + radii[:, None]).max(0)

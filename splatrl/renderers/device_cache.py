@@ -1,4 +1,4 @@
-"""Images that a device remembers and finds again by itself: nothing here waits for the host."""
+"""A cache of rendered views that lives on a device: looking up and storing never synchronises with the host."""
 
 import torch
 from torch import Tensor
@@ -9,25 +9,26 @@ from splatrl.renderers.parts import ABSENT, Parts, require_parts_of
 from splatrl.renderers.view_cache import ViewCache
 
 WAYS = 16
-"""Places in which an image may be. With half of all taken one image in 1,200 finds none: Poisson(8) beyond 16."""
+"""Associativity: the number of slots in which an image may lie. With half of all slots taken, one image in 1,200 finds
+none of its own free: Poisson(8) beyond 16."""
 
 
 class DeviceAlbum:
     """A hash table of images in a fixed amount of memory.
 
-    A key chooses a set of ``WAYS`` places and is compared with the keys in them, all words of it, so what is found is
-    what was asked for. Places are never taken back: what finds its set full is not remembered. Every tensor stays
-    where it is, so that a step that asks can be captured in a CUDA graph.
+    A key selects a set of ``WAYS`` slots and is compared in full with the keys in them, so a hit is always the image
+    that was asked for. Entries are never evicted: an image whose set is full is not stored. No tensor is ever
+    reallocated, so a step that uses the table can be captured in a CUDA graph.
 
     Args:
-        words: 32-bit words of a key.
-        image: one image, [H, W, 3] uint8: the size of all, on their device.
-        max_bytes: bound on the images and keys.
+        words: 32-bit words per key.
+        image: an example image, [H, W, 3] uint8, with the size of all images and on their device.
+        max_bytes: bound on the memory of images and keys.
     """
 
     def __init__(self, words: int, image: Tensor, max_bytes: int) -> None:
         self.sets = max_bytes // (WAYS * (image.nbytes + 4 * words))
-        places, device = self.sets * WAYS + 1, image.device  # the last is where rows go that are not to be kept
+        places, device = self.sets * WAYS + 1, image.device  # the last one takes rows that are not stored
         self.keys = torch.zeros(places, words, dtype=torch.int32, device=device)
         self.taken = torch.zeros(places, dtype=torch.bool, device=device)
         self.images = image.new_zeros(places, *image.shape) if self.sets > 0 else image.new_zeros(0)
@@ -36,22 +37,23 @@ class DeviceAlbum:
         self._ways = torch.arange(WAYS, device=device)
 
     def __len__(self) -> int:
-        """How many images are remembered; the host waits for the device."""
+        """Number of stored images; the host waits for the device."""
         return int(self.taken[:-1].sum())
 
     def bytes_held(self) -> int:
-        """Memory that the images take."""
+        """Return the bytes that the images take."""
         return self.images.nbytes
 
     def find(self, keys: Tensor) -> tuple[Tensor, Tensor]:
-        """Look for keys.
+        """Look up keys.
 
         Args:
             keys: [B, words] int32.
 
         Returns:
-            places: [B] int64, where each is remembered; else the first free place of its set, or the last place of all.
-            known: [B] bool, whether it is remembered.
+            places: [B] int64, the slot of each key; if it is not stored, the first free slot of its set, or the last
+                slot of all if there is none.
+            known: [B] bool, whether each key is stored.
         """
         mixed = (keys * self._factors).sum(1)  # modulo 2^64
         mixed = (mixed ^ (mixed >> 31)) * 0x1CE4E5B9BF58476D
@@ -65,13 +67,15 @@ class DeviceAlbum:
         return torch.where(none, len(self.taken) - 1, first + way), known
 
     def add(self, keys: Tensor, places: Tensor, images: Tensor, fresh: Tensor) -> None:
-        """Remember images where ``find`` said; of several for one place the first, the others another time.
+        """Store images in the slots that ``find`` returned.
+
+        If several images of a batch compete for one slot, the first is stored, and the others may be another time.
 
         Args:
             keys: [B, words] int32.
-            places: [B] int64.
+            places: [B] int64, slots from ``find``.
             images: [B, H, W, 3] uint8.
-            fresh: [B] bool, which of them to remember.
+            fresh: [B] bool, which of the images to store.
         """
         nowhere = len(self.taken) - 1
         rows = torch.arange(len(keys), device=keys.device)
@@ -79,20 +83,20 @@ class DeviceAlbum:
         first = torch.full_like(self.taken, len(keys), dtype=torch.int64).scatter_reduce(0, asked, rows, "amin")
         kept = torch.where(first[asked] == rows, asked, nowhere)
         self.keys[kept], self.images[kept] = keys, images
-        self.taken.index_fill_(0, kept, True)  # a number that is assigned comes from the host
+        self.taken.index_fill_(0, kept, True)  # not an assignment, which would copy True from the host
         self.taken[-1:].zero_()
 
 
 class DeviceLatticeRenderer(ViewCache[DeviceAlbum]):
-    """A ``ViewCache`` on the cameras' device: the host reads nothing, so a step can be captured in a CUDA graph.
+    """A ``ViewCache`` on the cameras' device, which never synchronises, so a step can be captured in a CUDA graph.
 
-    ``max_bytes`` are taken at once for each size of images, keys included. Duplicates within a batch are rendered until
-    one of them is remembered. The renderer must take ``only`` without the host as well.
+    ``max_bytes``, keys included, are allocated up front for each size of images. Duplicates within a batch are all
+    rendered until one of them is stored. The renderer must handle ``only`` without synchronising as well.
     """
 
     @torch.compiler.disable
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
-        """[B, H, W, 3] uint8: remembered views are copied, others rendered; rows not in ``only`` are zero."""
+        """Return [B, H, W, 3] uint8: cached views are copied, others rendered; rows not in ``only`` are zero."""
         if parts is not None:
             require_parts_of(parts, cameras)
         wanted = None if only is None else checked_only(only, cameras)
@@ -113,7 +117,7 @@ class DeviceLatticeRenderer(ViewCache[DeviceAlbum]):
 
 
 def _words(cameras: Cameras, parts: Parts | None) -> Tensor:
-    """What tells views apart, where the cameras are: [B, words] int32."""
+    """Return the bits that identify each view, on the cameras' device: [B, words] int32."""
     count = len(cameras)
     values = [cameras.camera_to_world.float(), cameras.K.float().expand(count, 3, 3)]
     if parts is not None:

@@ -1,4 +1,4 @@
-"""gsplat's rasteriser behind our interface: an oracle, and the baseline for speed."""
+"""gsplat's rasteriser behind our interface, as a test oracle and a baseline for speed."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -23,35 +23,35 @@ from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
 
 MOST_CAMERAS = 1024
-"""Cameras per call: gsplat numbers images and tiles together in 32 bits, and rows of a launch in 16."""
+"""The most cameras per call: gsplat indexes images and tiles together with 32 bits, and rows of a launch with 16."""
 _MISSING = "GsplatRenderer needs gsplat: pip install 'splatrl[gsplat]', on a machine with CUDA's compiler nvcc"
 
 
 class GsplatRenderer:
-    """Renders with ``gsplat.rasterization`` (Ye et al. 2024; written against 1.5.3), every Gaussian, on a CUDA device.
+    """Renders every Gaussian with ``gsplat.rasterization`` (Ye et al. 2024; written against 1.5.3) on a CUDA device.
 
-    Its conventions are those of ``ReferenceRenderer``: near plane, dilation, the margin beside the image at which the
-    projection is clamped, the largest alpha (0.999) and where a pixel is finished (1e-4). Classic images agree up to
-    rounding, and to the order of equal single-precision depths. What differs by design:
+    Its conventions are those of ``ReferenceRenderer``: near plane, dilation, the margin around the image at which the
+    projection is clamped, the maximum alpha (0.999) and the transmittance at which a pixel is finished (1e-4). Classic
+    images agree up to rounding and up to the order of depths that are equal in single precision. Differences by design:
 
     - It drops what is fainter than 1/255 in antialiased images too, where we draw down to a quarter of that, so at
-      low resolutions surfaces far away come out thinner.
-    - A Gaussian shows no further than 3.33 standard deviations and, by tiles of 16×16 pixels, on the rectangle around
-      that. At 1/255 this takes nothing away.
+      low resolutions distant surfaces come out thinner.
+    - A Gaussian extends no further than 3.33 standard deviations and, in tiles of 16×16 pixels, to the rectangle around
+      that. At a threshold of 1/255 this removes nothing.
     - Colours may exceed 1 until they are blended, as in ours, and the image is clamped here.
 
     Args:
         scene: the scene, or its Gaussians: one model. Values are copied as float32.
-        antialiased: keep the energy of Gaussians smaller than a pixel; False is the classic 3DGS image.
+        antialiased: preserve the energy of Gaussians smaller than a pixel; False renders classic 3DGS images.
         background: colour behind the Gaussians, in [0, 1].
         device: a CUDA device.
-        memory: bytes of working memory, approximately; large batches are drawn a part at a time. The estimate assumes
+        memory: approximate working memory in bytes; larger batches are drawn in several calls. The estimate assumes
             that a camera sees the whole scene, each Gaussian on about one tile.
         packed: whether gsplat keeps only what a camera sees, which takes less memory and is usually faster here.
 
     Raises:
-        ValueError: for several models, or, when it draws, for parts.
-        ImportError: where gsplat is not installed, or has found no nvcc to compile its kernels with.
+        ValueError: for several models, or, when drawing, for parts.
+        ImportError: if gsplat is not installed, or has found no nvcc to compile its kernels with.
     """
 
     def __init__(
@@ -76,16 +76,16 @@ class GsplatRenderer:
         self._background = torch.tensor(checked_background(background), device=self.device)
         self._mode = "antialiased" if antialiased else "classic"
         self._packed = packed
-        # ids, footprint, colour and sorted intersections; and the harmonics, which gsplat copies for each camera
+        # IDs, footprint, colour and sorted intersections, plus the harmonics, which gsplat copies for each camera
         bytes_each = 128 + 12 * (self._degree + 1) ** 2
         self.at_once = min(MOST_CAMERAS, max(1, memory // (bytes_each * max(1, gaussians.numel()))))
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
-        """Colour, depth and alpha of each camera, float32, on the cameras' device; see ``Renderer``."""
+        """Render colour, depth and alpha for each camera, float32, on the cameras' device; see ``Renderer``."""
         return draw_only(self._rendered, cameras, parts, only)
 
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
-        """What an observation is: [B, H, W, 3] uint8, on the cameras' device; see ``Renderer``."""
+        """Render the pixels of an observation: [B, H, W, 3] uint8, on the cameras' device; see ``Renderer``."""
         return draw_only(self._pixels, cameras, parts, only)
 
     def _rendered(self, cameras: Cameras, parts: Parts | None) -> RenderOutput:
@@ -98,7 +98,7 @@ class GsplatRenderer:
         return torch.cat(images).to(cameras.camera_to_world.device)
 
     def _cut(self, cameras: Cameras, parts: Parts | None) -> list[Cameras]:
-        """Batches of as many cameras as memory holds; at least one batch, empty where there are no cameras."""
+        """Split cameras into batches that fit into memory: at least one, which is empty if there are no cameras."""
         if parts is not None:
             got = list(parts.model.shape)
             raise ValueError(f"parts: expected no parts, since gsplat draws one model where it stands, got {got}")
@@ -107,7 +107,7 @@ class GsplatRenderer:
 
     @torch.no_grad()
     def _images(self, cameras: Cameras, render_mode: str) -> tuple[Tensor, Tensor]:
-        """Colours [C, H, W, 3], with depth 4, and alphas [C, H, W, 1]."""
+        """Render colours [C, H, W, 3], or [C, H, W, 4] with depth, and alphas [C, H, W, 1]."""
         shape = (len(cameras), cameras.height, cameras.width)
         if len(cameras) == 0:
             return torch.zeros(*shape, 4 if "D" in render_mode else 3), torch.zeros(*shape, 1)
@@ -125,7 +125,7 @@ class GsplatRenderer:
             render_mode=render_mode,
             rasterize_mode=self._mode,
         )
-        colors[..., :3] += (1.0 - alphas) * self._background  # gsplat 1.5.3 refuses backgrounds where it is packed
+        colors[..., :3] += (1.0 - alphas) * self._background  # gsplat 1.5.3 rejects backgrounds when packed
         return colors, alphas
 
     def _here(self, value: Tensor) -> Tensor:
@@ -133,12 +133,12 @@ class GsplatRenderer:
 
 
 def _rasterization() -> Any:
-    """gsplat's function. Its kernels are compiled here, in minutes, unless that was done before."""
+    """Import gsplat's function. This compiles its kernels, which takes minutes, unless that has been done before."""
     try:
         import gsplat
         from gsplat.cuda import _backend
     except ImportError as error:
         raise ImportError(f"{_MISSING} ({error})") from error
-    if _backend._C is None:  # gsplat says so on the console, and would fail at the first image
+    if _backend._C is None:  # gsplat only prints a message, and would fail at the first image
         raise ImportError(f"{_MISSING}; gsplat {gsplat.__version__} is installed, but nvcc was not found")
     return gsplat.rasterization

@@ -1,12 +1,12 @@
 """Levels of detail of a scene: a tree in which neighbours are merged, built once and kept in the scene's cache.
 
 Every node of the tree holds at most 256 Gaussians. Those of a leaf are the scene's own. Nodes are split into compact
-parts, so that what is far from the rest gets its own. The Gaussians of an inner node stand for all below it: the
-cheapest pairs of neighbours in its two children were merged until 256 were left. Above the node over all are nodes with
-three quarters of its Gaussians, three quarters of those, and so on down to 16: what is small or far needs no more. A
-merged Gaussian has the mass (opacity times area), the mean and the covariance of its members, and their mean colour by
-mass. For each camera the renderer goes down the tree until the members of a node lie within the tolerance of their
-merged mean: root mean square by mass, in pixels at the node's nearest depth.
+parts, so outliers get a part of their own. The Gaussians of an inner node stand for everything below it: the cheapest
+pairs of neighbours in its two children are merged until 256 are left. Above the root of this tree are nodes with three
+quarters of its Gaussians, three quarters of those, and so on down to 16, which suffice for what is small or distant. A
+merged Gaussian has the total mass (opacity times area), the mean and the covariance of its members, and their
+mass-weighted mean colour. For each camera the renderer descends the tree until the members of a node lie within the
+tolerance of their merged means, as a mass-weighted root mean square in pixels at the node's nearest depth.
 """
 
 from collections.abc import Mapping
@@ -23,18 +23,18 @@ from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
 
 LEVELS_VERSION = 3
-"""Raise it when the tree or the merging changes: cached levels are then built again."""
+"""Version of the levels. Increment it when the tree or the merging changes: cached levels are then rebuilt."""
 
 
 def gaussian_arrays(gaussians: Gaussians) -> dict[str, Tensor]:
-    """Gaussians as the C++ core takes them.
+    """Convert Gaussians to the arrays that the C++ core takes.
 
     Returns:
-        ``means`` [N, 3], ``axes`` [N, 3, 3] whose columns are standard deviations, ``opacities`` [N] and ``sh``
-        [N, harmonics, 3]: float32, contiguous, in main memory.
+        ``means`` [N, 3], ``axes`` [N, 3, 3] whose columns are the axes times their standard deviations, ``opacities``
+        [N] and ``sh`` [N, harmonics, 3]: float32, contiguous, in main memory.
 
     Raises:
-        ValueError: for Gaussians that ``require_drawable`` refuses.
+        ValueError: for Gaussians that ``require_drawable`` rejects.
     """
     require_drawable(gaussians)
     fields = {
@@ -47,10 +47,10 @@ def gaussian_arrays(gaussians: Gaussians) -> dict[str, Tensor]:
 
 
 def levels_for(scene: Scene | Gaussians, arrays: Mapping[str, Tensor], tolerance: float) -> Arrays | None:
-    """The levels that a renderer needs: a scene's are kept in its cache; None where every Gaussian is drawn.
+    """Return the levels that a renderer needs, or None if every Gaussian is drawn; a scene's are kept in its cache.
 
     Args:
-        scene: or bare Gaussians.
+        scene: the scene, or bare Gaussians.
         arrays: its ``gaussian_arrays``.
         tolerance: pixels by which level of detail may displace what is shown; 0 renders every Gaussian.
 
@@ -65,7 +65,7 @@ def levels_for(scene: Scene | Gaussians, arrays: Mapping[str, Tensor], tolerance
 
 
 def checked_tolerance(tolerance: float) -> float:
-    """A tolerance in pixels as it is.
+    """Check a tolerance in pixels, and return it unchanged.
 
     Raises:
         ValueError: for one that is negative or not finite.
@@ -76,26 +76,28 @@ def checked_tolerance(tolerance: float) -> float:
 
 
 def build_levels(arrays: Mapping[str, Tensor], degree: int) -> Arrays:
-    """Build the levels of a scene: seconds for a million Gaussians.
+    """Build the levels of a scene; takes seconds for a million Gaussians.
 
     Args:
         arrays: ``means`` [N, 3], ``axes`` [N, 3, 3], ``opacities`` [N] and ``sh`` [N, harmonics, 3], float32.
-        degree: of the spherical harmonics.
+        degree: degree of the spherical harmonics.
 
     Returns:
         The tree: ``order`` [N] and ``nodes`` [4 · nodes] uint32 (first, count, skip, leaf), ``errors`` [nodes] float32,
         metres. The M merged Gaussians, flat, float32: ``means``, ``axes``, ``opacities``, ``sh``, ``members`` (how many
-        Gaussians of equal mass one stands for) and ``sums`` (of their opacities).
+        Gaussians of equal mass each stands for) and ``sums`` (the sum of their opacities).
     """
     return dict(_core.build_levels(**arrays, degree=degree))
 
 
 def cached_levels(scene: Scene, arrays: Mapping[str, Tensor]) -> Arrays:
-    """The levels of a scene, built the first time and kept in its cache; colours as half floats, as they are drawn.
+    """Return the levels of a scene, which are built once and kept in its cache.
+
+    Colours are rounded to half floats, as they are drawn.
 
     Args:
-        scene: whose cache it is.
-        arrays: those of ``build_levels``, made from the scene's Gaussians.
+        scene: the scene, which has the cache.
+        arrays: the arguments of ``build_levels``, made from the scene's Gaussians.
     """
 
     def build() -> Arrays:

@@ -1,4 +1,4 @@
-"""The renderer for CPUs: C++, exact or with level of detail, one frame per core."""
+"""The renderer for CPUs: in C++, exact or with level of detail, one frame per core."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -21,11 +21,11 @@ class Effort(NamedTuple):
 
     Attributes:
         projected: [B] int32, Gaussians that were projected.
-        visible: [B] int32, those of them that can show, including ones hidden by others.
+        visible: [B] int32, the ones among them that can be visible, including those occluded by others.
         blended: [B] int32, pairs of a Gaussian and a block of 4×4 pixels that were blended.
-        project_ms: [B] float32, milliseconds of the processor for culling, projecting and colouring.
-        sort_ms: [B] float32, likewise for the depth order.
-        blend_ms: [B] float32, likewise for blending.
+        project_ms: [B] float32, processor time for culling, projecting and colouring, milliseconds.
+        sort_ms: [B] float32, processor time for sorting by depth, milliseconds.
+        blend_ms: [B] float32, processor time for blending, milliseconds.
     """
 
     projected: Tensor
@@ -37,26 +37,26 @@ class Effort(NamedTuple):
 
 
 class NativeRenderer:
-    """Renders the same images as ``ReferenceRenderer`` at the speed that training needs, on the CPU.
+    """Renders the same images as ``ReferenceRenderer`` on the CPU, fast enough for training.
 
-    With a ``tolerance``, distant surfaces are drawn with fewer, larger Gaussians, in which neighbours were merged once
-    for the scene: as few as keep the displacement of what is shown within the tolerance. It is measured in pixels of
-    the image that is asked for, so images are sharp at every resolution.
+    With a ``tolerance``, distant surfaces are drawn with fewer, larger Gaussians, which are merged from neighbours once
+    per scene: as few as possible while the displacement of what is shown stays within the tolerance. It is measured in
+    pixels of the requested image, so images are sharp at every resolution.
 
-    Frame i has the same bytes alone, in any batch, in any order and with any number of threads. Instruction sets may
-    differ in the last bits; ``SPLATRL_ISA=avx512|avx2|portable`` forces one for the renderers made after
-    it is set. Pickling and copying it keeps the scene and the settings, from which it is built again.
+    A frame has the same bytes alone, in any batch, in any order and with any number of threads. Instruction sets may
+    differ in the last bits; ``SPLATRL_ISA=avx512|avx2|portable`` forces one for the renderers made after it is set.
+    Pickles and copies hold the scene and the settings, from which the renderer is rebuilt.
 
     Args:
-        scene: the scene, whose levels of detail are kept in its cache; or Gaussians; or several of them, which
+        scene: the scene, whose levels of detail are kept in its cache; or Gaussians; or several of either, which
             ``Parts.model`` indexes. Values are copied.
-        antialiased: keep the energy of Gaussians smaller than a pixel; False is the classic 3DGS image.
+        antialiased: preserve the energy of Gaussians smaller than a pixel; False renders classic 3DGS images.
         background: colour behind the Gaussians, in [0, 1].
-        threads: cores that a batch is spread over, at most all that this process may use, as None does.
+        threads: cores that a batch is spread over, at most those that this process may use; None uses all of these.
         tolerance: pixels by which level of detail may displace what is shown; 0 renders every Gaussian.
 
     Raises:
-        ValueError: for Gaussians that cannot be drawn, fewer threads than one, a tolerance that is negative or not
+        ValueError: for Gaussians that cannot be drawn, fewer than one thread, a tolerance that is negative or not
             finite, or an unknown ``SPLATRL_ISA``.
     """
 
@@ -77,7 +77,7 @@ class NativeRenderer:
             self._add(model, tolerance)
 
     def _add(self, model: Scene | Gaussians, tolerance: float) -> None:
-        """Let the core hold one more model."""
+        """Add a model to the core."""
         gaussians = gaussians_of(model)
         arrays = gaussian_arrays(gaussians)
         levels = levels_for(model, arrays, tolerance)
@@ -88,11 +88,11 @@ class NativeRenderer:
 
     @torch.compiler.disable
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
-        """Colour, depth and alpha of each camera, float32, on the cameras' device."""
+        """Render colour, depth and alpha for each camera, float32, on the cameras' device."""
         return draw_only(self._rendered, cameras, self._checked(parts, cameras), only)
 
     def _checked(self, parts: Parts | None, cameras: Cameras) -> Parts | None:
-        """``checked_parts``, which is asked for its words only where something may be wrong."""
+        """Check parts in the core; ``checked_parts`` is only called to explain what is wrong with them."""
         if parts is not None:
             require_parts_of(parts, cameras)
             model, poses = parts.model.cpu().contiguous(), cpu_floats(parts.model_to_world)
@@ -115,17 +115,17 @@ class NativeRenderer:
         only: Tensor | None = None,
         out: Tensor | None = None,
     ) -> Tensor:
-        """The pixels of an observation: [B, H, W, 3] uint8.
+        """Render the pixels of an observation: [B, H, W, 3] uint8.
 
         Args:
             cameras: B views.
-            parts: what each of them is shown; None draws model 0 where it stands.
-            only: [B] bool, which to draw; the others are zero. None draws all.
-            out: [B, H, W, 3] uint8, contiguous, in main memory: overwritten whole in place of a new tensor.
+            parts: the parts that each view draws; None draws model 0 in its own frame.
+            only: [B] bool, which rows to draw; the others are zero. None draws all.
+            out: [B, H, W, 3] uint8, contiguous, in main memory: the tensor to write to, instead of a new one.
 
         Raises:
-            ValueError: for invalid parts, for an ``out`` of another shape, type, layout or device, or for ``out`` with
-                ``only``.
+            ValueError: for invalid parts, for an ``out`` of another shape, type, layout or device, or for ``out``
+                together with ``only``.
         """
         parts = self._checked(parts, cameras)
         if out is None:
@@ -142,24 +142,24 @@ class NativeRenderer:
 
     @torch.compiler.disable
     def efforts(self, cameras: Cameras, parts: Parts | None = None) -> Effort:
-        """What it takes to draw each view, measured by drawing it."""
+        """Measure the work that each view takes, by drawing it."""
         efforts = torch.empty(len(cameras), len(Effort._fields))
         self._draw(cameras, self._checked(parts, cameras), empty_pixels(cameras), efforts)
         values = efforts.unbind(1)
         return Effort(*(value.int() for value in values[:3]), *values[3:])
 
     def _draw(self, cameras: Cameras, parts: Parts | None, pixels: Tensor, efforts: Tensor | None = None) -> None:
-        """Draw into ``pixels``, and write what it takes into ``efforts``, [B, fields] float32."""
+        """Draw into ``pixels``, and write the work that it takes into ``efforts``, [B, fields] float32."""
         self._core.pixels(*_placed(cameras, parts), pixels, efforts, self.threads)
 
 
 def empty_pixels(cameras: Cameras) -> Tensor:
-    """Room for the pixels of cameras, not written: [B, H, W, 3] uint8, in main memory."""
+    """Allocate uninitialised pixels for a batch of cameras: [B, H, W, 3] uint8, in main memory."""
     return torch.empty(len(cameras), cameras.height, cameras.width, 3, dtype=torch.uint8)
 
 
 def _checked_out(out: Tensor, cameras: Cameras) -> Tensor:
-    """Refuse a tensor that cannot be drawn into."""
+    """Return ``out``, or reject it if it cannot be drawn into."""
     shape = (len(cameras), cameras.height, cameras.width, 3)
     if tuple(out.shape) != shape or out.dtype != torch.uint8 or not out.is_contiguous() or out.device.type != "cpu":
         got = f"{tuple(out.shape)} {out.dtype} on {out.device}{'' if out.is_contiguous() else ', not contiguous'}"
@@ -168,12 +168,12 @@ def _checked_out(out: Tensor, cameras: Cameras) -> Tensor:
 
 
 def cpu_floats(value: Tensor) -> Tensor:
-    """Values as the core reads them: float32, contiguous, in main memory."""
+    """Convert values to what the core reads: float32, contiguous, in main memory."""
     return value.detach().to("cpu", torch.float32).resolve_neg().contiguous()
 
 
 def checked_cameras(cameras: Cameras) -> tuple[Tensor, Tensor]:
-    """Poses and intrinsics as the core reads them, after the checks that it relies on."""
+    """Check cameras as the core relies on, and return their poses and intrinsics as it reads them."""
     poses, K = cpu_floats(cameras.camera_to_world), cpu_floats(cameras.K)
     if _core.first_bad_camera(poses, K) >= 0:
         require_cameras(cameras)
@@ -182,7 +182,7 @@ def checked_cameras(cameras: Cameras) -> tuple[Tensor, Tensor]:
 
 
 def _placed(cameras: Cameras, parts: Parts | None) -> tuple[Tensor | None, Tensor, Tensor]:
-    """Models, poses in their frames and intrinsics as the core reads them."""
+    """Return models, camera poses in the models' frames, and intrinsics, as the core reads them."""
     poses, K = checked_cameras(cameras)
     if parts is None:
         return None, poses.unsqueeze(1), K
@@ -190,7 +190,7 @@ def _placed(cameras: Cameras, parts: Parts | None) -> tuple[Tensor | None, Tenso
 
 
 def in_models(poses: Tensor, parts: Parts) -> Tensor:
-    """Poses of cameras in the frames of their parts, as the core reads them: ``camera_to_models``, at once."""
+    """Express camera poses in the frames of their parts, as the core reads them: ``camera_to_models`` in C++."""
     out = torch.empty(*parts.model.shape, 4, 4)
     _core.camera_to_models(poses, cpu_floats(parts.model_to_world), out)
     return out

@@ -1,4 +1,4 @@
-"""One of the models of a renderer as the scene of every row."""
+"""A renderer in which one fixed model of another renderer is the scene of every row."""
 
 import torch
 from torch import Tensor
@@ -10,11 +10,11 @@ from splatrl.renderers.parts import Parts, in_scenes
 
 
 class OneScene:
-    """A renderer of several scenes, of which every row sees one; so several worlds share their Gaussians in memory.
+    """Shows one of a renderer's several scenes in every row, so that several worlds can share one renderer's memory.
 
     Args:
-        renderer: holds the scenes.
-        model: which of its models is seen where it stands; a task's parts come after it.
+        renderer: the renderer that holds the scenes.
+        model: index of the model that is shown in its own frame; a task's parts come after it.
     """
 
     def __init__(self, renderer: Renderer, model: int):
@@ -23,11 +23,11 @@ class OneScene:
             self.raise_faults = renderer.raise_faults
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
-        """Colour, depth and alpha of each camera; see ``Renderer``."""
+        """Render colour, depth and alpha for each camera; see ``Renderer``."""
         return self.renderer.render(cameras, self._placed(cameras, parts), only)
 
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
-        """The pixels of an observation; see ``Renderer``."""
+        """Render the pixels of an observation; see ``Renderer``."""
         return self.renderer.pixels(cameras, self._placed(cameras, parts), only)
 
     def _placed(self, cameras: Cameras, parts: Parts | None) -> Parts:

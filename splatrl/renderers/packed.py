@@ -1,17 +1,17 @@
-"""Models as arrays, in the layout that the renderer for CPUs draws them from: to keep in a file, whole or in part.
+"""Models as arrays, in the layout that the renderer for CPUs draws from, to be kept in a file, whole or in part.
 
-The arrays, of C nodes of the tree in preorder, and of G groups of 16 Gaussians, the scene's own before M merged ones:
-    nodes: [C, 3] uint32, first group, number of groups, and the node after all below it.
-    errors: [C] float32, metres by which what a node shows is displaced: 0 in a leaf, infinite where it shows nothing.
-    bounds: [C, 6] float32, of all below a node: centre and radius of a ball around the means, the most standard
-        deviations at which one shows, and the largest product of that and its longest axis; metres.
-    group_bounds: [C, 6, 16] float32, the same of each of its groups.
+The arrays, for C nodes of the tree in preorder and G groups of 16 Gaussians, of which the last M hold merged ones:
+    nodes: [C, 3] uint32, first group, number of groups, and the node after all those below it.
+    errors: [C] float32, metres by which what a node shows is displaced: 0 in a leaf, infinite if it shows nothing.
+    bounds: [C, 6] float32, of everything below a node: centre and radius of a ball around the means, the most standard
+        deviations at which any Gaussian is visible, and the largest product of that reach and the longest axis; metres.
+    group_bounds: [C, 6, 16] float32, the same for each of the node's groups.
     geometry: [G − M, 10, 16] float32, mean, lower triangular factor of the covariance row by row, and log2 of the
         opacity.
     merged: [M, 448] uint8, the same in half floats, how many Gaussians a merged one stands for, and the sum of their
         opacities: ``MergedGroup`` of native/kernel.h.
     colors: [G, 3 · harmonics, 16] half floats, as uint16.
-    indices: [G, 16] uint32, which breaks ties of depth.
+    indices: [G, 16] uint32, tie-breakers for equal depths.
 """
 
 import heapq
@@ -29,7 +29,7 @@ from splatrl.scenes.cache import Arrays
 from splatrl.scenes.gaussians import Gaussians
 
 PACKED_VERSION = 3
-"""Raise it when the arrays or what they are made from change: those in the cache are then made again."""
+"""Version of the arrays. Increment it when they, or how they are made, change: cached arrays are then rebuilt."""
 
 HUGE_PAGE = 2**21
 
@@ -40,11 +40,11 @@ def packed_model(
     """Pack Gaussians, with a tree over them.
 
     Args:
-        gaussians: N of them, in the frame of the model.
+        gaussians: N Gaussians, in the frame of the model.
         merge: whether inner nodes hold merged Gaussians, for levels of detail.
-        background: colour that the renderer draws on, which colours are relative to.
-        antialiased: how it draws.
-        sh_degree: the least of the harmonics; those of a lower one are filled up with zeros.
+        background: the renderer's background colour, which stored colours are relative to.
+        antialiased: whether the renderer is antialiased.
+        sh_degree: minimum degree of the stored harmonics; lower degrees are padded with zeros.
 
     Raises:
         ValueError: for Gaussians that cannot be drawn.
@@ -61,7 +61,7 @@ def packed_arrays(
     background: tuple[float, float, float],
     antialiased: bool,
 ) -> Arrays:
-    """Pack ``gaussian_arrays`` and their levels, with harmonics filled up to a degree; see ``packed_model``."""
+    """Pack ``gaussian_arrays`` and their levels, with harmonics padded to a degree; see ``packed_model``."""
     harmonics = arrays["sh"].shape[1]
     missing = (degree + 1) ** 2 - harmonics
     if missing > 0:
@@ -75,24 +75,24 @@ def packed_arrays(
 
 
 def packed_bytes(arrays: Arrays) -> int:
-    """Memory that a model takes in the core, which keeps large arrays in whole huge pages."""
+    """Return the bytes that a model takes in the core, which keeps large arrays in whole huge pages."""
     sizes = [values.nbytes for values in arrays.values()]
     return sum(size if size <= HUGE_PAGE // 2 else -(-size // HUGE_PAGE) * HUGE_PAGE for size in sizes)
 
 
 def top_of(arrays: Arrays, groups: int) -> tuple[Arrays, float]:
-    """The top of a model's tree: a model that shows the same where the tree is cut above or at the nodes that end it.
+    """Extract the top of a model's tree, a smaller model that draws the same as long as the cut stays within the top.
 
     Nodes are opened one by one, the one with the largest error first, until the top is full. Bounds and errors above
-    the nodes that end it stay, so that a camera cuts both trees alike; those that end it are drawn whenever the cut
-    comes so far.
+    the nodes where the top ends are kept, so that a camera cuts both trees in the same way; the nodes where it ends are
+    drawn whenever the cut gets that far.
 
     Args:
-        arrays: of the whole model, with merged Gaussians.
-        groups: the most that the top may have, if that is not fewer than those of the root.
+        arrays: the arrays of the whole model, with merged Gaussians.
+        groups: the most groups that the top may have; it always has at least those of the root.
 
     Returns:
-        Its arrays, and the largest error of the nodes that end it, metres: 0 where the top is the whole model.
+        Its arrays, and the largest error of the nodes where it ends, metres: 0 if the top is the whole model.
     """
     nodes, errors = arrays["nodes"].astype(np.int64), arrays["errors"]
     counts, skips = nodes[:, 1], nodes[:, 2]
@@ -115,13 +115,13 @@ def top_of(arrays: Arrays, groups: int) -> tuple[Arrays, float]:
 
 
 def _part(arrays: Arrays, order: NDArray[np.int64], ends: NDArray[np.bool_]) -> Arrays:
-    """The nodes ``order`` of a tree, with all that they hold; those that are ``ends`` have nothing below them."""
+    """Extract the nodes ``order`` of a tree, with all that they hold; those in ``ends`` become leaves."""
     nodes, own = arrays["nodes"].astype(np.int64), len(arrays["geometry"])
     first, counts, skips = nodes[order].T
     ranges = [np.arange(start, start + count) for start, count in zip(first, counts, strict=True)]
     groups = np.sort(np.concatenate(ranges))
     new_nodes = [np.searchsorted(groups, first), counts, np.searchsorted(order, skips)]
-    ranks = np.unique(arrays["indices"][groups], return_inverse=True)[1]  # the order alone matters
+    ranks = np.unique(arrays["indices"][groups], return_inverse=True)[1]  # only their order matters
     part: dict[str, Any] = {
         "geometry": arrays["geometry"][groups[groups < own]],
         "merged": arrays["merged"][groups[groups >= own] - own],

@@ -1,4 +1,4 @@
-"""The blocks of scenes as packed models in the user's cache directory, which all renderers share."""
+"""Packed models of the blocks of scenes, kept in the user's cache directory and shared by all renderers."""
 
 import json
 from collections.abc import Callable, Iterator, Sequence
@@ -21,7 +21,7 @@ Made = TypeVar("Made")
 
 @dataclass(frozen=True)
 class Packing:
-    """How blocks are packed: what ``packed_model`` takes, by a renderer's settings."""
+    """The settings with which blocks are packed: a renderer's arguments of ``packed_model``."""
 
     merge: bool
     background: tuple[float, float, float]
@@ -29,17 +29,17 @@ class Packing:
     sh_degree: int = 0
 
     def name(self, block: Block) -> str:
-        """Of a block in the cache, by all that its arrays depend on."""
+        """Return the name of a block in the cache: a hash of everything that its arrays depend on."""
         recipe = [PACKED_VERSION, LEVELS_VERSION, asdict(self), block.digest]
         return blake2b(json.dumps(recipe).encode(), digest_size=16).hexdigest()
 
     def packed(self, block: Block) -> Arrays:
-        """A block as ``packed_model`` packs it, from the cache but for the first time."""
+        """Pack a block with ``packed_model``, or load it from the cache if that has been done before."""
         return cached_arrays(f"packed-{self.name(block)}", lambda: packed_model(block.read(), **asdict(self)))
 
 
 def for_each_block(make: Callable[[Block], Made], blocks: Sequence[Block], files: Sequence[str]) -> Iterator[Made]:
-    """Make something of each block, side by side; with a progress bar where one of these files is not in the cache."""
+    """Call ``make`` on each block in parallel, with a progress bar if any of ``files`` is not in the cache yet."""
     known = all((cache_dir() / f"{name}.npz").is_file() for name in files)
     with ThreadPoolExecutor(threads_of(None)) as pool:
         yield from tqdm(pool.map(make, blocks), "blocks", len(blocks), unit="block", disable=known, dynamic_ncols=True)

@@ -1,4 +1,4 @@
-"""Placed models: what each camera of a batch sees when that is more than one scene where it stands."""
+"""Placed models, for batches in which a camera sees more than a single scene in its own frame."""
 
 from typing import NamedTuple
 
@@ -9,17 +9,18 @@ from splatrl.cameras import Cameras
 from splatrl.geometry import first_not_rigid, rigid
 
 ABSENT = -1
-"""The model of a part that shows nothing: rows of a batch may have different numbers of parts."""
+"""Model index of a part that shows nothing, so that rows of a batch may have different numbers of parts."""
 
 
 class Parts(NamedTuple):
-    """For each row of a batch, up to M models of a renderer and where they stand.
+    """For each row of a batch, up to M models of a renderer and their poses.
 
-    All parts of a row are drawn into one image: their Gaussians are sorted by depth and blended together, so parts hide
-    each other exactly. At equal depths the part that comes first is in front. A row without parts shows the background.
+    All parts of a row are drawn into one image: their Gaussians are sorted by depth and blended together, so parts
+    occlude each other exactly. At equal depths the part that comes first is in front. A row without parts shows the
+    background.
 
     Attributes:
-        model: [B, M] int64, which of the renderer's models; ``ABSENT`` (−1) for none.
+        model: [B, M] int64, index into the renderer's models; ``ABSENT`` (−1) for none.
         model_to_world: [B, M, 4, 4] float32, rigid, metres; ignored where ``model`` is ``ABSENT``.
     """
 
@@ -27,17 +28,17 @@ class Parts(NamedTuple):
     model_to_world: Tensor
 
     def rows(self, rows: slice | Tensor) -> "Parts":
-        """The parts of some rows of the batch: a slice, a mask or indices."""
+        """Select the parts of some rows of the batch by a slice, a mask or indices."""
         return Parts(self.model[rows], self.model_to_world[rows])
 
 
 def in_scenes(scene: Tensor, parts: Parts | None, like: Tensor) -> Parts:
-    """What rows see that are each in a scene of their own: the scene where it stands, then its parts.
+    """Combine a scene for each row, at the identity pose, with the parts that stand in it.
 
     Args:
-        scene: [B] int64, which of the renderer's models is the scene of each row.
-        parts: what else stands in it; None for nothing.
-        like: a pose, for its type and device.
+        scene: [B] int64, the model that is the scene of each row.
+        parts: further parts in the scene; None for none.
+        like: a pose that gives the dtype and device.
     """
     model, standing = scene.unsqueeze(1), torch.eye(4, dtype=like.dtype, device=like.device).expand(len(scene), 1, 4, 4)
     if parts is None:
@@ -46,7 +47,7 @@ def in_scenes(scene: Tensor, parts: Parts | None, like: Tensor) -> Parts:
 
 
 def require_parts_of(parts: Parts, cameras: Cameras) -> None:
-    """Refuse parts that do not belong to a batch of cameras, without looking at their values.
+    """Reject parts that do not match a batch of cameras, without looking at their values.
 
     Raises:
         ValueError: for another shape or type than [B, M] int64 and [B, M, 4, 4] float32.
@@ -64,16 +65,16 @@ def require_parts_of(parts: Parts, cameras: Cameras) -> None:
 
 
 def checked_parts(parts: Parts | None, cameras: Cameras, models: int) -> Parts | None:
-    """Check parts as every renderer on the host does, and return them as they are.
+    """Check parts as every renderer on the host does, and return them unchanged.
 
     Args:
-        parts: of each row; None where model 0 is drawn.
+        parts: the parts of each row; None if model 0 is drawn.
         cameras: B views.
-        models: how many the renderer has.
+        models: the number of models that the renderer has.
 
     Raises:
-        ValueError: for another shape or type, or, by row and part, for a model that does not exist or a pose that is
-            not rigid.
+        ValueError: for another shape or type, or for a model that does not exist or a pose that is not rigid (the
+            message names its row and part).
     """
     if parts is None:
         return None
@@ -93,21 +94,21 @@ def checked_parts(parts: Parts | None, cameras: Cameras, models: int) -> Parts |
 
 
 def camera_to_models(cameras: Cameras, parts: Parts) -> Tensor:
-    """The pose of each row's camera in the frame of each of its parts, so that harmonics need no rotation.
+    """Express each row's camera in the frame of each of its parts, so that harmonics need not be rotated.
 
     Args:
         cameras: B views.
-        parts: of the B rows.
+        parts: the parts of the B rows.
 
     Returns:
-        [B, M, 4, 4] float32, metres, computed in double precision and rounded once, independently of the batch;
-        a part that stands at the origin gives ``camera_to_world``.
+        [B, M, 4, 4] float32, metres, computed in double precision and rounded once, independently of the rest of the
+        batch; for a part with the identity pose it is ``camera_to_world``.
     """
     model_to_world = parts.model_to_world.double()
     camera_to_world = cameras.camera_to_world.double().unsqueeze(1)
     axes, to_camera = camera_to_world[..., :3, :3], camera_to_world[..., :3, 3] - model_to_world[..., :3, 3]
     seen = torch.cat([axes.expand(*to_camera.shape, 3), to_camera.unsqueeze(-1)], -1)  # [B, M, 3, 4]
-    x, y, z = (  # a product of matrices may be summed in another order in another batch
+    x, y, z = (  # not a matrix product, whose order of summation may depend on the batch
         model_to_world[..., axis, :3].unsqueeze(-1) * seen[..., axis, :].unsqueeze(-2) for axis in range(3)
     )
     turned = x + y + z

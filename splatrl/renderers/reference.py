@@ -1,4 +1,4 @@
-"""The renderer that the fast ones are tested against: plain torch, any device, any float type, differentiable."""
+"""The reference that the fast renderers are tested against: plain torch, any device, any float type, differentiable."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -24,19 +24,19 @@ from splatrl.scenes.scene import Scene
 from splatrl.spherical_harmonics import sh_colors
 
 NEAR = 0.01
-"""Metres: a Gaussian whose mean is nearer along the optical axis is not shown."""
+"""Near plane, metres: a Gaussian whose mean is nearer along the optical axis is not drawn."""
 FAINT = INVISIBLE / 4
-"""Opacities below it do not show in an antialiased image. Far surfaces are made of many Gaussians each fainter than a
-grey level: without them, tables vanish from small images."""
+"""Opacity below which nothing is visible in an antialiased image. Distant surfaces consist of many Gaussians that are
+each fainter than a grey level: without them, tables vanish from small images."""
 DILATION = 0.3
-"""Square pixels added to every projected covariance: a Gaussian covers at least about one pixel."""
+"""Square pixels added to every projected covariance, so that a Gaussian covers at least about one pixel."""
 MAX_ALPHA = 0.999
 MIN_TRANSMITTANCE = 1e-4
-"""A pixel is finished before the first Gaussian that would let no more light than this through."""
+"""A pixel is finished before the first Gaussian that would reduce its transmittance to this or less."""
 TILE = 16
-"""Pixels; a tile only meets the Gaussians whose bounds touch it."""
+"""Edge of a tile, pixels; a tile only considers the Gaussians whose bounds touch it."""
 CHUNK = 2048
-"""Gaussians blended at once; bounds the memory of a tile."""
+"""Gaussians blended at a time; bounds the memory of a tile."""
 
 
 class Projected(NamedTuple):
@@ -45,7 +45,7 @@ class Projected(NamedTuple):
     Attributes:
         centers: [G, 2] pixels.
         conics: [G, 3] the inverse covariance on the image, (xx, xy, yy), 1 / square pixels.
-        extents: [G, 2] half sizes of the box in which it can show, pixels.
+        extents: [G, 2] half sizes of the box in which each can be visible, pixels.
         opacities: [G].
         colors: [G, 3].
         depths: [G] metres.
@@ -62,15 +62,15 @@ class Projected(NamedTuple):
 class ReferenceRenderer:
     """Renders Gaussians by elliptical weighted average splatting (Zwicker et al. 2001, Kerbl et al. 2023).
 
-    The conventions are gsplat's. Gradients reach the Gaussians of every model, whose float type the output has, and the
-    poses of parts.
+    The conventions are gsplat's. Gradients flow to the Gaussians of every model and to the poses of parts. The output
+    has the float type of the Gaussians.
 
     Args:
-        scene: the scene, or its Gaussians; or several, which ``Parts.model`` indexes.
-        antialiased: keep the energy of Gaussians smaller than a pixel (Mip-Splatting, Yu et al. 2024): what the
-            dilation adds in area is taken from the opacity. False is the classic 3DGS image.
+        scene: the scene, or its Gaussians; or a sequence of models, which ``Parts.model`` indexes.
+        antialiased: preserve the energy of Gaussians smaller than a pixel (Mip-Splatting, Yu et al. 2024): the opacity
+            is reduced by as much as dilation enlarges the area. False renders classic 3DGS images.
         background: colour behind the Gaussians, in [0, 1].
-        device: on which images are made; None takes that of the Gaussians.
+        device: the device that renders; None uses that of the Gaussians.
 
     Raises:
         ValueError: for Gaussians that cannot be drawn.
@@ -92,7 +92,7 @@ class ReferenceRenderer:
         self.invisible = FAINT if antialiased else INVISIBLE
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
-        """Colour, depth and alpha of each camera, on the device and in the float type of the Gaussians."""
+        """Render colour, depth and alpha for each camera, on the device and in the float type of the Gaussians."""
         return draw_only(self._rendered, cameras, checked_parts(parts, cameras, len(self.models)), only)
 
     def _rendered(self, cameras: Cameras, parts: Parts | None) -> RenderOutput:
@@ -114,24 +114,24 @@ class ReferenceRenderer:
         return RenderOutput(rgb.clamp(0.0, 1.0), depth, alpha)
 
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
-        """[B, H, W, 3] uint8."""
+        """Render the pixels of an observation: [B, H, W, 3] uint8."""
 
         def quantised(
             some: Cameras, their: Parts | None
-        ) -> Tensor:  # before rows spread out: what is not drawn is zero
+        ) -> Tensor:  # quantise before rows are spread out, so that rows that are not drawn are zero
             return to_pixels(self._rendered(some, their).rgb)
 
         with torch.no_grad():
             return draw_only(quantised, cameras, checked_parts(parts, cameras, len(self.models)), only)
 
     def _seen(self, cameras: Cameras, parts: Parts | None, row: int) -> Projected:
-        """What one camera sees of its parts; at equal depths, what comes first in the order of parts is in front."""
+        """Project all parts for one camera; at equal depths, the part that comes first is in front."""
         if parts is None:
             return self.project(self.models[0], cameras, row)
         one = slice(row, row + 1)
         poses = camera_to_models(cameras[one], parts.rows(one))[0]  # [M, 4, 4]
         in_models = Cameras(poses, cameras.K[row], cameras.width, cameras.height)
-        seen = [self.project(self.models[0][:0], cameras, row)]  # no Gaussians: a row may have no parts
+        seen = [self.project(self.models[0][:0], cameras, row)]  # an empty start, since a row may have no parts
         for part, model in enumerate(parts.model[row].tolist()):
             if model != ABSENT:
                 seen.append(self.project(self.models[model], in_models, part))
@@ -143,9 +143,9 @@ class ReferenceRenderer:
         """Project a model onto the image of one camera (EWA splatting, eq. 29 to 31 of Zwicker et al. 2001).
 
         Args:
-            gaussians: of the model.
-            cameras: in the frame of the model.
-            row: which of the cameras.
+            gaussians: the model's Gaussians.
+            cameras: cameras in the frame of the model.
+            row: index of the camera to use.
         """
         means = gaussians.means
         camera_to_world, K = cameras.camera_to_world[row].to(means), cameras.K[row].to(means)
@@ -179,13 +179,13 @@ class ReferenceRenderer:
 def project_covariances(covariances: Tensor, x: Tensor, y: Tensor, z: Tensor, K: Tensor, cameras: Cameras) -> Tensor:
     """Project covariances with the Jacobian of the pinhole at the mean.
 
-    The point of linearisation is clamped to 0.15 image widths beside the image: further out the Jacobian explodes.
+    The point of linearisation is clamped to 0.15 image sizes beyond the image; further out, the Jacobian blows up.
 
     Args:
         covariances: [G, 3, 3] camera frame, square metres.
-        x: [G] means in the camera frame, metres; so are ``y`` and ``z``.
-        K: [3, 3].
-        cameras: for the size of the image.
+        x: [G] x coordinate of the means in the camera frame, metres; likewise ``y`` and ``z``.
+        K: [3, 3] intrinsics.
+        cameras: cameras that give the size of the image.
 
     Returns:
         [G, 2, 2] square pixels.
@@ -204,12 +204,12 @@ def blend(projected: Projected, left: int, top: int, right: int, bottom: int, in
     """Blend the Gaussians over one tile, front to back.
 
     Args:
-        projected: nearest first.
-        left: edge of the tile, pixels; so are ``top``, ``right`` and ``bottom``.
-        invisible: opacities below it do not show.
+        projected: the Gaussians, nearest first.
+        left: left edge of the tile, pixels; likewise ``top``, ``right`` and ``bottom``.
+        invisible: opacity below which a Gaussian is not visible.
 
     Returns:
-        [bottom - top, right - left, 5]: red, green, blue, depth times share, alpha.
+        [bottom - top, right - left, 5]: red, green, blue, the sum of depths times blending weights, alpha.
     """
     like = projected.centers
     low, high = like.new_tensor([left, top]), like.new_tensor([right, bottom])
@@ -234,7 +234,7 @@ def blend(projected: Projected, left: int, top: int, right: int, bottom: int, in
 
 
 def alpha_at(points: Tensor, projected: Projected, invisible: float) -> Tensor:
-    """Opacity of each Gaussian at each point, 0 where it is invisible: [P, 2] pixels -> [P, G]."""
+    """Return the opacity of each Gaussian at each point, 0 where it is invisible: [P, 2] pixels -> [P, G]."""
     dx, dy = (points[:, None] - projected.centers).unbind(-1)
     xx, xy, yy = projected.conics.unbind(-1)
     sigmas = 0.5 * (xx * dx * dx + yy * dy * dy) + xy * dx * dy

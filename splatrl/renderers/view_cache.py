@@ -1,4 +1,4 @@
-"""Remembers the views of a finite lattice of poses, so that each is rendered once."""
+"""A cache of rendered views for poses on a finite lattice, so that each view is rendered only once."""
 
 from abc import ABC, abstractmethod
 from typing import Any, Generic, Protocol, TypeVar
@@ -13,18 +13,18 @@ from splatrl.renderers.base import Renderer, RenderOutput, draw_only
 from splatrl.renderers.parts import ABSENT, Parts
 
 Column = tuple[int, int, int]
-"""Address of values, bytes of a row, and bytes from one row to the next."""
+"""Address of values, bytes per row, and stride from one row to the next in bytes."""
 
 
 class Album(Protocol):
-    """Remembered images of one size."""
+    """Cached images of one size."""
 
     def __len__(self) -> int:
-        """How many there are."""
+        """Number of images."""
         ...
 
     def bytes_held(self) -> int:
-        """Memory that they take."""
+        """Return the bytes that the images take."""
         ...
 
 
@@ -32,15 +32,15 @@ Kept = TypeVar("Kept", bound=Album)
 
 
 class ViewCache(ABC, Generic[Kept]):
-    """Returns the bytes of another renderer, remembered by the exact bytes of the camera and its parts.
+    """Caches the images of another renderer, keyed by the exact bytes of the camera and its parts.
 
-    Worth it where robots stand on a finite lattice of poses: in time every view is a copy. Where poses are continuous
-    or noisy nothing repeats; use the renderer itself. When the memory is full, new views are rendered and not
-    remembered. Pickles remember nothing.
+    This pays off if robots stand on a finite lattice of poses: eventually every view is a copy. If poses are continuous
+    or noisy, nothing repeats, and the renderer itself should be used. When the memory is full, new views are rendered
+    but not cached. Pickles do not include the cached images.
 
     Args:
-        renderer: what renders the views that are not remembered.
-        max_bytes: bound on the remembered images.
+        renderer: the renderer of the views that are not cached.
+        max_bytes: bound on the memory of cached images.
 
     Raises:
         ValueError: for a negative bound.
@@ -51,7 +51,7 @@ class ViewCache(ABC, Generic[Kept]):
             raise ValueError(f"max_bytes: expected at least 0, got {max_bytes}")
         self.renderer = renderer
         self.max_bytes = max_bytes
-        self._albums: dict[tuple[int, ...], Kept] = {}  # by the size of the images, and what else tells them apart
+        self._albums: dict[tuple[int, ...], Kept] = {}  # by image size and whatever else must match
         if isinstance(renderer, Faulty):
             self.raise_faults = renderer.raise_faults
 
@@ -59,24 +59,24 @@ class ViewCache(ABC, Generic[Kept]):
         return type(self), (self.renderer, self.max_bytes)
 
     def __len__(self) -> int:
-        """How many views are remembered."""
+        """Number of cached views."""
         return sum(map(len, self._albums.values()))
 
     def bytes_held(self) -> int:
-        """Memory that the remembered images take."""
+        """Return the bytes that the cached images take."""
         return sum(album.bytes_held() for album in self._albums.values())
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
-        """Colour, depth and alpha of each camera; nothing is remembered."""
+        """Render colour, depth and alpha for each camera; nothing is cached."""
         return self.renderer.render(cameras, parts, only)
 
     @abstractmethod
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
-        """[B, H, W, 3] uint8: remembered views are copied, others rendered; rows not in ``only`` are zero."""
+        """Return [B, H, W, 3] uint8: cached views are copied, others rendered; rows not in ``only`` are zero."""
 
 
 class _Album:
-    """Remembered images of one size: a tensor that doubles as it fills, and the number of each view in it."""
+    """Cached images of one size: a tensor that doubles as it fills, and an index of the views in it."""
 
     def __init__(self) -> None:
         self.index = _core.RowIndex()
@@ -89,13 +89,13 @@ class _Album:
         return 0 if self.images is None else self.images.nbytes
 
     def add(self, columns: list[Column], rows: list[int], images: Tensor, max_bytes: int) -> None:
-        """Remember the first of these images, as many as fit into ``max_bytes`` with what is there.
+        """Store images, from the first on, as many as fit into ``max_bytes`` together with those already stored.
 
         Args:
-            columns: of a batch.
-            rows: those of it to which the images belong, none of which is remembered yet.
+            columns: the columns of a batch.
+            rows: the rows of the batch that the images belong to, none of which is stored yet.
             images: [len(rows), H, W, 3] uint8.
-            max_bytes: the most that ``images`` may take.
+            max_bytes: the most bytes that ``self.images`` may take.
         """
         used, most = len(self), max_bytes // images[0].nbytes
         count = max(0, min(len(rows), most - used))
@@ -112,18 +112,18 @@ class _Album:
 
 
 class LatticeRenderer(ViewCache[_Album]):
-    """A ``ViewCache`` in main memory that grows as it fills: while it does, the old and the new images exist together.
+    """A ``ViewCache`` in main memory that grows as it fills; while it grows, the old and the new images exist together.
 
     Duplicates within a batch are rendered once.
     """
 
     @torch.compiler.disable
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
-        """[B, H, W, 3] uint8: remembered views are copied, others rendered; rows not in ``only`` are zero."""
+        """Return [B, H, W, 3] uint8: cached views are copied, others rendered; rows not in ``only`` are zero."""
         return draw_only(self._recalled, cameras, parts, only)
 
     def _recalled(self, cameras: Cameras, parts: Parts | None) -> Tensor:
-        kind = cameras.width, cameras.height, parts is None  # a row without parts is not the scene where it stands
+        kind = cameras.width, cameras.height, parts is None  # no parts draw model 0, empty parts draw nothing
         if kind not in self._albums:
             self._albums[kind] = _Album()
         album = self._albums[kind]
@@ -147,12 +147,12 @@ class LatticeRenderer(ViewCache[_Album]):
 
 
 def _take(images: Tensor, rows: Tensor) -> Tensor:
-    """A copy of some images; ``index_select`` copies a whole image at a time, indexing goes pixel by pixel."""
+    """Copy some images; ``index_select`` copies whole images, whereas indexing would copy single pixels."""
     return images.index_select(0, rows.to(images.device))
 
 
 def _values(cameras: Cameras, parts: Parts | None) -> list[tuple[Tensor, int, int]]:
-    """What tells views apart, in main memory: values, bytes of a row, and bytes from one row to the next, of each."""
+    """Return the values that identify a view, in main memory, each with its bytes per row and its stride in bytes."""
     values = [cameras.camera_to_world, cameras.K]
     if parts is not None:
         absent = (parts.model == ABSENT)[..., None, None]
