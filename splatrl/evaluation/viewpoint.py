@@ -34,7 +34,8 @@ def eye_view(
         gaussians: the scene's Gaussians, world frame.
         occupancy: what is solid; the viewer stands clear of it.
         bounds: lower and upper corner of the region in which to stand, metres.
-        floor: height of the floor, world frame, metres; the target of a view from above the bounds.
+        floor: height of the floor, world frame, metres; the view does not aim below it, and aims at it from above the
+            bounds.
         height: height of the eye, world frame, metres.
         width: width of the image, pixels.
         rows: height of the image, pixels.
@@ -46,7 +47,7 @@ def eye_view(
     place = standing_place(occupancy, bounds, height)
     middle = 0.5 * (np.array(bounds[0]) + np.array(bounds[1]))
     away = float(np.hypot(*(middle[:2] - place)))
-    drop = 0.2 * away if height < bounds[1][2] else height - floor
+    drop = min(0.2 * away, height - floor) if height < bounds[1][2] else height - floor
     camera_to_world = look_at([*place, height], [*middle[:2].tolist(), height - drop])
     cameras = Cameras(camera_to_world[None], intrinsics(FOV, width, rows), width, rows)
     return NativeRenderer(gaussians, antialiased).pixels(cameras)[0].cpu()

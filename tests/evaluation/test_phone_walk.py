@@ -83,6 +83,17 @@ def test_the_hand_sways_as_slowly_at_every_frame_rate() -> None:
     assert float(slow.diff().abs().mean() / fast.diff().abs().mean()) == pytest.approx(4.0, rel=0.1)
 
 
+def test_in_a_place_too_large_for_its_speed_a_walk_stays_around_the_middle() -> None:
+    street = Occupancy.from_boxes(np.array([[-2.0, -12.0, -0.1]]), np.array([[2.0, 12.0, 0.0]]))
+    stroll = replace(STROLL, lower=(-1.0, -11.0), upper=(1.0, 11.0))
+    walk = phone_walk(street, stroll, 900, 30.0).numpy()
+    steps = np.linalg.norm(np.diff(walk[:, :2], axis=0), axis=1)
+    assert 0.5 * STROLL.speed < 30 * steps.mean() <= STROLL.speed
+    assert np.ptp(walk[:, 1]) > 2.0 and np.abs(walk[:, :2].mean(0)).max() < 1.0
+    with pytest.raises(ValueError, match=r"length: expected metres enough for a tour in steps of 0\.1, got 0\.45"):
+        phone_walk(street, stroll, 30, 30.0)
+
+
 def test_of_two_parts_the_larger_is_walked() -> None:
     wall = Occupancy.from_boxes(np.array([[0.7, -2, 0]]), np.array([[0.8, 2, 1]]), 0.05)
     assert phone_walk(wall, STROLL, 300, 30.0)[:, 0].max() < 0.7 - STROLL.radius
