@@ -401,7 +401,7 @@ def trunk_forward(
     Addresses are those of C-contiguous float32 arrays in main memory.
 
     Raises:
-        ValueError: for images with fewer than 8 pixels a side, or convolution channels that are not multiples of 16.
+        ValueError: for images with fewer than 8 pixels per side, or convolution channels that are not multiples of 16.
     """
 
 def trunk_backward(

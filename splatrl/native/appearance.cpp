@@ -47,7 +47,9 @@ void change_appearance(const Tensor<const uint8_t, -1, -1, -1, 3>& pixels, const
                        weights.shape(1) > 0 && gain.shape(1) == 3 && offset.shape(1) == 3 && out.shape(1) == height &&
                        out.shape(2) == width &&
                        (!noise || (fits(*noise) && noise->shape(1) == height && noise->shape(2) == line));
-    if (!right) throw std::invalid_argument("appearance: expected as many of each as there are images, and their sizes");
+    if (!right)
+        throw std::invalid_argument(
+            "appearance: expected every argument to have one row per image, and matching image sizes");
     if (pixels.size() == 0) return;
     const Release release;
     const size_t reach = weights.shape(1) - 1;

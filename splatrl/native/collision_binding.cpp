@@ -41,7 +41,8 @@ PackedGrid packed(const Solid& solid, const Distances& distance, const Vec3& cor
     int size[3];
     for (int i = 0; i < 3; ++i) {
         size[i] = int(solid.shape(i));
-        if (solid.shape(i) != distance.shape(i)) throw std::invalid_argument("distance: expected the shape of solid");
+        if (solid.shape(i) != distance.shape(i))
+            throw std::invalid_argument("distance: expected the same shape as solid");
     }
     return PackedGrid(solid.data(), distance.data(), size, corner, resolution);
 }
@@ -176,7 +177,7 @@ void bind_collision(nb::module_& m) {
                 bool right = resolution >= FINEST && resolution <= COARSEST;
                 for (double length : {corner[0], corner[1], corner[2], half[0], half[1], half[2], half_length, radius})
                     right = right && std::abs(length) <= FARTHEST_CORNER;
-                if (!right) throw std::invalid_argument("Collider: expected a resolution and lengths within bounds");
+                if (!right) throw std::invalid_argument("Collider: resolution or lengths out of bounds");
                 const auto kind = radius == 0.0 ? Shape::BOX : half_length > 0.0 ? Shape::CAPSULE : Shape::SPHERE;
                 const Shape shape =
                     shape_of(kind, quotient(half, resolution), half_length / resolution, radius / resolution);

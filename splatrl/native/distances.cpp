@@ -74,7 +74,8 @@ void find_distances(Tensor<const bool, -1, -1, -1> solid, double resolution, Ten
                     size_t threads) {
     const size_t columns = solid.shape(0), rows = solid.shape(1), along = solid.shape(2), plane = rows * along;
     for (size_t axis = 0; axis < 3; ++axis)
-        if (solid.shape(axis) != distance.shape(axis)) throw std::invalid_argument("distance: expected the shape of solid");
+        if (solid.shape(axis) != distance.shape(axis))
+            throw std::invalid_argument("distance: expected the same shape as solid");
     const bool* from = solid.data();
     float* to = distance.data();
     const Release release;

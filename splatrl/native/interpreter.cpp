@@ -31,7 +31,7 @@ void answer() {
     const auto now = std::chrono::steady_clock::now();
     if (now - last < 100ms) return;
     last = now;
-    if (ending && !PyGILState_Check()) throw std::runtime_error("expected Python to go on running, it ends");
+    if (ending && !PyGILState_Check()) throw std::runtime_error("interrupted: Python is shutting down");
     const nb::gil_scoped_acquire held;
     if (PyErr_CheckSignals() != 0) throw nb::python_error();
 }

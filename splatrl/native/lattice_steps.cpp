@@ -63,7 +63,7 @@ public:
             throw std::invalid_argument("StepTable: expected a row for each state and a column for each action");
         for (size_t i = 0; i < next.size(); ++i) {
             if (next.data()[i] < 0 || size_t(next.data()[i]) >= states)
-                throw std::invalid_argument("next: expected numbers of states");
+                throw std::invalid_argument("next: expected state indices in [0, number of states)");
             steps_.push_back({next.data()[i], outcome.data()[i], free_fraction.data()[i], reward.data()[i],
                               terminated.data()[i]});
         }
@@ -116,10 +116,10 @@ public:
         for (size_t i = 0; i < old.size(); ++i) std::memcpy(at<char>(found[i]), at<const char>(old[i]), count * bytes[i]);
         for (size_t i = 0; i < some; ++i) {
             const size_t row = size_t(at<const int64_t>(rows)[i]);
-            if (row >= count) throw std::invalid_argument("rows: expected those of the batch");
+            if (row >= count) throw std::invalid_argument("rows: expected row indices of the batch");
             const int64_t drawn = std::min(int64_t(at<const double>(uniform)[row] * double(available)), available - 1);
             const int64_t* start = at<const int64_t>(starts) + size_t(drawn) * shape_.size();
-            if (!known(start, 0)) throw std::invalid_argument("starts: expected states of the lattice");
+            if (!known(start, 0)) throw std::invalid_argument("starts: expected states on the lattice");
             for (size_t entry = 0; entry < old.size(); ++entry)
                 std::memset(at<char>(found[entry]) + row * bytes[entry], 0, bytes[entry]);
             std::memcpy(at<int64_t>(found[0]) + row * shape_.size(), start, size);

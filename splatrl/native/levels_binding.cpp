@@ -41,7 +41,8 @@ void check(const Levels& levels, size_t count) {
             right = right && i + 1 < nodes && levels.nodes[i + 1].skip <= node.skip && node.error > 0.0f &&
                     (node.count > 0 || std::isinf(node.error));
     }
-    if (!right) throw std::invalid_argument("levels: expected a tree over these Gaussians, got one that leads outside");
+    if (!right)
+        throw std::invalid_argument("levels: expected a tree over these Gaussians, got invalid indices or errors");
 }
 
 }  // namespace

@@ -84,7 +84,7 @@ void add_density(Tensor<const double, -1, 3> means, Tensor<const double, -1, 3, 
     const Triple shape{int64_t(density.shape(0)), int64_t(density.shape(1)), int64_t(density.shape(2))};
     if (axes.shape(0) != count || scales.shape(0) != count || opacities.shape(0) != count ||
         first.shape(0) != count || end.shape(0) != count)
-        throw nb::value_error("expected as many axes, scales, opacities and voxel ranges as means");
+        throw nb::value_error("add_density: expected as many axes, scales, opacities and voxel ranges as means");
     const Release release;
     for (size_t n = 0; n < count; ++n) {
         Triple low, high;

@@ -93,7 +93,7 @@ Scene from_arrays(const nb::dict& arrays, std::array<float, 3> background) {
         std::copy_n(group_bounds.data() + 6 * GROUP * i, 6 * GROUP, of_groups[i].members[0]);
     }
     if (!right || !is_sound(clusters, groups))
-        throw std::invalid_argument("packed model: expected the arrays of pack_model, got others");
+        throw std::invalid_argument("packed model: expected arrays that pack_model has made");
     SceneView view{};
     view.geometry = geometry.data();
     view.merged = reinterpret_cast<const MergedGroup*>(merged.data());

@@ -28,10 +28,12 @@ void policy_loss(const std::array<Address, 5>& frames, const std::array<size_t, 
                  const std::array<Address, 4>& heads, float clip_epsilon, float critic_coeff, float entropy_coeff,
                  const std::array<Address, 5>& gradients, Address statistics) {
     const auto [count, features, actions] = sizes;
-    if (count < 1 || features < 1 || actions < 1) throw std::invalid_argument("sizes: expected at least 1 of each");
+    if (count < 1 || features < 1 || actions < 1)
+        throw std::invalid_argument("sizes: expected count, features and actions of at least 1");
     const int64_t* action = reinterpret_cast<const int64_t*>(frames[1]);
     for (size_t i = 0; i < count; ++i)
-        if (action[i] < 0 || size_t(action[i]) >= actions) throw std::invalid_argument("action: expected one of those there are");
+        if (action[i] < 0 || size_t(action[i]) >= actions)
+            throw std::invalid_argument("action: expected actions in [0, number of actions)");
     const PolicyKernels& kernels = policy_kernels_of(choose_isa());
     const Release release;
     const Buffer<float> scratch = make_buffer<float>(count + 2 * actions);
@@ -44,7 +46,7 @@ void policy_loss(const std::array<Address, 5>& frames, const std::array<size_t, 
 // `tensors` holds the addresses of each tensor's values, gradient, first moment and second moment.
 void adam(const std::vector<std::array<Address, 4>>& tensors, const std::vector<size_t>& counts, double step, double rate,
           double beta1, double beta2, double epsilon, double max_norm) {
-    if (tensors.size() != counts.size()) throw std::invalid_argument("counts: expected one for each tensor");
+    if (tensors.size() != counts.size()) throw std::invalid_argument("counts: expected one count per tensor");
     std::vector<Moments> moments;
     for (size_t i = 0; i < tensors.size(); ++i)
         moments.push_back({at(tensors[i][0]), at(tensors[i][1]), at(tensors[i][2]), at(tensors[i][3]), counts[i]});

@@ -149,7 +149,7 @@ void Renderer::put(size_t model, std::optional<Scene> scene) {
 
 const Scene& Renderer::scene(int64_t model) const {
     const std::optional<Scene>& found = scenes_.at(size_t(model));
-    if (!found) throw std::invalid_argument("models: expected one that is there, got " + std::to_string(model));
+    if (!found) throw std::invalid_argument("models: expected a model that is loaded, got " + std::to_string(model));
     return *found;
 }
 
@@ -186,7 +186,7 @@ size_t Renderer::capacity_of(const Batch& batch) const {
         }
         most = std::max(most, sum);
     }
-    if (most > MOST) throw std::length_error("parts: expected at most 2^32 Gaussians in a row");
+    if (most > MOST) throw std::length_error("parts: expected fewer than 2^32 Gaussians per row");
     return most;
 }
 

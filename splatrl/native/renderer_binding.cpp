@@ -58,7 +58,8 @@ void needs(const Renderer& renderer, Tensor<const float, -1, 6> bounds, Tensor<c
     const Batch batch{nullptr, camera_to_models.data(), K.data(), K.shape(0), 1, width, height};
     if (errors.shape(0) != of_models.size() || out.shape(0) != batch.rows || out.shape(1) != of_models.size() ||
         camera_to_models.shape(0) != batch.rows)
-        throw std::invalid_argument("needs: expected an error for each model, and room for each row and model");
+        throw std::invalid_argument(
+            "needs: expected one error per model, one pose per row, and out of shape [rows, models]");
     renderer.needs(of_models.data(), errors.data(), of_models.size(), batch, out.data());
 }
 
@@ -73,7 +74,7 @@ int64_t first_bad_camera(const Tensor<const float, -1, 4, 4>& poses, const Lense
 // are valid.
 int64_t first_bad_part(const Tensor<const int64_t, -1, -1>& models, const Poses& poses, int64_t count) {
     const size_t parts = models.shape(0) * models.shape(1);
-    if (poses.shape(0) * poses.shape(1) != parts) throw std::invalid_argument("parts: expected a pose for each model");
+    if (poses.shape(0) * poses.shape(1) != parts) throw std::invalid_argument("parts: expected one pose per model");
     for (size_t part = 0; part < parts; ++part) {
         const int64_t model = models.data()[part];
         if (model < -1 || model >= count || (model >= 0 && !is_pose_by_fours(poses.data() + 16 * part)))
@@ -88,7 +89,8 @@ void camera_to_models(const Tensor<const float, -1, 4, 4>& camera_to_world, cons
                       const Tensor<float, -1, -1, 4, 4>& out) {
     const size_t rows = camera_to_world.shape(0), parts = model_to_world.shape(1);
     if (model_to_world.shape(0) != rows || out.shape(0) != rows || out.shape(1) != parts)
-        throw std::invalid_argument("camera_to_models: expected parts, and room for them, for each camera");
+        throw std::invalid_argument(
+            "camera_to_models: expected model_to_world and out of equal shape, with one row per camera");
     for (size_t i = 0; i < rows * parts; ++i) {
         const float *camera = camera_to_world.data() + 16 * (i / parts), *model = model_to_world.data() + 16 * i;
         float* pose = out.data() + 16 * i;

@@ -33,5 +33,5 @@ def threads_of(asked: int | None) -> int:
     if asked is None:
         return usable_cores()
     if isinstance(asked, bool) or not isinstance(asked, int) or asked < 1:
-        raise ValueError(f"threads: expected at least 1, or None for all cores, got {asked!r}")
+        raise ValueError(f"threads: expected a whole number of at least 1, or None for all cores, got {asked!r}")
     return min(asked, usable_cores())

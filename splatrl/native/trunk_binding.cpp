@@ -40,12 +40,12 @@ public:
     explicit Trunk(const std::array<int, 6>& numbers) {
         const auto [height, width, depth, first, second, features] = numbers;
         if (height < 8 || width < 8 || height > 4096 || width > 4096)
-            throw std::invalid_argument("shape: expected images of 8 to 4096 pixels a side");
+            throw std::invalid_argument("shape: expected images of 8 to 4096 pixels per side");
         if (depth < 1 || depth > 4096 || features < 1 || features > 65536)
-            throw std::invalid_argument("shape: expected channels up to 4096, and features up to 65536");
+            throw std::invalid_argument("shape: expected 1 to 4096 image channels and 1 to 65536 features");
         for (int channels : {first, second})
             if (channels < 1 || channels > 4096 || channels % TRUNK_LANES != 0)
-                throw std::invalid_argument("shape: expected channels of convolutions in multiples of 16");
+                throw std::invalid_argument("shape: expected convolution channels to be multiples of 16, at most 4096");
         shape_.first = {height, width, depth, first, 4, 2};
         shape_.second = {shape_.first.tall(), shape_.first.wide(), first, second, 3, 2};
         shape_.features = features;

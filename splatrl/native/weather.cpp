@@ -122,7 +122,8 @@ void put_into_weather(const Tensor<const uint8_t, -1, -1, -1, 3>& pixels, const 
         right = right && fits(wet) && fits(begin) && cover.size() > 0 && rank.size() == cover.size();
         right = right && shine.size() == cover.size() && shift.size() == 2 * cover.size();
     }
-    if (!right) throw std::invalid_argument("weather: expected as many of each as there are images, and their sizes");
+    if (!right)
+        throw std::invalid_argument("weather: expected one row per image, and matching sizes of images and textures");
     const Release release;
     parallel_for(count, threads, [&](size_t, size_t number) {
         const Image image{number, height, width, far ? far->data() + number * area : nullptr};

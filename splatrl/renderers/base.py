@@ -48,9 +48,9 @@ class Renderer(Protocol):
 UNIT = 1e-3
 """Tolerance on the length of a unit quaternion."""
 DRAWABLE = {
-    "means": "finite metres",
+    "means": "finite coordinates in metres",
     "quats": "a unit quaternion",
-    "scales": "finite metres above 0",
+    "scales": "positive, finite numbers of metres",
     "opacities": "a number from 0 to 1",
     "sh": "finite values",
 }

@@ -103,8 +103,8 @@ class BlockRenderer(NativeRenderer):
         largest = max((kept.bytes for kept in self._whole.values()), default=0)
         if budget < self._tops + largest:
             raise ValueError(
-                f"renderer.budget: expected at least {self._tops + largest:,} bytes, for the tops of all blocks and "
-                f"the largest block, got {budget:,.0f}"
+                f"renderer.budget: expected at least {self._tops + largest:,} bytes, for the top of each block's tree "
+                f"and the whole of the largest block, got {budget:,.0f}"
             )
         self._room = int(budget) - self._tops
 
@@ -248,7 +248,7 @@ class BlockRenderer(NativeRenderer):
         if not self._packing.merge:
             raise ValueError(
                 f"renderer.budget: expected at least {int(sizes[whole].sum()):,} bytes for the {len(whole)} blocks "
-                f"that a camera sees with tolerance=0, got {self._room:,}"
+                f"that one camera sees, all of which tolerance=0 needs, got {self._room:,}"
             )
         away = np.linalg.norm(stack.bounds[whole, :3] - camera, axis=1) - stack.bounds[whole, 3]
         nearest = whole[np.argsort(away, kind="stable")]

@@ -148,7 +148,7 @@ class CudaRenderer:
         load: Load | None = None,
     ) -> None:
         if not 1 <= most_gaussians <= MOST_INDICES:
-            raise ValueError(f"most_gaussians: expected at least 1, at most {MOST_INDICES:,}, got {most_gaussians:,}")
+            raise ValueError(f"most_gaussians: expected a number from 1 to {MOST_INDICES:,}, got {most_gaussians:,}")
         packer = Packer(models_of(scene), antialiased, checked_background(background), tolerance)
         self._load = load or (lambda source, defines: CudaKernels(source, device, defines))
         self._settings = antialiased, packer.sh_degree, tolerance > 0

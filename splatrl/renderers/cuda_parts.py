@@ -73,7 +73,7 @@ class CudaParts:
         if row is not None:
             raise ValueError(
                 f"parts[{row}]: expected {ABSENT} or models in [0, {len(self._models.models)}), rigid model_to_world, "
-                f"and together at most {self._most_gaussians:,} Gaussians ({MOST_INDICES:,} with merged ones)"
+                f"and together at most {self._most_gaussians:,} Gaussians ({MOST_INDICES:,} including merged ones)"
             )
 
 

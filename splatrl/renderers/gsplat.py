@@ -67,7 +67,7 @@ class GsplatRenderer:
         self._rasterization = _rasterization()
         model, *others = models_of(scene)
         if others:
-            raise ValueError(f"scene: expected one model, since gsplat places none, got {1 + len(others)}")
+            raise ValueError(f"scene: expected one model, since gsplat cannot place several, got {1 + len(others)}")
         gaussians, self.device = gaussians_of(model), torch.device(device)
         fields = {"means": gaussians.means, "quats": gaussians.quats, "scales": gaussians.scales}
         fields |= {"opacities": gaussians.opacities, "colors": gaussians.sh}
@@ -101,7 +101,7 @@ class GsplatRenderer:
         """Split cameras into batches that fit into memory: at least one, which is empty if there are no cameras."""
         if parts is not None:
             got = list(parts.model.shape)
-            raise ValueError(f"parts: expected no parts, since gsplat draws one model where it stands, got {got}")
+            raise ValueError(f"parts: expected none, since gsplat draws a single model in its own frame, got {got}")
         require_cameras(cameras)
         return [cameras[first : first + self.at_once] for first in range(0, max(1, len(cameras)), self.at_once)]
 

@@ -71,7 +71,7 @@ def checked_tolerance(tolerance: float) -> float:
         ValueError: for one that is negative or not finite.
     """
     if not 0.0 <= tolerance < float("inf"):
-        raise ValueError(f"tolerance: expected pixels, at least 0 and finite, got {tolerance}")
+        raise ValueError(f"tolerance: expected a finite number of pixels, at least 0, got {tolerance}")
     return tolerance
 
 

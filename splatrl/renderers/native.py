@@ -131,7 +131,9 @@ class NativeRenderer:
         if out is None:
             return draw_only(self._pixels, cameras, parts, only)
         if only is not None:
-            raise ValueError("out: expected no only beside it, since what is not drawn would keep its old pixels")
+            raise ValueError(
+                "out: cannot be combined with only, since rows that are not drawn would keep their old pixels"
+            )
         self._draw(cameras, parts, _checked_out(out, cameras))
         return out
 
@@ -177,7 +179,7 @@ def checked_cameras(cameras: Cameras) -> tuple[Tensor, Tensor]:
     poses, K = cpu_floats(cameras.camera_to_world), cpu_floats(cameras.K)
     if _core.first_bad_camera(poses, K) >= 0:
         require_cameras(cameras)
-        raise ValueError("cameras: expected rigid poses and pinholes")
+        raise ValueError("cameras: expected rigid poses and pinhole intrinsics")
     return poses, K
 
 

@@ -42,4 +42,6 @@ def for_each_block(make: Callable[[Block], Made], blocks: Sequence[Block], files
     """Call ``make`` on each block in parallel, with a progress bar if any of ``files`` is not in the cache yet."""
     known = all((cache_dir() / f"{name}.npz").is_file() for name in files)
     with ThreadPoolExecutor(threads_of(None)) as pool:
-        yield from tqdm(pool.map(make, blocks), "blocks", len(blocks), unit="block", disable=known, dynamic_ncols=True)
+        yield from tqdm(
+            pool.map(make, blocks), "pack blocks", len(blocks), unit="block", disable=known, dynamic_ncols=True
+        )

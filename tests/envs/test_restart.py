@@ -69,7 +69,7 @@ def test_rows_go_to_their_places_and_the_others_stay(dtype: torch.dtype, shape: 
 
 @pytest.mark.parametrize("row", [-1, 7])
 def test_a_row_that_there_is_not_is_refused(row: int) -> None:
-    with pytest.raises(ValueError, match="rows: expected those of the batch"):
+    with pytest.raises(ValueError, match="rows: expected row indices of the batch"):
         with_rows([torch.zeros(7, 2)], torch.tensor([0, row]), [torch.ones(2, 2)])
 
 

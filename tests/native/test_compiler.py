@@ -85,7 +85,7 @@ def test_where_shared_memory_is_small_a_block_has_registers_for_all_it_computes(
 
 def test_a_kernel_is_compiled_once_and_says_so(cache: Path, sources: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first = compiled("double", "sm_90")
-    assert "compiling double.cu for sm_90, once" in capsys.readouterr().err
+    assert "compiling double.cu for sm_90 (once)" in capsys.readouterr().err
     assert [path.suffix for path in cache.iterdir()] == [".cubin"]
     assert compiled("double", "sm_90") == first
     assert capsys.readouterr().err == ""

@@ -162,7 +162,7 @@ def test_there_are_no_more_threads_than_cores() -> None:
     assert threads_of(1) == 1
     assert NativeRenderer(tiny_gaussians(), threads=1000).threads == usable_cores()
     for wrong in (0, -1, True, 2.0, "2"):
-        with pytest.raises(ValueError, match="threads: expected at least 1, or None for all cores, got"):
+        with pytest.raises(ValueError, match="threads: expected a whole number of at least 1, or None for all cores"):
             threads_of(wrong)  # type: ignore[arg-type]
 
 
@@ -200,7 +200,7 @@ def test_the_core_refuses_lengths_that_it_cannot_count_in_voxels() -> None:
     _core.Collider(**right)
     wrong = {"resolution": 1e-310}, {"resolution": 1e300}, {"resolution": float("nan")}, {"corner": (2.0**62, 0.0, 0.0)}
     for change in (*wrong, {"corner": (0.0, float("nan"), 0.0)}, {"half": (1e300, 1.0, 1.0)}, {"radius": float("inf")}):
-        with pytest.raises(ValueError, match="expected a resolution and lengths within bounds"):
+        with pytest.raises(ValueError, match="Collider: resolution or lengths out of bounds"):
             _core.Collider(**{**right, **change})
 
 
@@ -264,8 +264,8 @@ def test_images_have_a_whole_number_of_pixels(size: tuple[int, int]) -> None:
         ("opacities", 2.0, r"opacities\[3\]: expected a number from 0 to 1, got 2\.0"),
         ("opacities", float("nan"), r"opacities\[3\]: expected a number from 0 to 1"),
         ("quats", 0.0, r"quats\[3\]: expected a unit quaternion, got \[0\.0, 0\.0, 0\.0, 0\.0\]"),
-        ("scales", 0.0, r"scales\[3\]: expected finite metres above 0"),
-        ("means", float("inf"), r"means\[3\]: expected finite metres"),
+        ("scales", 0.0, r"scales\[3\]: expected positive, finite numbers of metres"),
+        ("means", float("inf"), r"means\[3\]: expected finite coordinates in metres"),
         ("sh", float("nan"), r"sh\[3\]: expected finite values"),
     ],
 )

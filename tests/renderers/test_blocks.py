@@ -196,11 +196,13 @@ def test_a_pickled_renderer_draws_the_same(town: BlockScene) -> None:
 
 def test_too_small_a_budget_is_refused_by_what_it_would_take(town: BlockScene) -> None:
     with pytest.raises(
-        ValueError, match=r"renderer.budget: expected at least [0-9,]+ bytes, for the tops of all blocks"
+        ValueError, match=r"renderer.budget: expected at least [0-9,]+ bytes, for the top of each block's tree"
     ):
         BlockRenderer(town, tolerance=1.0, budget=1e4)
     renderer = BlockRenderer(town, budget=room_for(BlockRenderer(town), 1))
-    with pytest.raises(ValueError, match=r"renderer.budget: expected at least [0-9,]+ bytes for the \d+ blocks"):
+    with pytest.raises(
+        ValueError, match=r"renderer.budget: expected at least [0-9,]+ bytes for the \d+ blocks that one camera sees"
+    ):
         renderer.pixels(walkers())
     with pytest.raises(ValueError, match=r"camera_to_world\[1\]: expected"):
         cameras = walkers(batch=3)

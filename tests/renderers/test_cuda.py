@@ -208,12 +208,12 @@ def test_efforts_count_what_was_done(make: Make) -> None:
 
 
 def test_a_scene_without_level_of_detail_is_refused_a_wrong_one() -> None:
-    with pytest.raises(ValueError, match="tolerance: expected pixels, at least 0 and finite, got -1"):
+    with pytest.raises(ValueError, match="tolerance: expected a finite number of pixels, at least 0, got -1"):
         emulated_renderer(random_gaussians(0, 10), tolerance=-1)
 
 
 def test_gaussians_that_are_not_finite_are_refused() -> None:
     scene = random_gaussians(0, 10)
     scene.means[3, 1] = torch.nan
-    with pytest.raises(ValueError, match=r"gaussians\.means\[3\]: expected finite metres"):
+    with pytest.raises(ValueError, match=r"gaussians\.means\[3\]: expected finite coordinates in metres"):
         emulated_renderer(scene)

@@ -134,7 +134,7 @@ def test_more_gaussians_than_a_key_can_number_are_refused(town: BlockScene, monk
     )
     with pytest.raises(ValueError, match=message):
         CudaRenderer([random_gaussians(0, 9), town], load=emulated)
-    with pytest.raises(ValueError, match="tolerance: expected pixels, at least 0 and finite, got -1"):
+    with pytest.raises(ValueError, match="tolerance: expected a finite number of pixels, at least 0, got -1"):
         CudaRenderer(town, tolerance=-1, load=emulated)
 
 

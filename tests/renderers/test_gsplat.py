@@ -70,7 +70,7 @@ def test_only_the_rows_that_are_asked_for_are_drawn(batches: list[int]) -> None:
 @pytest.mark.usefixtures("batches")
 def test_parts_and_several_models_are_refused() -> None:
     scene, cameras = random_gaussians(1, 80), random_cameras(2, 4)
-    with pytest.raises(ValueError, match=r"parts: expected no parts, .* got \[4, 4\]$"):
+    with pytest.raises(ValueError, match=r"parts: expected none, .* got \[4, 4\]$"):
         GsplatRenderer(scene, device="cpu").pixels(cameras, random_parts(3, 4))
     with pytest.raises(ValueError, match=r"scene: expected one model, .* got 2$"):
         GsplatRenderer([scene, scene], device="cpu")

@@ -334,7 +334,7 @@ def test_levels_that_lead_outside_are_refused(levels: Arrays, name: str, index: 
 
 @pytest.mark.parametrize("tolerance", [-0.1, math.inf, math.nan])
 def test_a_tolerance_that_is_no_number_of_pixels_is_refused(tolerance: float) -> None:
-    with pytest.raises(ValueError, match="tolerance: expected pixels"):
+    with pytest.raises(ValueError, match="tolerance: expected a finite number of pixels"):
         NativeRenderer(random_gaussians(0, 3), tolerance=tolerance)
 
 

@@ -50,5 +50,5 @@ def test_gradients_reach_the_scene_through_the_rows_that_are_drawn() -> None:
 
 def test_a_tensor_to_draw_into_takes_no_mask() -> None:
     cameras, out = random_cameras(6, 3, 19, 13), torch.zeros(3, 13, 19, 3, dtype=torch.uint8)
-    with pytest.raises(ValueError, match="out: expected no only beside it"):
+    with pytest.raises(ValueError, match="out: cannot be combined with only"):
         NativeRenderer(SCENE).pixels(cameras, only=torch.ones(3, dtype=torch.bool), out=out)

@@ -188,7 +188,7 @@ def test_the_core_finds_the_first_part_that_is_wrong_and_ignores_poses_of_none()
         assert _core.first_bad_part(model, poses, 1) == 3 * row + part
     model[0, 2] = 1
     assert _core.first_bad_part(model, poses, 1) == 2
-    with pytest.raises(ValueError, match="expected a pose for each model"):
+    with pytest.raises(ValueError, match="expected one pose per model"):
         _core.first_bad_part(model, poses[:, :2].contiguous(), 1)
 
 
@@ -323,7 +323,7 @@ def test_the_core_places_cameras_in_models_as_its_readable_twin_does() -> None:
     placed_by_core = in_models(cameras.camera_to_world, parts)
     torch.testing.assert_close(placed_by_core, camera_to_models(cameras, parts), rtol=0, atol=1e-6)
     assert torch.equal(placed_by_core[:, 0], cameras.camera_to_world)
-    with pytest.raises(ValueError, match="expected parts, and room for them, for each camera"):
+    with pytest.raises(ValueError, match="expected model_to_world and out of equal shape, with one row per camera"):
         _core.camera_to_models(cameras.camera_to_world[:5], poses, placed_by_core)
 
 

@@ -9,7 +9,7 @@ namespace splatrl {
 // A node of a part's tree: its cluster in the low bits, its part in the high ones.
 struct Node {
     static constexpr int CLUSTER_BITS = 25;
-    static_assert(VIEWS <= 1 << (32 - CLUSTER_BITS), "a part has a number in a node");
+    static_assert(VIEWS <= 1 << (32 - CLUSTER_BITS), "a part's number must fit in the high bits of a node");
     uint32_t word;
 
     INLINE_MEMBER uint32_t cluster() const { return WITH_PARTS ? word & ((1u << CLUSTER_BITS) - 1) : word; }

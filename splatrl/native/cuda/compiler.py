@@ -13,7 +13,7 @@ NATIVE = Path(__file__).parents[1]
 FOLDERS = (NATIVE / "cuda", NATIVE, NATIVE / "cuda" / "std", NATIVE / "kernels")
 """Folders that are searched for sources and headers, in this order."""
 _MISSING = (
-    "CUDA kernels need cuda-core and NVRTC: pip install 'splatrl[cuda]', or 'splatrl[cuda12]' for a driver of CUDA 12"
+    "CUDA kernels need cuda-core and NVRTC: pip install 'splatrl[cuda]', or 'splatrl[cuda12]' for a CUDA 12 driver"
 )
 
 
@@ -41,7 +41,7 @@ def compiled(source: str | Path, arch: str, defines: Mapping[str, int] | None = 
     if path.is_file():
         return path.read_bytes()
     start = time.monotonic()
-    print(f"splatrl: compiling {source_path(source).name} for {arch}, once ...", end="", file=sys.stderr, flush=True)
+    print(f"splatrl: compiling {source_path(source).name} for {arch} (once) ...", end="", file=sys.stderr, flush=True)
     code, _ = translated(source, arch, defines or {})
     print(f" {time.monotonic() - start:.1f} s", file=sys.stderr)
     try:
@@ -49,7 +49,7 @@ def compiled(source: str | Path, arch: str, defines: Mapping[str, int] | None = 
         with replacing(path) as stream:
             stream.write(code)
     except OSError as error:
-        print(f"splatrl: {path.parent}: cannot keep kernels here, set SPLATRL_CACHE: {error}", file=sys.stderr)
+        print(f"splatrl: {path.parent}: cannot cache kernels here; set SPLATRL_CACHE: {error}", file=sys.stderr)
     return code
 
 
@@ -84,7 +84,7 @@ def translated(source: str | Path, arch: str, defines: Mapping[str, int]) -> tup
         code = program.compile("cubin", logs=log).code
     except Exception as error:  # cuda-core has no public class for compiler errors
         said = f"{log.text}\n{error}".replace("\0", "").strip()
-        raise RuntimeError(f"{path.name} for {arch}: expected a source that compiles\n{said}") from error
+        raise RuntimeError(f"{path.name} for {arch}: expected a source that compiles, got\n{said}") from error
     return bytes(code), log.text
 
 

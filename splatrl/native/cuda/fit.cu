@@ -36,9 +36,11 @@ struct FitPosing {
     float sums[FIT_WARPS][6];
 };
 
-static_assert(sizeof(FitBlending) <= BLEND_BYTES, "the launch asks for enough shared memory");
-static_assert(sizeof(CurveWindows) <= COMPARE_BYTES && sizeof(SlopeWindows) <= COMPARE_BYTES, "likewise");
-static_assert(sizeof(FitBacking) <= BACK_BYTES && sizeof(FitPosing) <= PULL_BYTES, "likewise");
+static_assert(sizeof(FitBlending) <= BLEND_BYTES, "BLEND_BYTES is too small");
+static_assert(sizeof(CurveWindows) <= COMPARE_BYTES && sizeof(SlopeWindows) <= COMPARE_BYTES,
+              "COMPARE_BYTES is too small");
+static_assert(sizeof(FitBacking) <= BACK_BYTES && sizeof(FitPosing) <= PULL_BYTES,
+              "BACK_BYTES or PULL_BYTES is too small");
 
 }  // namespace splatrl
 

@@ -15,7 +15,7 @@ namespace splatrl {
 constexpr int FIT_BATCH = 16, FIT_FEW = 32;  // splats that are summed up, and that are loaded, at once
 constexpr int FIT_PAIR_MOMENTS = M_DEPTH + 1;
 constexpr int FIT_COLUMN_PITCH = FIT_BATCH + 1, FIT_ROW_PITCH = 280;  // these avoid bank conflicts in shared memory
-static_assert(FIT_ROW_PITCH >= FIT_TILE * FIT_COLUMN_PITCH, "a row of pixels fits");
+static_assert(FIT_ROW_PITCH >= FIT_TILE * FIT_COLUMN_PITCH, "the pitch must be at least the length of a row of pixels");
 
 struct FitBacking {
     float v[FIT_TILE * FIT_ROW_PITCH], share[FIT_TILE * FIT_ROW_PITCH];  // of each pixel and splat

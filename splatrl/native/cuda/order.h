@@ -12,7 +12,7 @@ struct Cut {
 
     INLINE_MEMBER Cut(Key low, Key high) : low(low), high(high), shift(0) {
         constexpr int BUCKET_BITS = 10;
-        static_assert(1 << BUCKET_BITS == BUCKETS, "a bucket for each value of these bits");
+        static_assert(1 << BUCKET_BITS == BUCKETS, "there must be one bucket for each value of BUCKET_BITS bits");
         const int bits = 64 - __clzll(high - low);
         shift = bits > BUCKET_BITS ? bits - BUCKET_BITS : 0;
     }
@@ -95,7 +95,7 @@ SPLAT_INLINE uint32_t deal_to_buckets(Shared& shared, const Key* from, Key* to, 
 // them within its registers, between lanes, or through shared memory.
 SPLAT_INLINE void sort_by_exchange(Shared& shared) {
     constexpr int OWN = SLAB / THREADS;
-    static_assert(OWN == 2, "the exchange within a thread is between two keys");
+    static_assert(OWN == 2, "each thread must hold exactly two keys");
     const int first = thread() * OWN;
     __syncthreads();
     Key mine[OWN] = {shared.sorted[first], shared.sorted[first + 1]};

@@ -12,8 +12,8 @@ namespace splatrl {
 
 constexpr int THREADS = BLOCK_THREADS, WARPS = THREADS / WARP;
 constexpr int QUARTER = WARP / 4;  // lanes that share a cell
-static_assert(CELL_WIDTH * CELL_HEIGHT == QUARTER, "a lane for each pixel of a cell");
-static_assert(THREADS / QUARTER * BANDS == CELLS, "a quarter has a cell in each band");
+static_assert(CELL_WIDTH * CELL_HEIGHT == QUARTER, "a quarter warp must have one lane for each pixel of a cell");
+static_assert(THREADS / QUARTER * BANDS == CELLS, "each quarter warp must have one cell in each band");
 
 // Blocks among which the registers of a multiprocessor are divided: as many as fit into its shared memory, which is 100
 // KB on graphics cards and 164 KB on sm_80.
@@ -164,7 +164,7 @@ struct SharedFor<true> {
     using Type = SharedWithDepth;
 };
 
-static_assert(sizeof(Shared) <= SHARED_BYTES, "the launch asks for enough shared memory");
-static_assert(sizeof(SharedWithDepth) <= SHARED_BYTES_WITH_DEPTH, "the launch asks for enough shared memory");
+static_assert(sizeof(Shared) <= SHARED_BYTES, "SHARED_BYTES is too small");
+static_assert(sizeof(SharedWithDepth) <= SHARED_BYTES_WITH_DEPTH, "SHARED_BYTES_WITH_DEPTH is too small");
 
 }  // namespace splatrl

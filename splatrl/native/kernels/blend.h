@@ -15,7 +15,7 @@ namespace SPLATRL_ISA {
 // Prefetch distances, in items: FETCH hides the latency of memory, AHEAD that of the caches. What is fetched past the
 // end of a list is never used.
 constexpr uint32_t FETCH = 64, AHEAD = 4;
-static_assert(FETCH <= SPARE && AHEAD <= SPARE, "the arrays have room to read ahead");
+static_assert(FETCH <= SPARE && AHEAD <= SPARE, "prefetches must stay within the spare items of the arrays");
 
 // A block is tested for finished pixels after every ROUND splats. Lists are padded with the splat NOWHERE, which is
 // invisible everywhere.

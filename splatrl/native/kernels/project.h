@@ -133,7 +133,7 @@ LANE_INLINE void fetch_group(const Row& row, const Shown& shown) {
 // intermediate results.
 constexpr uint32_t AT_ONCE = SPLATRL_REGISTER == LANES ? 4 : 1;
 constexpr uint32_t GROUPS_AHEAD = 4;  // prefetch distance: some kilobytes, because memory latency may be high
-static_assert(GROUPS_AHEAD + AT_ONCE <= SPARE, "the array has room to read ahead");
+static_assert(GROUPS_AHEAD + AT_ONCE <= SPARE, "prefetches must stay within the spare items of the array");
 
 // Append the splats of at most AT_ONCE groups that are visible on a tile after the first `count` splats. Returns the
 // new number of splats. The same code runs for any number of groups, so that all are rounded alike.

@@ -119,9 +119,9 @@ def test_the_core_changes_images_as_pytorch_does(
 def test_the_core_refuses_sizes_that_do_not_belong_together() -> None:
     images, weights, color, grain = pictures(), torch.ones(2, 1), torch.ones(2, 3), torch.zeros(2)
     for sizes in ((weights[:1], color, grain), (weights, torch.ones(2, 4), grain), (weights, color, torch.zeros(3))):
-        with pytest.raises(ValueError, match="as many of each"):
+        with pytest.raises(ValueError, match="appearance: expected every argument to have one row per image"):
             _core.change_appearance(images, sizes[0], sizes[1], color, sizes[2], None, images.clone(), 1)
-    with pytest.raises(ValueError, match="as many of each"):
+    with pytest.raises(ValueError, match="appearance: expected every argument to have one row per image"):
         noise = torch.zeros(2, 10, 14)
         _core.change_appearance(images, weights, color, color, grain, noise, images.clone(), 1)
 

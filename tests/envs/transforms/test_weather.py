@@ -281,7 +281,7 @@ def test_the_core_puts_images_into_the_weather_that_pytorch_does(monkeypatch: py
 def test_the_core_refuses_sizes_that_do_not_belong_together() -> None:
     images, tint = pictures(), torch.ones(2, 3)
     for wrong in (tint[:1], torch.ones(3, 3)):
-        with pytest.raises(ValueError, match="as many of each"):
+        with pytest.raises(ValueError, match="weather: expected one row per image"):
             _core.put_into_weather(images, wrong, tint, None, None, None, None, images.clone(), 1)
 
 
