@@ -19,7 +19,7 @@ from splatrl.capture.progress import Progress
 COLMAP_TELLS = {
     "extract": re.compile(r"Processed file \[(\d+)/(\d+)\]"),
     "match": re.compile(r"block \[(\d+)/(\d+)"),
-    "map at once": re.compile(r"bundle adjustment iteration (\d+) / (\d+) finished"),
+    "map globally": re.compile(r"bundle adjustment iteration (\d+) / (\d+) finished"),
 }
 KEPT_LINES = 12
 FULL = re.compile(r"disk is full|No space left", re.IGNORECASE)
@@ -70,7 +70,7 @@ def run_child(module: str, folder: Path, progress: Progress) -> None:
     if code and full:
         raise OSError(errno.ENOSPC, f"cannot write: {os.strerror(errno.ENOSPC)}", str(folder))
     if code:
-        raise CaptureError(f"{module} failed with code {code}:\n" + "\n".join(last))
+        raise CaptureError(f"{module} failed with exit code {code}:\n" + "\n".join(last))
 
 
 def _read(stream: IO[str], lines: "queue.Queue[str | None]") -> None:

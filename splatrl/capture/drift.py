@@ -37,8 +37,9 @@ def leap(placed: Placed) -> str | None:
     most = int(sudden.argmax())
     when = float(seconds[most + 1])
     return (
-        f"The camera seems to leap at {when:.0f} s, by {sudden[most]:.0f} times what it usually does: "
-        "what it saw before and after may be joined wrongly. Film that part again, more slowly and with more in view."
+        f"The camera seems to jump at {when:.0f} s, where its velocity changes {sudden[most]:.0f} times as much as "
+        "usual: the parts before and after may be joined wrongly. Film that part again, more slowly and with more in "
+        "view."
     )
 
 
@@ -68,7 +69,7 @@ def lost_scale(placed: Placed) -> str | None:
     places = [f"image {row}" if seconds is None else f"{float(seconds[row]):.0f} s" for row in (high, low)]
     return (
         f"The camera seems {most:.2f} m above the floor at {places[0]} and {least:.2f} m at {places[1]}: the scale was "
-        "lost in between, as by turning around on the spot. Film it again and turn in a wide arc, or cut one part out."
+        "lost in between, for example by turning on the spot. Film it again and turn in wide arcs, or cut one part out."
     )
 
 

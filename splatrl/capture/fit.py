@@ -203,7 +203,9 @@ class Fitting:
             if (state[name].shape, state[name].dtype) != (value.shape, value.dtype):
                 raise ValueError(f"{name}: expected {value.dtype} {list(value.shape)}, got {list(state[name].shape)}")
         if step < 1 or not 1 <= count <= self.model.cap or not torch.isin(order, self.trained).all():
-            raise ValueError(f"expected a step, Gaussians and photos of this fit, got {step}, {count} and {order}")
+            raise ValueError(
+                f"expected the step, Gaussian count and photos of this fit, got {step}, {count} and {order}"
+            )
         for name, value in tensors.items():
             value.copy_(state[name])
         self.model.count, self._order, self.generator = count, order.tolist(), generator

@@ -47,12 +47,12 @@ class Checkpoint:
             arrays = read_arrays(self.path)
             if str(arrays.pop("digest", "")) != self.digest:
                 return 0
-            with refusing(self.path, "the state of a fit"):
+            with refusing(self.path, "a checkpoint of a fit"):
                 return restore({name: torch.from_numpy(values) for name, values in arrays.items()})
         except FileNotFoundError:
             return 0
         except (OSError, ValueError) as error:
-            self.say(f"{error}; the fit begins anew")
+            self.say(f"{error}; the fit starts over")
             return 0
 
     def due(self) -> bool:

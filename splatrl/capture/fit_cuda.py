@@ -279,7 +279,7 @@ class CudaFitter:
 
     def _kernels_for(self, values: Tensor) -> Kernels:
         if len(values) not in ROWS:
-            raise ValueError(f"values: expected {', '.join(map(str, ROWS))} rows, got {len(values)}")
+            raise ValueError(f"values: expected {', '.join(map(str, ROWS[:-1]))} or {ROWS[-1]} rows, got {len(values)}")
         degree = ROWS.index(len(values))
         if degree not in self._kernels:
             self._kernels[degree] = self._load("fit", kernel_defines(degree))

@@ -50,7 +50,7 @@ def frame_of(camera_to_world: Tensor) -> Frame:
     middle = positions.mean(0)
     extent = float((positions - middle).norm(dim=1).max())
     if not extent > 0.0:
-        raise CaptureError("camera_to_world: expected cameras in more than one place, got all in one")
+        raise CaptureError("camera_to_world: expected cameras at different positions, got all of them at one")
     return Frame(middle, extent)
 
 

@@ -44,7 +44,7 @@ def start(
         CaptureError: where there are no points.
     """
     if len(reconstruction.points) == 0:
-        raise CaptureError("points: expected at least one to start from, got none")
+        raise CaptureError("points: expected at least one point for the initial Gaussians, got none")
     random = np.random.default_rng(seed)
     points = ((reconstruction.points.double() - frame.middle) / frame.extent).numpy()
     colors = reconstruction.colors.double().numpy() / 255.0

@@ -28,8 +28,8 @@ GOOD_PATH, GOOD_PSNR, FEW_FLOATERS, MOST_MISSING = 0.97, 22.0, 0.005, 0.1
 """Minimum free fraction of the path, minimum PSNR in dB, and maximum fractions of floating voxels and of images without
 a pose; the report of a worse capture says so."""
 LEFT_OUT = (
-    "{} of what the images show moved and was left out (red in moving.png); images that were never fitted show it all "
-    "the same, which lowers their figures."
+    "{} of the image area shows moving things and was masked out (red in moving.png); held-out images still show "
+    "them, which lowers their scores."
 )
 FRAME: dict[str, Any] = {"axes": ["x", "y", "z"], "scale": 1.0, "translation": [0.0, 0.0, 0.0]}
 
@@ -66,7 +66,9 @@ def write_scene(
     """
     name = name or folder.resolve().name
     if (folder / SCENE_FILE).exists() and not force:
-        raise FileExistsError(f"{folder / SCENE_FILE}: already exists; name another folder, or replace it by force")
+        raise FileExistsError(
+            f"{folder / SCENE_FILE}: already exists; choose another folder, or set force to overwrite it"
+        )
     with _whole(folder) as fresh:
         write_gaussians(fresh / splat, gaussians)
         gaussians = read_gaussians(fresh / splat)  # check exactly what was written
@@ -101,19 +103,22 @@ def problems(placed: Placed, found: Suggestions, quality: Quality) -> list[str]:
     missing, floating = placed.reconstruction.missing, quality.floating / max(quality.solid, 1)
     corrected = quality.psnr_corrected
     checks = {
-        "It is not metric: nothing told its scale. Film a printed marker, or state a distance or the camera's height; "
-        "until then lengths are those of a camera 1.5 m above the floor.": not placed.metric,
-        "Up comes from how the camera was held, because too little of a floor was seen: it may be off by "
-        f"{placed.up_error_deg:.0f}°, and the floor may be lower.": placed.up_from == "cameras",
+        "It is not metric: its scale is unknown. Film a printed marker, or state a distance or the camera's height; "
+        "until then, lengths assume that the camera was 1.5 m above the floor.": not placed.metric,
+        "The up direction comes from how the camera was held, because too little of the floor was seen: it may be off "
+        f"by {placed.up_error_deg:.0f}°, and the floor may be lower.": placed.up_from == "cameras",
         f"{100 * missing:.0f} % of the images have no pose.": missing > MOST_MISSING,
-        f"Something is solid where the camera was, on {100 * (1 - quality.path_free):.0f} % of its path "
-        "(red in the map).": quality.path_free < GOOD_PATH,
-        f"{quality.floating} of {quality.solid} solid voxels are where cameras saw through.": floating > FEW_FLOATERS,
-        f"Images that were never fitted are drawn at {corrected or 0:.1f} dB: the pictures are poor.": corrected
+        f"{100 * (1 - quality.path_free):.0f} % of the camera's path runs through solid space (red in the map).": (
+            quality.path_free < GOOD_PATH
+        ),
+        f"{quality.floating} of {quality.solid} solid voxels are floaters: cameras saw through them.": (
+            floating > FEW_FLOATERS
+        ),
+        f"Held-out images are rendered at only {corrected or 0:.1f} dB: the image quality is poor.": corrected
         is not None
         and corrected < GOOD_PSNR,
-        "No image was held out, so nothing says how good the pictures are.": quality.held_out == 0,
-        "No pose on the path is free and sees something: give landmarks.goal yourself.": not found.goals,
+        "No image was held out, so the image quality is unknown.": quality.held_out == 0,
+        "No free pose with something to see was found on the path: set landmarks.goal yourself.": not found.goals,
     }
     drifts = [said for said in (lost_scale(placed), leap(placed)) if said]
     return [*drifts, *(text for text, wrong in checks.items() if wrong)]

@@ -65,13 +65,13 @@ def read_photos(
         ValueError: for settings that make no sense.
     """
     if not 1 <= count[0] <= count[1]:
-        raise ValueError(f"count: expected (fewest, most), got {count}")
+        raise ValueError(f"count: expected (minimum, maximum) with 1 ≤ minimum ≤ maximum, got {count}")
     if longest < 16:
         raise ValueError(f"longest: expected at least 16 pixels, got {longest}")
     if not source.exists():
         raise CaptureError(f"{source}: expected a video or a folder of photos, found none")
     if source.is_file() and source.suffix.lower() in (*PHOTO_SUFFIXES, *photo_files.UNREAD):
-        raise CaptureError(f"{source}: expected a video or a folder of photos, got a photo: name its folder")
+        raise CaptureError(f"{source}: expected a video or a folder of photos, got a single photo; name its folder")
     digest = _digest(source, [VERSION, count, longest])
     kept = folder / "frames"
     if _index(kept).get("digest") != digest:
@@ -136,7 +136,7 @@ def _from_video(source: Path, count: tuple[int, int], longest: int, progress: Pr
         found = True
         yield _Taken(videos.upright(best, longest, encoding), float(best.time) - start)
     if not found:
-        raise CaptureError(f"{source}: expected frames that are not black, could decode none")
+        raise CaptureError(f"{source}: expected decodable frames that are not black, found none")
     progress("frames", len(times), len(times))
 
 
@@ -221,7 +221,9 @@ def _discard(kept: Path) -> None:
     if not kept.exists():
         return
     if not (kept / INDEX).is_file():
-        raise CaptureError(f"{kept}: expected frames of an earlier capture or nothing, found something else")
+        raise CaptureError(
+            f"{kept}: expected no folder, or the frames of an earlier capture, found other files; choose another one"
+        )
     shutil.rmtree(kept)
 
 

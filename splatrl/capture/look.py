@@ -61,13 +61,13 @@ class Look:
     bare: float = 0.0
 
     def cause(self) -> str | None:
-        """Return why this capture cannot work, with figures and advice; None where nothing speaks against it."""
+        """Return why this capture cannot work, with figures and advice; None where it can work."""
         if self.images < 3:
-            return f"too few images: {self.images}, and at least 3 are needed. Take 50 to 200, or a video of a minute."
+            return f"too few images: {self.images}, but at least 3 are needed. Take 50 to 200, or a one-minute video."
         if self.brightness < MIN_BRIGHTNESS:
             return (
-                f"too dark: the mean grey of the images is {self.brightness:.0f} of 255, and at least "
-                f"{MIN_BRIGHTNESS:.0f} are needed. Switch on lights, or fix a longer exposure and move more slowly."
+                f"too dark: the mean grey level of the images is {self.brightness:.0f} of 255, but at least "
+                f"{MIN_BRIGHTNESS:.0f} is needed. Switch on lights, or set a longer exposure and move more slowly."
             )
         for found in (self._texture(), self._speed(), self._motion()):
             if found:
@@ -87,43 +87,43 @@ class Look:
     def _texture(self) -> str | None:
         if self.keypoints < MIN_KEYPOINTS:
             found = (
-                f"even the better images show {self.keypoints:.0f} distinct points, and at least {MIN_KEYPOINTS} are"
+                f"even the better images show {self.keypoints:.0f} distinct points, but at least {MIN_KEYPOINTS} are"
             )
         elif self.bare > MAX_BARE:
-            found = f"{self.bare:.0%} of the images show fewer than {BARE} points, and at least that many are"
+            found = f"{self.bare:.0%} of the images show fewer than {BARE} points, but at least that many are"
         else:
             return None
         return (
             f"textureless: {found} needed. Film things with patterns and edges, not blank walls; put up posters or "
-            "newspaper where there are none, and see that the images are sharp."
+            "newspaper where there are none, and make sure that the images are sharp."
         )
 
     def _speed(self) -> str | None:
         if self.verified >= MIN_VERIFIED:
             return None
-        figures = f"{self.verified:.0%} of the images, and at least {MIN_VERIFIED:.0%} are needed"
+        images, needed = f"only {self.verified:.0%} of the images", f"but at least {MIN_VERIFIED:.0%} must"
         if self.few:
             return (
-                f"photos too far apart: enough points of two other photos are found again in only {figures}. Take more "
-                "photos, each showing at least two thirds of the one before."
+                f"photos too far apart: {images} share enough points with two others, {needed}. Take more photos, "
+                "each showing at least two thirds of the one before."
             )
         return (
-            f"moved too fast: enough points of the third next image are found again in only {figures}. Move at a slow "
-            "walk, turn slowly, give it more light, or take more frames."
+            f"moved too fast: {images} share enough points with the image three places later, {needed}. Move at a slow "
+            "walk, turn slowly, add light, or take more frames."
         )
 
     def _motion(self) -> str | None:
         if self.turned > MAX_TURNED and self.shift >= MIN_SHIFT:
             return (
-                f"only turned on the spot: a camera that stays in one place explains {self.turned:.0%} of the pairs of "
-                f"images, and at most {MAX_TURNED:.0%} may be so. Depth shows only from different places: walk "
-                "sideways and around things while you film."
+                f"only turned on the spot: turning alone explains {self.turned:.0%} of the image pairs, but it may "
+                f"explain at most {MAX_TURNED:.0%}. Depth can be found only from different positions: walk sideways "
+                "and around things while you film."
             )
         if self.turned > MAX_TURNED or self.angle < MIN_ANGLE:
             return (
-                f"hardly moved: the camera saw the same point under {math.degrees(self.angle):.1f}°, and at least "
-                f"{math.degrees(MIN_ANGLE):.0f}° are needed; points wander by {self.shift:.1%} of the image. Walk "
-                "through the place and around things while you film."
+                f"hardly moved: the camera saw a point from directions only {math.degrees(self.angle):.1f}° apart, but "
+                f"at least {math.degrees(MIN_ANGLE):.0f}° are needed; points move by {self.shift:.1%} of the image. "
+                "Walk through the place and around things while you film."
             )
         return None
 

@@ -117,7 +117,7 @@ def map_at_once(pycolmap: Any, folder: Path, job: Job, share: float = 1.0) -> An
         camera.focal_length *= share
         database.update_camera(camera)
         database.close()
-    tell("map at once", 0, mapper.ba_num_iterations)  # COLMAP prints the end of each iteration
+    tell("map globally", 0, mapper.ba_num_iterations)  # COLMAP prints the end of each iteration
     models = pycolmap.global_mapping(own / DATABASE, job.images, own, options)
     shutil.rmtree(own)
     return _largest([*models.values()])

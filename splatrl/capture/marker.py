@@ -153,7 +153,7 @@ def write_marker_page(path: Path, marker: int = 0, side: float = MARKER_SIDE) ->
     if not 0 <= marker < 50:
         raise ValueError(f"marker: expected a number from 0 to 49, got {marker}")
     if not 0.02 <= side <= 0.18:
-        raise ValueError(f"side: expected 0.02 to 0.18 m, which fits an A4 page, got {side}")
+        raise ValueError(f"side: expected 0.02 to 0.18 m, so that it fits an A4 page, got {side}")
     cv2 = _opencv()
     width, height = (round(length / 25.4 * _DPI) for length in _PAGE)
     edge = round(side * 1000 / 25.4 * _DPI)
@@ -164,7 +164,7 @@ def write_marker_page(path: Path, marker: int = 0, side: float = MARKER_SIDE) ->
     pen, below = ImageDraw.Draw(page), corner[1] + edge + round(0.06 * height)
     for line, size in (
         (f"The black square is {1000 * side:.0f} mm wide when this page is printed at 100 %.", 48),
-        ("Lay it flat where your video sees it whole, from several sides, and film.", 42),
+        ("Lay it flat where your film shows all of it, from several sides.", 42),
         (f"splatrl-capture, marker {marker} of DICT_4X4_50", 32),
     ):
         pen.text((width // 2, below), line, fill=0, anchor="mm", font=ImageFont.load_default(size))
@@ -182,6 +182,6 @@ def _opencv() -> ModuleType:
         import cv2
     except ImportError as error:
         raise ImportError(
-            "markers need OpenCV: pip install 'splatrl[capture]', or tell the scale in another way (marker=None)"
+            "markers need OpenCV: pip install 'splatrl[capture]', or set the scale in another way (marker=None)"
         ) from error
     return cv2

@@ -66,7 +66,7 @@ def features(path: Path) -> Features:
     cv2 = needed("cv2")
     grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if grey is None:
-        raise ValueError(f"{path}: expected an image, could not read it")
+        raise ValueError(f"{path}: expected an image, got an unreadable file")
     brightness = float(grey.mean())
     scale = LONGEST / max(grey.shape)
     if scale < 1:

@@ -9,11 +9,11 @@ from splatrl.capture.suggestions import Suggestions
 from splatrl.capture.world import Placed
 
 TITLES = {
-    "held_out.png": "Images that were never fitted: photo, render, difference",
-    "map.png": "From above: the camera's path (red where something solid touches it), where robots walk (dashed), "
-    "suggested goals (arrows) and the place for a thing (star)",
+    "held_out.png": "Held-out images: photo, render, difference",
+    "map.png": "From above: the camera's path (red where it touches solid space), the walkable area (dashed), "
+    "suggested goals (arrows) and the suggested position of an object (star)",
     "goals.png": "What a robot sees at the suggested goals, the first of which is in scene.yaml",
-    "moving.png": "What moved and was left out (red), in the images that show most of it",
+    "moving.png": "Moving things that were masked out (red), in the images that show most of them",
     "cameras.png": "Cameras and points, from above and from the side; the red line is the floor",
 }
 STYLE = (
@@ -54,7 +54,7 @@ def report_page(
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(name)}</title>'
         f"<style>{STYLE}</style></head><body><h1>{escape(name)}</h1>"
         f"<p>Train here: <code>splatrl-train scene={escape(name)}/</code></p>"
-        f"{f'<h2>What went wrong</h2><ul>{wrong}</ul>' if wrong else ''}<table>{rows}</table>{shown}</body></html>\n"
+        f"{f'<h2>Problems and notes</h2><ul>{wrong}</ul>' if wrong else ''}<table>{rows}</table>{shown}</body></html>\n"
     )
 
 
@@ -66,19 +66,19 @@ def _figures(placed: Placed, area: Area, found: Suggestions, quality: Quality) -
     rows = [
         ("Cameras and points", f"{len(reconstruction.paths)} and {len(reconstruction.points)}"),
         ("Images without a pose", f"{100 * reconstruction.missing:.0f} %"),
-        ("Scale from", f"{placed.scale_from.replace('_', ' ')}{error}" if placed.metric else "nothing: not metric"),
+        ("Scale from", f"{placed.scale_from.replace('_', ' ')}{error}" if placed.metric else "unknown: not metric"),
         ("Up from", f"{placed.up_from}, within {placed.up_error_deg:g}°"),
         ("Camera above the floor", f"{placed.camera_height:.2f} m"),
         ("Size", f"{size} m"),
-        ("Where robots walk", f"{x1 - x0:.1f} × {y1 - y0:.1f} m at {area.robot_height:.2f} m"),
-        ("The camera's path is free", f"{100 * quality.path_free:.1f} %"),
-        ("Solid voxels", f"{quality.solid} of {quality.voxel_size:g} m, {quality.floating} of them seen through"),
+        ("Walkable area", f"{x1 - x0:.1f} × {y1 - y0:.1f} m at {area.robot_height:.2f} m"),
+        ("Free part of the camera's path", f"{100 * quality.path_free:.1f} %"),
+        ("Solid voxels", f"{quality.solid} of {quality.voxel_size:g} m, {quality.floating} of them floaters"),
     ]
     if quality.psnr is not None and quality.psnr_corrected is not None:
         rows += [
-            ("Images never fitted", str(quality.held_out)),
-            ("PSNR", f"{quality.psnr:.2f} dB, {quality.psnr_corrected:.2f} dB with colours fitted"),
-            ("SSIM", f"{quality.ssim:.3f}, {quality.ssim_corrected:.3f} with colours fitted"),
+            ("Held-out images", str(quality.held_out)),
+            ("PSNR", f"{quality.psnr:.2f} dB, {quality.psnr_corrected:.2f} dB after colour correction"),
+            ("SSIM", f"{quality.ssim:.3f}, {quality.ssim_corrected:.3f} after colour correction"),
         ]
     if found.goals:
         rows.append(("Suggested goals", "; ".join(f"x {x:g}, y {y:g}, yaw {yaw:g}°" for x, y, yaw in found.goals)))

@@ -41,11 +41,11 @@ def photos_of(folder: Path) -> list[Path]:
     unread = sorted(path.name for path in files if path.suffix.lower() in UNREAD and path.stem not in read)
     kinds = ", ".join(PHOTO_SUFFIXES)
     if unread:
-        others = f" and {len(unread) - 1} others" if len(unread) > 1 else ""
-        raise CaptureError(f"{folder}: expected photos ({kinds}), got {unread[0]}{others}: convert them to JPEG first")
+        others = f" and {len(unread) - 1} more" if len(unread) > 1 else ""
+        raise CaptureError(f"{folder}: expected photos ({kinds}), got {unread[0]}{others}; convert them to JPEG first")
     if not found:
         deeper = sorted({path.parent for path in folder.glob("*/*") if path.suffix.lower() in PHOTO_SUFFIXES})
-        hint = f"; there are some in {deeper[0]}: name that folder" if deeper else ""
+        hint = f"; there are some in {deeper[0]}, so name that folder" if deeper else ""
         raise CaptureError(f"{folder}: expected photos ({kinds}), found none{hint}")
     return found
 
@@ -80,8 +80,8 @@ def lying(paths: list[Path], longest: int) -> list[bool]:
     other = [path.name for path, size in zip(paths, sizes, strict=True) if size not in (usual, usual[::-1])]
     if other:
         raise CaptureError(
-            f"{paths[0].parent}: expected photos of one size from one camera, got {len(other)} of another than the "
-            f"other {len(paths) - len(other)}: remove {_named(other)}"
+            f"{paths[0].parent}: expected photos of one size from one camera, got {len(other)} of another size than "
+            f"the other {len(paths) - len(other)}; remove {_named(other)}"
         )
     return [size != usual for size in sizes]
 
@@ -111,8 +111,9 @@ def focal_length(folder: Path, size: tuple[int, int]) -> float | None:
     other = {name: millimetres for name, millimetres in told.items() if abs(millimetres / usual - 1) > ONE_LENS}
     if other:
         raise CaptureError(
-            f"{folder}: expected photos through one lens without zoom, got {usual:g} mm (by EXIF, of 35 mm film) and "
-            f"{next(iter(other.values())):g} mm in {len(other)}: remove {_named(list(other))}"
+            f"{folder}: expected photos taken with one lens without zooming, got focal lengths of {usual:g} mm (EXIF, "
+            f"35 mm equivalent) and {next(iter(other.values())):g} mm in {len(other)} photos; remove "
+            f"{_named(list(other))}"
         )
     return usual / DIAGONAL_35MM * math.hypot(*size)
 

@@ -79,7 +79,7 @@ def draw_comparison(photos: Sequence[Floats], renders: Sequence[Floats], scores:
     size = WIDTH, max(1, round(WIDTH * height / width))
     page = Image.new("RGB", (3 * size[0] + 8, len(rows) * (size[1] + 4) + 20), "white")
     pen, letters = ImageDraw.Draw(page), font(14)
-    for column, title in enumerate(("photo, never fitted", "render", "four times their difference")):
+    for column, title in enumerate(("held-out photo", "render", "four times the difference")):
         pen.text((column * (size[0] + 4) + 4, 2), title, fill="black", font=letters)
     for line, row in enumerate(rows):
         images = photos[row], renders[row], np.clip(4 * np.abs(photos[row] - renders[row]), 0.0, 1.0)
@@ -151,11 +151,11 @@ def draw_map(
     canvas = FigureCanvasAgg(figure)
     left, right = figure.subplots(*((2, 1) if stacked else (1, 2)), sharex=True, sharey=True)
     left.imshow(ground.image.numpy(), extent=ground.extent)
-    left.set_title("from above, and the camera's path")
+    left.set_title("from above, with the camera's path")
     colors = np.array([[int(tone[i : i + 2], 16) for i in (1, 3, 5)] for tone in (FREE, SOLID)], np.uint8)
     right.imshow(colors[solid.astype(int)], extent=ground.extent)
     right.scatter(*points[:, :2].T, s=0.3, c=POINTS, linewidths=0, alpha=0.5)
-    right.set_title(f"free (green) at {area.robot_height:.2f} m, and the points")
+    right.set_title(f"free space (green) at {area.robot_height:.2f} m, and points")
     (x0, y0), (x1, y1) = area.walk
     for axis in (left, right):
         axis.plot(*cameras[:, :2].T, color=PATH, linewidth=1.2)

@@ -44,13 +44,13 @@ VERSION = 2
 STAGES = "stages"
 """Sub-folder of a capture in which the stages keep their results; it can be deleted once the scene is there."""
 LIES = (
-    "lies on its side: expected upright images, got up to the left or to the right. Turn it in an editor, or by "
-    "`ffmpeg -display_rotation 90 -i FILM -c copy TURNED.mp4` (or 270), and capture that."
+    "lies on its side: expected upright images, got images rotated by a quarter turn. Rotate the film in an editor, or "
+    "with `ffmpeg -display_rotation 90 -i FILM -c copy TURNED.mp4` (or 270), and capture the result."
 )
 
 UPSIDE_DOWN = (
-    "is upside down: expected upright images, got cameras that look up on average, at a place mostly above them. Turn "
-    "it by `ffmpeg -display_rotation 180 -i FILM -c copy TURNED.mp4`, and capture that."
+    "is upside down: expected upright images, got a camera that looks up on average, at a place mostly above it. "
+    "Rotate the film with `ffmpeg -display_rotation 180 -i FILM -c copy TURNED.mp4`, and capture the result."
 )
 
 
@@ -112,9 +112,13 @@ def capture(
         ValueError: where another process works in the folder.
     """
     if folder.resolve() == source.resolve():  # the next capture would take its pictures for photos
-        raise CaptureError(f"{folder}: expected another folder for the scene than the source; name one by --out")
+        raise CaptureError(
+            f"{folder}: expected a scene folder other than the source, got the source; choose one with --out"
+        )
     if (folder / SCENE_FILE).exists() and not settings.force:
-        raise FileExistsError(f"{folder / SCENE_FILE}: already exists; name another folder by --out, or give --force")
+        raise FileExistsError(
+            f"{folder / SCENE_FILE}: already exists; choose another folder with --out, or pass --force"
+        )
     stages = folder / STAGES
     made = [each for each in (stages, folder) if not each.exists()]
     stages.mkdir(parents=True, exist_ok=True)
@@ -170,7 +174,7 @@ def reconstruct(
         wrong = LIES if on_its_side(held) else UPSIDE_DOWN if upside_down(held, found.points.numpy()) else None
         notes += [_unless_forced(wrong, settings.force, "poses", say)] if wrong else []
     placed = place(found, photos.up, photos.metric, settings.marker, settings.distance, settings.camera_height)
-    say(f"world       up by {placed.up_from}, scale by {placed.scale_from}, camera {placed.camera_height:.2f} m high")
+    say(f"world       up from {placed.up_from}, scale from {placed.scale_from}, camera at {placed.camera_height:.2f} m")
     return placed, notes
 
 
@@ -204,11 +208,11 @@ def build_scene(
     if not settings.still:
         depths = depths.without(_moving(placed, depths, stages, finely, progress))
         if depths.moving is not None and depths.moving.any():
-            say(f"moving      {share_of(depths.moving)} of what the images show moved, and is left out")
+            say(f"moving      {share_of(depths.moving)} of the image area shows moving things and is masked out")
     gaussians = _fitted(placed, depths, stages, finely, progress, say)
     gaussians, carved = without_floaters(gaussians, dense_voxels(gaussians, placed), placed.reconstruction)
-    size = f"{finely.width} pixels wide, {carved} voxels of floaters carved away"
-    say(f"fit         {gaussians.numel():,} Gaussians to images {size}")
+    size = f"{finely.width} pixels wide, {carved} voxels of floaters removed"
+    say(f"fit         {gaussians.numel():,} Gaussians fitted to images {size}")
     unseen = held_out(len(placed.reconstruction.paths)).tolist()
     quality = write_scene(
         folder,
@@ -230,7 +234,7 @@ def _first_look(photos: Photos, force: bool, progress: Progress, say: Callable[[
     seen = look(photos, progress)
     cause = seen.cause()
     if cause is None:
-        say("look        nothing speaks against it")
+        say("look        no problems found")
         return []
     return [_unless_forced(cause, force, "look", say)]
 
@@ -238,7 +242,7 @@ def _first_look(photos: Photos, force: bool, progress: Progress, say: Callable[[
 def _unless_forced(cause: str, force: bool, stage: str, say: Callable[[str], object]) -> str:
     """Refuse a capture for this cause, or with ``force`` print the cause and return it for the report."""
     if not force:
-        raise CaptureError(f"{cause} --force goes on all the same.")
+        raise CaptureError(f"{cause} Pass --force to continue anyway.")
     say(f"{stage:<11} {cause}")
     return cause
 
@@ -292,7 +296,7 @@ def _fitted(
         try:
             return read_gaussians(path)
         except ValueError as error:
-            say(f"fit         {error}; it begins anew")
+            say(f"fit         {error}; the fit starts over")
     stamp.unlink(missing_ok=True)
     rounding = f"{torch.device(settings.device).type} {_core.isa()}"
     checkpoint = Checkpoint(stages / "fit.npz", f"{digest} {rounding}", say=lambda line: say(f"fit         {line}"))
@@ -322,5 +326,5 @@ def _digest(
 
 
 def _words(quality: Quality) -> str:
-    pictures = "no image held out" if quality.psnr is None else f"{quality.psnr:.1f} dB on images never fitted"
+    pictures = "no image held out" if quality.psnr is None else f"{quality.psnr:.1f} dB on held-out images"
     return f"{pictures}, {100 * quality.path_free:.0f} % of the camera's path is free"

@@ -56,7 +56,7 @@ def find_poses(
     needed("cv2")
     exact_camera = exact_camera or photos.camera_to_world is not None
     if exact_camera and photos.K is None:
-        raise ValueError("photos.K: expected intrinsics with known poses or an exact camera, got none")
+        raise ValueError("photos.K: expected intrinsics, as poses are known or the camera is exact, got none")
     work = folder / "structure"
     job = job_of(photos, seed, exact_camera)
     digest = _digest(photos, job)
@@ -75,7 +75,7 @@ def job_of(photos: Photos, seed: int = 0, exact_camera: bool = False) -> Job:
     """Return the job that ``find_poses`` does with the same arguments."""
     folder = photos.paths[0].parent
     if any(path.parent != folder for path in photos.paths):
-        raise ValueError("photos.paths: expected images of one folder")
+        raise ValueError("photos.paths: expected images in one folder, got several folders")
     return Job(
         images=str(folder.resolve()),
         names=[path.name for path in photos.paths],
@@ -118,9 +118,9 @@ def _check_share(photos: Photos, found: np.ndarray, least: float) -> None:
         times = (f"{photos.seconds[first]:.1f} s", f"{photos.seconds[last]:.1f} s")
         parts.append(" to ".join(times if timed else names) + f" ({last - first + 1} images)")
     raise CaptureError(
-        f"broke off: only {len(found)} of {count} images could be joined ({len(found) / count:.0%}; at least "
-        f"{least:.0%} are needed). Missing: {', '.join(parts)}. Film again, more slowly and with more overlap, "
-        "there and on the way there, and turn in a curve rather than on the spot; --force leaves these parts out."
+        f"tracking lost: only {len(found)} of {count} images could be registered ({len(found) / count:.0%}; at least "
+        f"{least:.0%} are needed). Missing: {', '.join(parts)}. Film these parts and the way to them again, more "
+        "slowly and with more overlap, and turn in a curve rather than on the spot; --force leaves these parts out."
     )
 
 

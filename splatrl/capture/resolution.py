@@ -35,7 +35,7 @@ class Resolution:
     def __post_init__(self) -> None:
         if self.robot_width < 1 or not 0.0 < self.robot_fov_deg < 180.0:
             got = f"{self.robot_width} and {self.robot_fov_deg}"
-            raise ValueError(f"robot: expected 1 pixel or more across, and a view of 0° to 180°, got {got}")
+            raise ValueError(f"robot: expected at least 1 pixel across and a field of view from 0° to 180°, got {got}")
 
     def of(self, reconstruction: Reconstruction, fit: FitSettings) -> FitSettings:
         """Return settings of a fit with the width and the cap that the robots need.

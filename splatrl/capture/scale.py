@@ -58,7 +58,7 @@ class Distance:
         if not (self.start and self.end):
             raise ValueError("distance: expected at least one click for each point, got none")
         if not (np.isfinite(self.metres) and self.metres > 0):
-            raise ValueError(f"distance: expected metres above 0, got {self.metres}")
+            raise ValueError(f"distance: expected a positive, finite number of metres, got {self.metres}")
 
     @classmethod
     def between(cls, start: Click, end: Click, metres: float) -> "Distance":
@@ -80,7 +80,9 @@ def scale_by_distance(reconstruction: Reconstruction, distance: Distance) -> flo
     start, end = (clicked_point(reconstruction, clicks) for clicks in (distance.start, distance.end))
     apart = float(np.linalg.norm(end - start))
     if apart < 1e-9:
-        raise CaptureError("distance: expected two different points, got one; click points that are far apart")
+        raise CaptureError(
+            "distance: expected two different points, got the same one twice; click points that are far apart"
+        )
     return distance.metres / apart
 
 
@@ -123,7 +125,7 @@ def clicked_point(reconstruction: Reconstruction, clicks: Sequence[Click]) -> Fl
     count = len(reconstruction.paths)
     for click in clicks:
         if not 0 <= click.image < count:
-            raise CaptureError(f"distance: expected an image from 0 to {count - 1}, got {click.image}")
+            raise CaptureError(f"distance: expected an image index from 0 to {count - 1}, got {click.image}")
     if len({click.image for click in clicks}) == 1:
         return _by_points(reconstruction, clicks[0])
     poses = reconstruction.camera_to_world[[click.image for click in clicks]].numpy()
@@ -164,7 +166,9 @@ def triangulate(camera_to_world: Floats, K: Floats, pixels: Floats) -> Floats:
     across = np.eye(3) - rays[:, :, None] * rays[:, None]
     system = across.sum(0)
     if np.linalg.eigvalsh(system)[0] < 1e-6 * len(rays):
-        raise CaptureError("distance: the two images see the point from one direction; click it from another place")
+        raise CaptureError(
+            "distance: expected a point seen from different directions, got parallel rays; click it in another image"
+        )
     point = np.linalg.solve(system, (across @ centers[..., None])[..., 0].sum(0))
     for _ in range(5):  # Gauss-Newton
         seen = np.einsum("vji,vj->vi", camera_to_world[:, :3, :3], point - centers) @ K.T
@@ -194,8 +198,8 @@ def _by_points(reconstruction: Reconstruction, click: Click) -> Floats:
     order = order[apart[order] <= FARTHEST * reconstruction.width]
     if len(order) < 3:
         raise CaptureError(
-            f"distance: found {len(order)} points of the reconstruction around ({click.x:g}, {click.y:g}) in image "
-            f"{click.image}; click where there is texture, or click the point in a second image as well"
+            f"distance: expected at least 3 points of the reconstruction around ({click.x:g}, {click.y:g}) in image "
+            f"{click.image}, found {len(order)}; click where there is texture, or click the point in a second image too"
         )
     inverse = _plane_at_zero(offsets[order], 1.0 / local[order, 2])
     ray = np.linalg.inv(K) @ [click.x, click.y, 1.0]

@@ -67,7 +67,7 @@ def read_truth(video: Path) -> Truth:
     """
     path = video.with_suffix(".npz")
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: expected the truth of {video.name}, found no file")
+        raise FileNotFoundError(f"{path}: expected the ground truth of {video.name}, found no file")
     stored, found = read_arrays(path, MOST_BYTES), {}
     with refusing(path, f"a .npz with {', '.join(KEYS)}"):
         for key in KEYS:

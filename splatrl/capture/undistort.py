@@ -57,7 +57,7 @@ def undistorted(
                 progress("undistort", number, len(paths))
                 image = cv2.remap(cv2.imread(str(path)), *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
                 if not cv2.imwrite(str(temporary / name), image, [cv2.IMWRITE_JPEG_QUALITY, 95]):
-                    raise OSError(f"{made / name}: could not write it")
+                    raise OSError(f"{made / name}: cannot write the undistorted image")
             (temporary / SETTINGS).write_text(settings, "utf-8")
         progress("undistort", len(paths), len(paths))
     return [made / name for name in names], torch.from_numpy(new + half)

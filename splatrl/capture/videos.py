@@ -99,7 +99,7 @@ def packet_times(path: Path) -> np.ndarray:
         times = [packet.pts for packet in packets if packet.pts is not None]
         base = float(stream.time_base or 0)
     if not times or not base:
-        raise CaptureError(f"{path}: expected frames with times, found none")
+        raise CaptureError(f"{path}: expected frames with timestamps, found none")
     return np.sort(np.asarray(times, np.float64)) * base
 
 

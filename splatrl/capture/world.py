@@ -82,7 +82,7 @@ def place(
     """
     for name, value in (("camera_height", camera_height), ("marker", marker)):
         if value is not None and not 0.0 < value < math.inf:
-            raise ValueError(f"{name}: expected finite metres above 0, got {value}")
+            raise ValueError(f"{name}: expected a positive, finite number of metres, got {value}")
     poses, points = reconstruction.camera_to_world.numpy(), reconstruction.points.numpy()
     if len(poses) < 2 or len(points) < 20:
         raise CaptureError(
@@ -91,7 +91,7 @@ def place(
     ground = find_ground(held_poses(reconstruction), points, None if up is None else up.double().numpy())
     above = mean_height(poses[:, :3, 3] @ ground.up, reconstruction.seconds) - ground.height
     if not above > 0:
-        raise CaptureError("found no floor below the cameras; film so that the floor is seen")
+        raise CaptureError("expected a floor below the cameras, found none; film so that the floor is visible")
     scale, scale_from, error = _scale(
         reconstruction, ground.up, above + ground.below, metric, marker, distance, camera_height
     )

@@ -217,10 +217,10 @@ def write_blocks(
     """
     lines = [f"name: {json.dumps(name, ensure_ascii=False)}  # for captions and file names"]
     if bounds is not None:
-        lines.append(f"bounds: {_rounded(bounds)}  # lower and upper corner of what counts, world, metres")
+        lines.append(f"bounds: {_rounded(bounds)}  # lower and upper corner of the scene, world frame, metres")
     lines += [f"{key}: {json.dumps(value)}" for key, value in (proposals or {}).items()]
     lines.append(
-        "blocks:  # splat files in this folder, the place that each shows, and world_from_splat as in scene.yaml"
+        "blocks:  # splat files in this folder, the bounds of each, and world_from_splat as in scene.yaml if needed"
     )
     lines += [
         f"  - {{splat: {json.dumps(splat, ensure_ascii=False)}, bounds: {_rounded(corners)}}}"

@@ -46,7 +46,7 @@ def cached_arrays(name: str, build: Callable[[], Arrays], most: int | None = Non
     except FileNotFoundError:
         pass
     except (OSError, ValueError, MemoryError) as error:
-        warnings.warn(f"{error}; this cache file is made again", stacklevel=2)
+        warnings.warn(f"{error}; rebuilding this cache file", stacklevel=2)
     arrays = build()
     named: dict[str, Any] = dict(arrays)
     try:
@@ -99,10 +99,10 @@ def _limit() -> float:
     except ValueError:
         limit = math.nan
     if not limit >= 0:
-        raise ValueError(f"SPLATRL_CACHE_GB: expected a number of gigabytes from 0 on, got {text!r}")
+        raise ValueError(f"SPLATRL_CACHE_GB: expected a non-negative number of gigabytes, got {text!r}")
     return limit
 
 
 @functools.cache
 def _warn_unwritable(folder: Path, error: str | None) -> None:
-    warnings.warn(f"{folder}: cannot keep caches here, set SPLATRL_CACHE to another folder: {error}", stacklevel=3)
+    warnings.warn(f"{folder}: cannot write the cache here: {error}; set SPLATRL_CACHE to another folder", stacklevel=3)

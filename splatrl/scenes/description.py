@@ -21,22 +21,22 @@ PATH = "path.ply"
 """Name of the point cloud in a captured scene's folder: the camera position of each image, in order, world, metres."""
 SCENE_KEYS = ("splat", "name", "world_from_splat", "bounds", *PROPOSALS)
 COMMENTS = {
-    "axes": "the file's axis that becomes the world's x, y and z (up)",
+    "axes": "axes of the file that become the world's x, y and z (up)",
     "scale": "metres per unit of the file",
     "translation": "metres, added last",
-    "matrix": "from the file's coordinates to world metres: a rotation times one scale, and a shift",
-    "antialiased": "how it is to be drawn, as it was trained; false: classic 3DGS images",
-    "metric": "whether a unit is a metre; false: nothing told the scale",
-    "robot_height": "of the robot's camera, metres",
-    "walk": "lower and upper corner of where robots walk, x and y in metres",
-    "step": "of a robot and between its starts, metres; null takes the task's own",
-    "voxel_size": "edge of the voxels that say what is solid, metres",
-    "cutoff": "share of the light that a solid voxel absorbs, at least",
+    "matrix": "from file coordinates to world metres: rotation, uniform scale and translation",
+    "antialiased": "whether to render antialiased, as in the splat's training; false: classic 3DGS images",
+    "metric": "whether lengths are metres; false: the scale is unknown",
+    "robot_height": "height of the robot's camera, metres",
+    "walk": "lower and upper corner of the walkable area, x and y in metres",
+    "step": "length of a step and spacing of the starts, metres; null keeps the task's value",
+    "voxel_size": "edge of the occupancy voxels, metres",
+    "cutoff": "minimum fraction of the light that a solid voxel absorbs",
     "free": "centres of voxels that are free although Gaussians fill them",
-    "goal": "x, y in metres and yaw in degrees of a free pose that sees something",
-    "object": "x, y, z in metres of a free place for a thing to find",
-    "object_size": "metres across, of a thing that is drawn there; null takes the task's own",
-    "quality": "figures of the capture, for people to read",
+    "goal": "free pose with something to see: x, y in metres and yaw in degrees",
+    "object": "free position for an object to find: x, y, z in metres",
+    "object_size": "width of the object drawn there, metres; null keeps the task's value",
+    "quality": "quality measures of the capture, for people to read",
 }
 
 
@@ -96,14 +96,14 @@ def write_description(
     lines = [
         (f"splat: {json.dumps(splat, ensure_ascii=False)}", "the splat file in this folder"),
         (f"name: {json.dumps(name, ensure_ascii=False)}", "for captions and file names"),
-        ("world_from_splat:", "the world is z up, in metres"),
+        ("world_from_splat:", "from the file to the world, which is z-up and in metres"),
         *((f"  {key}: {json.dumps(value)}", COMMENTS[key]) for key, value in frame.items()),
     ]
     corners = np.round(bounds, _decimals(bounds)).tolist()
     if (np.array(corners[1]) > np.array(corners[0])).all():
-        lines.append((f"bounds: {json.dumps(corners)}", "lower and upper corner of what counts, world, metres"))
+        lines.append((f"bounds: {json.dumps(corners)}", "lower and upper corner of the scene, world frame, metres"))
     else:
-        lines.append(("bounds: null", "null takes the box around the opaque Gaussians"))
+        lines.append(("bounds: null", "null: the bounding box of the opaque Gaussians"))
     for key, value in (proposals or {}).items():
         lines += [(f"{key}:" if isinstance(value, dict) else f"{key}: {json.dumps(value)}", COMMENTS[key])]
         if isinstance(value, dict):
@@ -137,5 +137,5 @@ def check_absent(folder: Path, force: bool) -> None:
     """
     if (folder / SCENE_FILE).exists() and not force:
         raise FileExistsError(
-            f"{folder / SCENE_FILE}: already exists; keep it, pass another folder as --out, or overwrite it by --force"
+            f"{folder / SCENE_FILE}: already exists; choose another folder with --out, or pass --force to overwrite it"
         )

@@ -53,7 +53,7 @@ def edit_description(
         stream.write(text.replace("\n", ends).encode())
         stream.flush()
         if not _says(Path(stream.name), wanted):
-            raise ValueError(f"{path}: expected a line for each key, as splatrl writes it; edit it by hand")
+            raise ValueError(f"{path}: expected one line per key, as splatrl writes them; edit the file by hand")
     return path
 
 

@@ -57,12 +57,12 @@ def similarity(
         raise ValueError(f"world_from_splat.translation: expected 3 numbers, got {translation!r:.80}")
     if matrix is not None:
         if list(axes) != ["x", "y", "z"] or scale != 1.0 or list(translation) != [0.0, 0.0, 0.0]:
-            raise ValueError("world_from_splat: expected a matrix, or axes, scale and translation, got both")
+            raise ValueError("world_from_splat: expected either a matrix or axes, scale and translation, got both")
         return checked_similarity(matrix)
     if sorted(AXES[axis][0] for axis in axes) != [0, 1, 2]:
         raise ValueError(f"world_from_splat.axes: expected each of x, y and z once, got {list(axes)}")
     if not 0.0 < _number("scale", scale) < float("inf"):
-        raise ValueError(f"world_from_splat.scale: expected a finite number above 0, got {scale}")
+        raise ValueError(f"world_from_splat.scale: expected a positive, finite number, got {scale}")
     transform = torch.zeros(4, 4, dtype=torch.float64)
     for row, axis in enumerate(axes):
         column, sign = AXES[axis]
@@ -85,7 +85,7 @@ def checked_similarity(matrix: Sequence[Sequence[float]] | Tensor) -> Tensor:
     linear = transform[:3, :3]
     lengths = linear.norm(dim=0)
     if lengths.min() <= 0.0 or not torch.allclose(lengths, lengths.mean(), rtol=1e-4):
-        raise ValueError(f"world_from_splat: expected one scale above 0 for all axes, got {lengths.tolist()}")
+        raise ValueError(f"world_from_splat: expected one positive scale for all axes, got {lengths.tolist()}")
     rotation = linear / lengths.mean()
     if not torch.allclose(rotation.T @ rotation, torch.eye(3, dtype=torch.float64), atol=1e-4):
         raise ValueError(f"world_from_splat: expected axes at right angles, got {linear.tolist()}")

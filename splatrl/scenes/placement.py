@@ -94,7 +94,7 @@ def nerfstudio_transform(path: Path) -> Tensor:
     if moved.shape not in ((3, 4), (4, 4)) or not np.isfinite(moved).all():
         raise ValueError(f"{path}: transform: expected 3 rows of 4 finite numbers, got shape {list(moved.shape)}")
     if not (np.isfinite(scale) and scale > 0):
-        raise ValueError(f"{path}: scale: expected a finite number above 0, got {scale}")
+        raise ValueError(f"{path}: scale: expected a positive, finite number, got {scale}")
     rotation, shift = moved[:3, :3], moved[:3, 3]
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0:
         raise ValueError(f"{path}: transform: expected a rotation and a shift, got {moved.tolist()}")
@@ -120,7 +120,7 @@ def metres_per_unit(start: Sequence[float], end: Sequence[float], metres: float)
         raise ValueError(f"distance: expected two different points, got {list(start)} and {list(end)}")
     scale = metres / apart
     if not (np.isfinite(scale) and scale > 0):
-        raise ValueError(f"distance: expected metres above 0 between the points, got {metres}")
+        raise ValueError(f"distance: expected a positive, finite number of metres between the points, got {metres}")
     return scale
 
 

@@ -25,7 +25,7 @@ def check_proposals(source: object, stated: Mapping[str, Any]) -> None:
 def warn_of_scale(place: Path, stated: Mapping[str, Any]) -> None:
     """Warn about a scene that states ``metric: false``."""
     if stated.get("metric") is False:
-        warnings.warn(f"{place}: not metric: nothing told its scale, so its lengths are not metres", stacklevel=3)
+        warnings.warn(f"{place}: not metric: its scale is unknown, so its lengths are not metres", stacklevel=3)
 
 
 def _number(value: object) -> bool:
@@ -56,17 +56,17 @@ def _figures(value: object) -> bool:
 
 
 PROPOSALS: dict[str, tuple[str, Callable[[Any], bool]]] = {
-    "robot_height": ("metres above 0", _positive),
-    "voxel_size": ("metres above 0", _positive),
-    "cutoff": ("a share of the light above 0 and below 1", lambda value: _positive(value) and value < 1),
-    "walk": ("[[x, y], [x, y]] in metres, the first below the second", _area),
-    "step": ("metres above 0", _positive),
+    "robot_height": ("a positive, finite number of metres", _positive),
+    "voxel_size": ("a positive, finite number of metres", _positive),
+    "cutoff": ("a fraction of the light above 0 and below 1", lambda value: _positive(value) and value < 1),
+    "walk": ("[[x, y], [x, y]] in metres, the lower corner first", _area),
+    "step": ("a positive, finite number of metres", _positive),
     "free": ("the name of a file in this folder", _file),
-    "goal": ("[x, y, yaw], two in metres and one in degrees", _numbers(3)),
+    "goal": ("[x, y, yaw], x and y in metres and yaw in degrees", _numbers(3)),
     "object": ("[x, y, z] in metres", _numbers(3)),
-    "object_size": ("metres above 0", _positive),
+    "object_size": ("a positive, finite number of metres", _positive),
     "antialiased": ("true or false", lambda value: isinstance(value, bool)),
     "metric": ("true or false", lambda value: isinstance(value, bool)),
-    "quality": ("names of figures with a number, text, true or false each", _figures),
+    "quality": ("measures by name, each a number, text, true or false", _figures),
 }
 """For each key, its valid values in words, and a function that tests whether a value is valid."""

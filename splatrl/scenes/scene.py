@@ -122,7 +122,7 @@ def checked_bounds(corners: Sequence[Sequence[float]]) -> Bounds:
     """
     plain = isinstance(corners, Sequence) and [len(c) if isinstance(c, Sequence) else 0 for c in corners] == [3, 3]
     if not plain or not all(isinstance(v, Real) and not isinstance(v, bool) for c in corners for v in c):
-        raise ValueError(f"bounds: expected a lower and an upper corner of 3 metres each, got {corners!r:.200}")
+        raise ValueError(f"bounds: expected a lower and an upper corner of 3 numbers each, got {corners!r:.200}")
     lower, upper = (_point(corner) for corner in corners)
     for axis, low, high in zip("xyz", lower, upper, strict=True):
         if not (math.isfinite(low) and math.isfinite(high) and low < high):

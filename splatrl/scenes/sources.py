@@ -79,7 +79,9 @@ def read_scene(
     splat = Path(path).expanduser()
     if is_in_blocks(splat):
         if _says_something(world_from_splat):
-            raise ValueError(f"world_from_splat: expected none, since {splat / BLOCKS_FILE} says where each block lies")
+            raise ValueError(
+                f"world_from_splat: expected none, since {splat / BLOCKS_FILE} states where each block lies"
+            )
         return read_blocks(splat, None if bounds is None else checked_bounds(bounds), name, max_inflation)
     stated: dict[str, Any] = {}
     fallback, free = splat.stem, None
@@ -97,8 +99,8 @@ def read_scene(
         transform = transform_beside(splat)
         if transform is not None and not stands(transform):
             warnings.warn(
-                f"{splat}: {DATAPARSER} places it in the frame of its cameras, which is not z up: splatrl-scene finds "
-                "how it lies, or state world_from_splat",
+                f"{splat}: {DATAPARSER} places it in the frame of its cameras, which is not z-up; find its orientation "
+                "with splatrl-scene, or set world_from_splat",
                 stacklevel=2,
             )
     gaussians = read_gaussians(splat, max_inflation, transform)
@@ -120,7 +122,7 @@ def _free_space(folder: Path, stated: Mapping[str, Any]) -> FreeSpace | None:
     if "free" not in stated:
         return None
     if "voxel_size" not in stated:
-        raise ValueError(f"{folder}: free: expected voxel_size beside it, got none")
+        raise ValueError(f"{folder}: free: expected voxel_size to be stated with it, got none")
     return FreeSpace(folder / stated["free"], float(stated["voxel_size"]))
 
 

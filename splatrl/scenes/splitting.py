@@ -56,7 +56,7 @@ def write_split(
     found = np.unique(numbers)
     if len(found) > MOST_BLOCKS:
         raise ValueError(
-            f"--split: expected at most {MOST_BLOCKS:,} blocks, got {len(found):,} of {size:g} m; take larger ones"
+            f"--split: expected at most {MOST_BLOCKS:,} blocks, got {len(found):,} of {size:g} m; choose a larger size"
         )
     blocks: dict[str, Bounds] = {}
     for number in found.tolist():

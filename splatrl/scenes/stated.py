@@ -32,11 +32,11 @@ class StatedFrame:
 
     def __post_init__(self) -> None:
         if self.transform is not None and (self.axes is not None or self.translation is not None):
-            raise ValueError("transform: expected no axes and no translation beside it, got some")
+            raise ValueError("transform: expected either a transform or axes and translation, got both")
         if self.axes is not None:
             similarity(self.axes)
         if self.scale is not None and not 0.0 < self.scale < float("inf"):
-            raise ValueError(f"scale: expected finite metres above 0, got {self.scale}")
+            raise ValueError(f"scale: expected a positive, finite number of metres per unit, got {self.scale}")
 
     def up(self) -> list[float] | None:
         """Return the up direction in the file's frame, [3]; None if neither axes nor a transform state it."""

@@ -13,7 +13,7 @@ from splatrl.scenes.layers import ALIGNED, Layer, heavy_layers, layer_at, leanin
 Floats = NDArray[np.float64]
 
 SURE, LIKELY, GUESS, GIVEN = "fairly sure", "likely", "only a guess", "given"
-UNKNOWN = "cannot be known"
+UNKNOWN = "unknown"
 
 _SAMPLE = 20_000
 _THICKNESS = 0.02
@@ -123,7 +123,7 @@ def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None, roughly: bo
         if roughly:
             layer, leans = _snapped(points, normals, weights, layer), layer.normal
             angle = math.degrees(math.acos(min(1.0, float(leans @ layer.normal))))
-            axis_guess = Guess(GIVEN, f"up is stated; floor and walls lean by {angle:.1f}° from that")
+            axis_guess = Guess(GIVEN, f"up is stated; floor and walls lean by {angle:.1f}° from it")
     heights = points @ layer.normal
     other = _opposite(points, normals, layer)
     evidence, reason = _sign(heights, weights, layer, other, size)
@@ -136,11 +136,11 @@ def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None, roughly: bo
     share = float(weights[np.abs(heights - layer.height) <= layer.thickness].sum())
     floor_guess = Guess(
         SURE if share > 0.3 and sign_guess.confidence in (SURE, GIVEN) else LIKELY if share > 0.15 else GUESS,
-        f"{share:.0%} of what is opaque lies in the layer" + (" or in the ceiling's" if len(ends) == 2 else ""),
+        f"{share:.0%} of the opacity lies in this flat layer" + (" or in the ceiling's" if len(ends) == 2 else ""),
     )
     if len(ends) == 1 and sign * evidence < -0.3:
         ends = [float(np.quantile(heights, 0.02))]
-        floor_guess = Guess(GUESS, "the main layer lies above the rest, so this is only where the scene begins")
+        floor_guess = Guess(GUESS, "the main layer lies above the rest, so this is only the bottom of the scene")
     ceiling = ends[1] if len(ends) == 2 else None
     scale, units_guess = _units(None if ceiling is None else ceiling - ends[0])
     return Upright(sign * layer.normal, ends[0], ceiling, scale, axis_guess, sign_guess, floor_guess, units_guess)
@@ -156,7 +156,7 @@ def _ground(points: Floats, normals: Floats, weights: Floats, thickness: float) 
     ratio = evidence[order[0]] / max(evidence[order[1]] if len(order) > 1 else 0.0, 1e-9)
     guess = Guess(
         SURE if ratio > _SURE else LIKELY if ratio > _LIKELY else GUESS,
-        f"layer and what stands on it weigh {min(ratio, 99):.1f} times the next direction's; if wrong, pass --up",
+        f"evidence for a ground layer is {min(ratio, 99):.1f} times that of the next direction; if wrong, pass --up",
     )
     return _snapped(points, normals, weights, layers[order[0]], lean=False), guess
 
@@ -225,25 +225,27 @@ def _sign(heights: Floats, weights: Floats, layer: Layer, other: float | None, s
         outside = above + below
         skew = (above - below) / outside if outside > 0.01 else 0.0
         things = skew**3
-        told = f"{max(above, below) / max(outside, 1e-9):.0%} of what is off the layer lies on that side"
+        told = f"{max(above, below) / max(outside, 1e-9):.0%} of what lies outside the layer is on that side"
     else:
         span = other - layer.height
         share = relative / span
         here, there = weights[(share > 0.1) & (share < 0.4)].sum(), weights[(share > 0.6) & (share < 0.9)].sum()
         inside = here + there
         things = 0.6 * float(np.sign(span)) * (here - there) / inside if inside > 0.01 else 0.0
-        told = "there is a layer at both ends, and more stands near this one"
+        told = "there are flat layers at both ends, and more stands near this one"
     origin = -layer.height / size
     cameras = 0.5 * float(np.sign(origin)) if abs(origin) > 0.15 else 0.0
     evidence = float(np.clip(things + cameras, -1, 1))
     if abs(things) >= abs(cameras):
-        return evidence, told if abs(things) > 0.01 else "nothing tells one side from the other"
-    return evidence, "the file's origin, usually near the cameras, lies on that side; what is off the layer says little"
+        return evidence, told if abs(things) > 0.01 else "the two sides cannot be told apart"
+    return evidence, "the file's origin, usually near the cameras, is on that side; the rest of the scene says little"
 
 
 def _units(room: float | None) -> tuple[float, Guess]:
     if room is None:
         return 1.0, Guess(UNKNOWN, "there is no ceiling to judge by; measure something and pass --distance")
     if _ROOM[0] <= room <= _ROOM[1]:
-        return 1.0, Guess(LIKELY, f"floor and ceiling are {room:.2f} units apart, as rooms are in metres")
-    return _ROOM_HEIGHT / room, Guess(GUESS, f"floor and ceiling are {room:.3g} units apart, taken as {_ROOM_HEIGHT} m")
+        return 1.0, Guess(LIKELY, f"floor and ceiling are {room:.2f} units apart, a usual room height in metres")
+    return _ROOM_HEIGHT / room, Guess(
+        GUESS, f"floor and ceiling are {room:.3g} units apart, assumed to be {_ROOM_HEIGHT} m"
+    )

@@ -52,7 +52,7 @@ def _film(jump: float) -> Placed:
 def test_a_camera_that_leaps_is_told_with_when(scale: float) -> None:
     film = _film(1.5)
     film = replace(film, reconstruction=moved(film.reconstruction, np.diag([scale] * 3 + [1.0])))
-    assert "leap at 10 s" in str(leap(film))
+    assert "jump at 10 s" in str(leap(film))
     assert leap(_film(0.0)) is None
 
 

@@ -144,7 +144,7 @@ def test_a_damaged_file_is_named_and_the_fit_begins_anew(
     found, first = resumed(capture, Checkpoint(tmp_path / "fit.npz", "one", say=said.append), SHORT)
     assert first == 2 and same_bytes(found, short)
     assert len(said) == 1 and said[0].startswith(f"{tmp_path / 'fit.npz'}: expected ")
-    assert said[0].endswith("; the fit begins anew") and "\n" not in said[0]
+    assert said[0].endswith("; the fit starts over") and "\n" not in said[0]
 
 
 def test_it_is_written_at_intervals(capture: Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -102,7 +102,7 @@ def test_the_page_is_a4_and_the_marker_has_its_size(tmp_path: Path) -> None:
     assert [float(value) / 72 * 25.4 for value in box[2:]] == pytest.approx([210.0, 297.0], abs=0.2)
     with pytest.raises(ValueError, match="marker: expected a number from 0 to 49, got 50"):
         write_marker_page(tmp_path / "x.pdf", 50)
-    with pytest.raises(ValueError, match=r"side: expected 0\.02 to 0\.18 m, which fits an A4 page, got 0\.5"):
+    with pytest.raises(ValueError, match=r"side: expected 0\.02 to 0\.18 m, so that it fits an A4 page, got 0\.5"):
         write_marker_page(tmp_path / "x.pdf", 0, 0.5)
 
 

@@ -90,7 +90,9 @@ def test_known_poses_stay_and_points_lie_on_the_walls(tmp_path: Path) -> None:
 def test_the_part_that_breaks_off_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     images = [room_image(pose) for pose in walk(24)[::4]] + [room_image(pose, seed=1) for pose in walk(24)[:9:3]]
     photos = photos_of(tmp_path / "in", images, [0.5 * number for number in range(len(images))])
-    with pytest.raises(CaptureError, match=r"only 6 of 9 images .* Missing: 3\.0 s to 4\.0 s \(3 images\)"):
+    with pytest.raises(
+        CaptureError, match=r"tracking lost: only 6 of 9 images .* Missing: 3\.0 s to 4\.0 s \(3 images\)"
+    ):
         find_poses(photos, tmp_path / "out")
     assert find_poses(photos, tmp_path / "out", least=0.5).missing == pytest.approx(3 / 9)
 
@@ -136,7 +138,7 @@ def test_images_that_no_pair_of_them_begins_are_posed_at_once(
     told: list[tuple[object, ...]] = []
     for line in "".join(capfd.readouterr()).splitlines():
         _pass_on(line, lambda *far: told.append(far))
-    assert {("map at once", 0, 3), ("map at once", 1, 3)} <= set(told)
+    assert {("map globally", 0, 3), ("map globally", 1, 3)} <= set(told)
 
 
 def _model(tracks: list[list[int]], count: int) -> SimpleNamespace:

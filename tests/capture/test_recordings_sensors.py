@@ -149,7 +149,7 @@ def test_the_sharpest_image_of_each_stretch_is_taken_and_kept(tmp_path: Path) ->
 def test_a_read_that_breaks_leaves_nothing(tmp_path: Path, images: list[Taken]) -> None:
     source = write_polycam(tmp_path / "in", images)
     next((source / "keyframes" / "depth").glob("*.png")).write_bytes(b"\x89PNG")
-    with pytest.raises(CaptureError, match=r"depth.*expected a whole PNG"):
+    with pytest.raises(CaptureError, match=r"depth.*expected a complete PNG"):
         read_recording(source, tmp_path / "out")
     assert list((tmp_path / "out").iterdir()) == []
 
@@ -179,7 +179,7 @@ def test_one_camera_sees_nothing_that_an_image_does_not_show() -> None:
     [
         (Lens(240, 320, 260, 260, 120, 160), "expected images of one size and one camera, got 240 × 320 and 320 × 240"),
         (Lens(320, 240, 130, 130, 160, 120), "expected one camera, got focal lengths from 130 to 260 pixels"),
-        (Lens(320, 240, 260, 260, 210, 120), "a centre that moves by 16 % of the width"),
+        (Lens(320, 240, 260, 260, 210, 120), "a principal point that moves by 16 % of the width"),
     ],
 )
 def test_images_of_two_cameras_are_refused(other: Lens, message: str) -> None:
@@ -286,12 +286,12 @@ def test_packed_depth_that_unpacks_to_more_is_not_unpacked(tmp_path: Path, image
     (source / "rgbd" / "2.depth").write_bytes(imagecodecs.lzfse_encode(bytes(1 << 23)))
     files = record3d.Files(source)
     tracemalloc.start()
-    with pytest.raises(CaptureError, match=r"rgbd/2\.depth: expected 12,288 bytes once unpacked, got more"):
+    with pytest.raises(CaptureError, match=r"rgbd/2\.depth: expected 12,288 unpacked bytes, got more"):
         record3d.read_depth_of(files, "rgbd/2.depth", None, SENSOR[::-1])
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 1 << 20
-    with pytest.raises(CaptureError, match=r"rgbd/2\.depth: expected 12,288 bytes once unpacked, got more"):
+    with pytest.raises(CaptureError, match=r"rgbd/2\.depth: expected 12,288 unpacked bytes, got more"):
         read_recording(source, tmp_path / "out")
 
 
@@ -356,27 +356,27 @@ HEADER = "timestamp, frame, x, y, z, qx, qy, qz, qw\n"
 @pytest.mark.parametrize(
     ("write", "message"),
     [
-        (_broken_polycam, r"\.json: expected a camera of Polycam"),
-        (_polycam_without_cameras, "expected images with a camera of the same name each, found none"),
-        (lambda f, i: _stray(f, i, "odometry.csv", "x, y\n1, 2\n"), "odometry.csv: expected a row for each frame"),
-        (lambda f, i: _stray(f, i, "odometry.csv", HEADER), "odometry.csv: expected a row for each frame"),
+        (_broken_polycam, r"\.json: expected a camera file of Polycam"),
+        (_polycam_without_cameras, "expected images that each have a camera file of the same name, found none"),
+        (lambda f, i: _stray(f, i, "odometry.csv", "x, y\n1, 2\n"), "odometry.csv: expected one row per frame"),
+        (lambda f, i: _stray(f, i, "odometry.csv", HEADER), "odometry.csv: expected one row per frame"),
         (lambda f, i: _stray(f, i, "odometry.csv", HEADER + "1, 0, 0, 0, 0, 0, 0, 0"), "a number in every column"),
         (lambda f, i: _stray(f, i, "odometry.csv", HEADER + "1, 0, 0, 0, nan, 0, 0, 0, 1"), "finite numbers"),
-        (lambda f, i: _stray(f, i, "odometry.csv", HEADER + "1, 0, 0, 0, 0, 0, 0, 0, 0"), "finite places and quat"),
+        (lambda f, i: _stray(f, i, "odometry.csv", HEADER + "1, 0, 0, 0, 0, 0, 0, 0, 0"), "finite positions and"),
         (lambda f, i: _stray(f, i, "odometry.csv", HEADER + "1, .5, 0, 0, 0, 0, 0, 0, 1"), "frame: expected ascending"),
         (lambda f, i: _stray(f, i, "camera_matrix.csv", "1, 2\n3, 4"), "expected 3 rows of 3 numbers"),
-        (lambda f, i: _stray(f, i, "rgb.mp4", "no video"), r"rgb\.mp4: expected a whole video"),
-        (_another_sensor, r"expected depth of one size, got \(64, 48\) and \(8, 6\)"),
-        (_small_confidence, r"000001\.png: expected depth of the size"),
-        (lambda f, i: _archive(f, b"RED's own"), r"\.r3d: expected Record3D's ZIP archive"),
-        (lambda f, i: write_record3d(f, i, poses=[[0, 0, 0, 1, 0, 0, 0]] * 8), "more than one place"),
-        (lambda f, i: write_record3d(f, i, poses=[[0, 0, 0, 1]] * 8), "metadata: expected what Record3D writes"),
+        (lambda f, i: _stray(f, i, "rgb.mp4", "no video"), r"rgb\.mp4: expected a complete video"),
+        (_another_sensor, r"expected depth images of one size, got \(64, 48\) and \(8, 6\)"),
+        (_small_confidence, r"000001\.png: expected depth as large as its confidence"),
+        (lambda f, i: _archive(f, b"RED's own"), r"\.r3d: expected a ZIP archive of Record3D"),
+        (lambda f, i: write_record3d(f, i, poses=[[0, 0, 0, 1, 0, 0, 0]] * 8), "at different positions"),
+        (lambda f, i: write_record3d(f, i, poses=[[0, 0, 0, 1]] * 8), "metadata: expected the metadata of a Record3D"),
         (lambda f, i: write_record3d(f, i, poses=[]), "expected at least one image"),
-        (lambda f, i: write_record3d(f, i, w=None), "metadata: expected what Record3D writes"),
+        (lambda f, i: write_record3d(f, i, w=None), "metadata: expected the metadata of a Record3D"),
         (lambda f, i: write_record3d(f, i, w=200), "expected"),
-        (lambda f, i: write_record3d(f, i, dw=10**9), "dh, dw: expected a size"),
-        (lambda f, i: write_record3d(f, i, dw=10), "expected 1,920 bytes once unpacked, got more"),
-        (lambda f, i: write_record3d(f, i, dw=100), "expected 19,200 bytes once unpacked, got 12,288"),
+        (lambda f, i: write_record3d(f, i, dw=10**9), "dh, dw: expected the height and width"),
+        (lambda f, i: write_record3d(f, i, dw=10), "expected 1,920 unpacked bytes, got more"),
+        (lambda f, i: write_record3d(f, i, dw=100), "expected 19,200 unpacked bytes, got 12,288"),
         (lambda f, i: write_record3d(f, i, perFrameIntrinsicCoeffs=[[0, 0, 0, 0]] * 8), "finite intrinsics"),
     ],
 )
@@ -429,7 +429,7 @@ def test_a_recording_becomes_a_scene_that_stands_upright_in_metres(tmp_path: Pat
     settings = CaptureSettings(fit=FitSettings(width=64, cap=1500, views=30))
     capture(write_r3d(tmp_path / "in.r3d", images[:5]), tmp_path / "room", settings, say=said.append)
     assert "5 of 240 × 320 pixels, with poses and depth" in said[0]
-    assert "5 of 5 images" in said[1] and "up by recorded, scale by recorded" in said[2]
+    assert "5 of 5 images" in said[1] and "up from recorded, scale from recorded" in said[2]
     stated = read_description(tmp_path / "room")
     height = float(np.median([pose[2, 3] for pose in walk(5)])) + HALF[2]
     assert stated["metric"] and stated["robot_height"] == pytest.approx(height, abs=0.05)

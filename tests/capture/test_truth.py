@@ -71,7 +71,7 @@ def test_cameras_meet_the_truth_of_their_time(truth: Truth) -> None:
 
 def test_the_truth_beside_a_video_is_read_and_checked(tmp_path: Path, truth: Truth) -> None:
     video, path = tmp_path / "walk.mp4", tmp_path / "walk.npz"
-    with pytest.raises(FileNotFoundError, match=r"walk\.npz: expected the truth of walk\.mp4"):
+    with pytest.raises(FileNotFoundError, match=r"walk\.npz: expected the ground truth of walk\.mp4"):
         read_truth(video)
     content = {"camera_to_world": truth.camera_to_world.numpy(), "time": TIME.numpy(), "K": K.numpy()}
     np.savez(path, **content)
@@ -83,8 +83,8 @@ def test_the_truth_beside_a_video_is_read_and_checked(tmp_path: Path, truth: Tru
     with pytest.raises(ValueError, match=r"walk\.npz: expected a \.npz with camera_to_world, time, K"):
         read_truth(video)
     np.savez(path, **content | {"K": np.array([{}], object)})
-    with pytest.raises(ValueError, match=r"walk\.npz: expected a whole \.npz"):
+    with pytest.raises(ValueError, match=r"walk\.npz: expected a complete \.npz"):
         read_truth(video)
     path.write_bytes(path.read_bytes()[:-40])  # the archive's directory is damaged
-    with pytest.raises(ValueError, match=r"walk\.npz: expected a whole \.npz"):
+    with pytest.raises(ValueError, match=r"walk\.npz: expected a complete \.npz"):
         read_truth(video)

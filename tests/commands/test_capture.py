@@ -141,11 +141,13 @@ def test_photos_become_a_folder_that_is_all_a_training_needs(
     capture.main(["garden.mp4", "--out", str(folder), *QUICK])
     assert stages == ["frames", "poses", "fit"]
     said = capsys.readouterr().out
-    assert "40 of 40 images" in said and "camera 1.40 m high" in said and f"splatrl-train scene={folder}/" in said
+    assert "40 of 40 images" in said and "camera at 1.40 m" in said and f"splatrl-train scene={folder}/" in said
     assert {"scene.yaml", "splat.ply", "report.html", "held_out.png", "map.png"} <= {p.name for p in folder.iterdir()}
     env = splatrl.make_env([f"scene={folder}/", "device=cpu", "robot.image_width=16", "robot.image_height=16"], [2])
     assert env.robot.height == pytest.approx(1.4, abs=0.15) and env.rollout(3)["pixels"].float().std() > 5
-    with pytest.raises(SystemExit, match=r"scene\.yaml: already exists; name another folder by --out, or give --force"):
+    with pytest.raises(
+        SystemExit, match=r"scene\.yaml: already exists; choose another folder with --out, or pass --force"
+    ):
         capture.main(["garden.mp4", "--out", str(folder), *QUICK])
     request.getfixturevalue("unchecked")
     capture.main(["garden.mp4", "--out", str(folder), *QUICK, "--force"])
@@ -199,7 +201,7 @@ def test_a_fit_that_was_stopped_goes_on_with_the_same_bytes(
     folders = [tmp_path / "stopped", tmp_path / "whole"]
     with pytest.raises(SystemExit):
         capture.main(["garden.mp4", "--out", str(folders[0]), *QUICK])
-    assert "the same command continues" in capsys.readouterr().err
+    assert "run the same command again to continue" in capsys.readouterr().err
     for folder in folders:
         heard.clear()
         heard.append(0)
@@ -223,7 +225,7 @@ def test_stages_that_were_damaged_are_done_again(
     (kept / "depths.npz.0123abcd.tmp").write_text("left by a kill")
     capsys.readouterr()
     capture.main(words)
-    assert f"{kept / 'fit.ply'}: expected" in (said := capsys.readouterr().out) and "it begins anew" in said
+    assert f"{kept / 'fit.ply'}: expected" in (said := capsys.readouterr().out) and "the fit starts over" in said
     assert (tmp_path / "garden" / "splat.ply").read_bytes() == whole and stages.count("fit") == 2
     assert not list(tmp_path.rglob("*.tmp"))
 
@@ -242,7 +244,7 @@ def test_what_moved_is_left_out_unless_it_is_said_that_nothing_did(
     for more in (["--still"], [], []):
         capture.main([*words, *more])
         written.append((tmp_path / "garden" / "splat.ply").read_bytes())
-        assert ("2.5 % of what the images show moved" in capsys.readouterr().out) == (not more)
+        assert ("2.5 % of the image area shows moving things" in capsys.readouterr().out) == (not more)
     assert stages.count("fit") == 2 and written[0] != written[1] == written[2]
 
 
@@ -277,7 +279,7 @@ def test_what_the_report_finds_wrong_is_said_too(
 
 def test_two_captures_do_not_share_a_folder(tmp_path: Path, stages: list[str]) -> None:
     (tmp_path / "garden" / "stages").mkdir(parents=True)
-    with alone_in(tmp_path / "garden" / "stages"), pytest.raises(SystemExit, match="another process works there"):
+    with alone_in(tmp_path / "garden" / "stages"), pytest.raises(SystemExit, match="that another process is using"):
         capture.main(["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK])
     assert stages == []
 
@@ -296,7 +298,7 @@ def test_a_scene_never_comes_into_the_folder_of_its_photos(tmp_path: Path, monke
         with pytest.raises(SystemExit, match="far enough"):
             capture.main([source])
     assert folders == [Path("photos-scene"), Path("photos"), Path("walk")]
-    with pytest.raises(SystemExit, match=r"expected another folder for the scene than the source.* --out"):
+    with pytest.raises(SystemExit, match=r"expected a scene folder other than the source.* --out"):
         capture.main([".", "--out", str(tmp_path / "photos")])
     assert not (tmp_path / "photos" / "stages").exists()
 
@@ -328,7 +330,7 @@ def test_a_film_that_is_not_upright_is_refused_before_the_fit(
 
 def test_a_fault_of_a_stage_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*arguments: object) -> Photos:
-        raise CaptureError("walk.mp4: expected a video, found no stream of images")
+        raise CaptureError("walk.mp4: expected a video, found no video stream")
 
     monkeypatch.setattr(pipeline, "read_photos", broken)
     with pytest.raises(SystemExit, match=r"^splatrl-capture: walk\.mp4: expected a video"):
@@ -350,7 +352,9 @@ def test_an_interrupt_says_how_to_continue(
     monkeypatch.setattr(pipeline, "read_photos", interrupted)
     with pytest.raises(SystemExit) as ended:
         capture.main(["walk.mp4", "--out", str(tmp_path / "walk")])
-    assert ended.value.code == capture.INTERRUPTED and "the same command continues" in capsys.readouterr().err
+    assert (
+        ended.value.code == capture.INTERRUPTED and "run the same command again to continue" in capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize(
@@ -389,7 +393,7 @@ def test_each_point_of_a_distance_may_have_an_image_of_its_own(
         (["1", "2", "3"], "expected IMAGE X Y X Y M or IMAGE X Y IMAGE X Y M, got '1 2 3'"),
         (["1.5", "2", "3", "4", "5", "6"], "expected IMAGE X Y X Y M"),
         (["1", "2", "3", "inf", "4", "5", "6"], "expected IMAGE X Y X Y M"),
-        (["1", "2", "3", "4", "5", "-6"], "expected metres above 0, got -6"),
+        (["1", "2", "3", "4", "5", "-6"], "expected a positive, finite number of metres, got -6"),
     ],
 )
 def test_a_distance_that_is_none_is_a_usage_error(

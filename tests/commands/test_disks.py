@@ -131,7 +131,7 @@ def _failing(works: Callable[..., None], path: str, code: int, reason: str) -> C
 
 def test_a_training_writes_nothing_into_its_scene_and_needs_no_cache(trained: Training) -> None:
     assert trained.after == trained.before and (trained.folder / "run" / "evaluation.json").exists()
-    said = [each for each in trained.said if "cannot keep caches here" in each]
+    said = [each for each in trained.said if "cannot write the cache here" in each]
     assert len(said) == 1 and said[0].startswith(str(trained.folder / "cache"))
 
 

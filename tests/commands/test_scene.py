@@ -72,7 +72,7 @@ def test_a_capture_becomes_a_scene_folder_with_pictures_without_a_word_said(
     main([str(splat)])
     printed = capsys.readouterr().out
     assert "up          -y" in printed
-    assert "cannot be known" in printed
+    assert "unknown: there is no ceiling" in printed
     assert "occupied  " in printed
     assert heights(splat.parent) == pytest.approx((0.0, 1.2), abs=0.02)
     assert "ground      z = " in printed and "boxes       " in printed
@@ -94,8 +94,8 @@ def test_a_folder_is_looked_at_again_in_the_frame_that_its_yaml_states(
     main([str(splat.parent)])
     said = capsys.readouterr().out
     assert "up          z" in said
-    assert "floor       at 0 units along up; given: scene.yaml puts it there; what is opaque lies in a layer at" in said
-    assert "given: scene.yaml states the scale, and that nothing told it" in said
+    assert "floor       at 0 units along up; given: z = 0 in scene.yaml; the opaque layer is at" in said
+    assert "given: scene.yaml states the scale, and that it is unknown" in said
     assert description.read_text() == edited
     with pytest.raises(SystemExit, match=r"edit its scene\.yaml"):
         main([str(splat.parent), "--scale", "2"])
@@ -106,7 +106,7 @@ def test_a_floor_far_below_zero_is_said_to_be_there(splat: Path, capsys: pytest.
     main([str(splat), "--axes=x,z,-y", "--scale=1", "--translation=0,0,-46", "--height=0.4"])
     printed = capsys.readouterr().out
     assert re.search(
-        r"goals +none: expected the floor at z = 0, got -4\d.* m; --matrix or --translation lifts it", printed
+        r"goals +none: expected the floor at z = 0, got -4\d.* m; raise it with --matrix or --translation", printed
     )
     assert "robot_height" not in splat.with_name("scene.yaml").read_text()
 
@@ -199,23 +199,26 @@ def test_nerfstudios_own_frame_is_undone(tmp_path: Path) -> None:
     [
         (["--axes", "x", "y"], "axes: expected 3"),
         (["--axes", "x", "z", "y"], "reflection"),
-        (["--axes", "x y z", "--nerfstudio", "a.json"], "expected one of"),
+        (["--axes", "x y z", "--nerfstudio", "a.json"], "expected at most one of"),
         (["--up", "q"], "--up: expected one of x, -x, y, -y, z, -z, or 3 numbers, got 'q'"),
         (["--up", "0", "0", "0"], "--up: expected"),
         (
             ["--up", "-y", "--axes", "x y z"],
-            "expected one of --axes, --matrix, --nerfstudio and --up, got --axes",
+            "expected at most one of --axes, --matrix, --nerfstudio and --up, got --axes",
         ),
         (["--nerfstudio", "nowhere.json"], "found no file"),
         (["--scale", "1", "--distance", "0 0 0 1 0 0 1"], "got both"),
-        (["--scale", "-1"], "--scale: expected a finite number above 0"),
+        (["--scale", "-1"], "--scale: expected a positive, finite number"),
         (["--height", "nan"], "--height: expected"),
         (["--distance", "0 0 0 0 0 0 1"], "two different points"),
         (["--distance", "0 0 0 1 0 0"], "expected 7 numbers, got 6"),
         (["--distance", "0 0 0 1 0 0 far"], "expected 7 numbers"),
         (["--matrix", " ".join("1" * 16)], "last row"),
         (["--matrix", "1 2"], "expected 16 numbers"),
-        (["--translation", "1 2 3", "--matrix", "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"], "--translation: expected alone"),
+        (
+            ["--translation", "1 2 3", "--matrix", "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"],
+            "--translation: expected on its own",
+        ),
         (["--resolution", "1e-5"], "resolution"),
     ],
 )
@@ -264,10 +267,10 @@ def test_a_place_of_no_sensible_size_and_one_in_blocks_are_refused_in_one_line(t
     gaussians.means *= 5000.0
     gaussians.scales *= 5000.0
     write_gaussians(tmp_path / "large.ply", gaussians)
-    with pytest.raises(SystemExit, match=r"voxels.*; if .* m across is not its size, pass --scale or --distance"):
+    with pytest.raises(SystemExit, match=r"voxels.*; if the scene is not .* m across, pass --scale or --distance"):
         main([str(tmp_path / "large.ply"), "--out", str(tmp_path / "large")])
     (tmp_path / "blocks.yaml").touch()
-    with pytest.raises(SystemExit, match=r"expected a splat file or a folder with scene.yaml, got one with blocks"):
+    with pytest.raises(SystemExit, match=r"a splat file or a folder with scene.yaml, got a folder with blocks.yaml"):
         main([str(tmp_path)])
 
 
@@ -346,7 +349,7 @@ def test_blocks_are_not_written_where_a_scene_yaml_would_be_read_in_their_place(
     main([str(splat)])
     with pytest.raises(SystemExit, match=r"--split: expected a folder without scene.yaml"):
         main([str(splat.parent), "--split", "2"])
-    with pytest.raises(SystemExit, match="--split: expected a finite number above 0"):
+    with pytest.raises(SystemExit, match="--split: expected a positive, finite number"):
         main([str(splat), "--split", "0", "--out", str(splat.parent / "town")])
     main([str(splat.parent), "--split", "2", "--out", str(splat.parent / "town")])
     assert isinstance(read_scene(splat.parent / "town"), BlockScene)

@@ -111,18 +111,24 @@ def test_a_folder_that_proposes_nothing_changes_nothing(garden: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("robot_height: ${oc.env:HOME}", r"robot_height: expected metres above 0, got '\$\{oc.env:HOME\}'"),
-        ("robot_height: -1.0", "robot_height: expected metres above 0, got -1.0"),
-        ("robot_height: .inf", "robot_height: expected metres above 0, got inf"),
-        ("voxel_size: true", "voxel_size: expected metres above 0, got True"),
-        ("cutoff: 1.0", "cutoff: expected a share of the light above 0 and below 1, got 1.0"),
-        ("step: {_target_: os.system}", "step: expected metres above 0, got {'_target_': 'os.system'}"),
+        (
+            "robot_height: ${oc.env:HOME}",
+            r"robot_height: expected a positive, finite number of metres, got '\$\{oc.env:HOME\}'",
+        ),
+        ("robot_height: -1.0", "robot_height: expected a positive, finite number of metres, got -1.0"),
+        ("robot_height: .inf", "robot_height: expected a positive, finite number of metres, got inf"),
+        ("voxel_size: true", "voxel_size: expected a positive, finite number of metres, got True"),
+        ("cutoff: 1.0", "cutoff: expected a fraction of the light above 0 and below 1, got 1.0"),
+        (
+            "step: {_target_: os.system}",
+            "step: expected a positive, finite number of metres, got {'_target_': 'os.system'}",
+        ),
         ("goal: [1.0, 2.0]", r"goal: expected \[x, y, yaw\].* got \[1.0, 2.0\]"),
         ("object: ['${seed}', 0, 0]", r"object: expected \[x, y, z\] in metres"),
-        ("walk: [[1, 0], [0, 1]]", "walk: .*the first below the second, got"),
+        ("walk: [[1, 0], [0, 1]]", "walk: .*the lower corner first, got"),
         ("walk: [0, 1]", "walk: expected"),
         ("metric: 1", "metric: expected true or false, got 1"),
-        ("quality: {psnr: {_target_: os.system}}", "quality: expected names of figures"),
+        ("quality: {psnr: {_target_: os.system}}", "quality: expected measures by name"),
         ("collector: {total_frames: 1}", "expected the keys splat, .*quality, got collector"),
     ],
 )
@@ -140,6 +146,6 @@ def test_values_that_are_not_what_their_key_takes_are_refused(line: str, message
 
 def test_a_scene_of_unknown_scale_is_warned_of(garden: Path) -> None:
     (garden / "scene.yaml").write_text("splat: splat.ply\nmetric: false\n")
-    with pytest.warns(UserWarning, match="not metric: nothing told its scale"):
+    with pytest.warns(UserWarning, match="not metric: its scale is unknown"):
         scene = read_scene(garden)
     assert torch.isfinite(scene.gaussians.means).all()

@@ -66,13 +66,13 @@ def test_what_is_said_of_the_whole_is_read_and_can_be_replaced(tmp_path: Path) -
     assert (scene.name, scene.bounds) == ("town", ((-1, -1, 0), (2, 2, 2)))
     assert (other.name, other.bounds) == ("other", ((0, 0, 0), (3, 3, 3)))
     assert read_blocks_description(folder)["goal"] == [1, 2, 90]
-    with pytest.raises(ValueError, match=r"world_from_splat: expected none, since .*says where each block lies"):
+    with pytest.raises(ValueError, match=r"world_from_splat: expected none, since .*states where each block lies"):
         read_scene(folder, world_from_splat={"scale": 2.0})
 
 
 def test_blocks_of_unknown_scale_are_warned_of(tmp_path: Path) -> None:
     folder = folder_with(tmp_path, f"metric: false\n{LINE}")
-    with pytest.warns(UserWarning, match="not metric: nothing told its scale"):
+    with pytest.warns(UserWarning, match="not metric: its scale is unknown"):
         read_scene(folder)
 
 
@@ -177,7 +177,7 @@ def test_maps_are_drawn_of_the_blocks_around_the_bounds(tmp_path: Path) -> None:
 
 def test_too_small_a_size_is_refused(tmp_path: Path) -> None:
     scene = Scene("cloud", random_gaussians(4, 2000), ((-3.0, -3.0, -2.0), (3.0, 3.0, 2.0)))
-    with pytest.raises(ValueError, match=r"--split: expected at most 1,024 blocks, got .* take larger ones"):
+    with pytest.raises(ValueError, match=r"--split: expected at most 1,024 blocks, got .* choose a larger size"):
         write_split(tmp_path, scene, 0.05)
     with pytest.raises(ValueError, match="--split: expected a number of at least"):
         write_split(tmp_path, scene, 0.0)

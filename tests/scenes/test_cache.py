@@ -48,7 +48,7 @@ def test_a_damaged_file_is_made_again_with_a_warning(folder: Path, size: int) ->
     cached_arrays("x-1", build)
     path = folder / "x-1.npz"
     path.write_bytes(path.read_bytes()[:size])
-    with pytest.warns(UserWarning, match=r"x-1\.npz: expected a whole .npz.*; this cache file is made again"):
+    with pytest.warns(UserWarning, match=r"x-1\.npz: expected a complete .npz.*; rebuilding this cache file"):
         assert_arrays(cached_arrays("x-1", build))
     assert_arrays(cached_arrays("x-1", build))
     assert build.calls == 2
@@ -80,12 +80,12 @@ def test_a_bare_array_or_an_absurd_shape_is_made_again(folder: Path) -> None:
     folder.mkdir(parents=True)
     np.save(folder / "x-1.npy", np.zeros(3))
     (folder / "x-1.npy").rename(folder / "x-1.npz")
-    with pytest.warns(UserWarning, match="this cache file is made again"):
+    with pytest.warns(UserWarning, match="rebuilding this cache file"):
         assert_arrays(cached_arrays("x-1", Build()))
     with zipfile.ZipFile(folder / "x-1.npz", "w") as archive:
         header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }"
         archive.writestr("a.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
-    with pytest.warns(UserWarning, match="this cache file is made again"):
+    with pytest.warns(UserWarning, match="rebuilding this cache file"):
         assert_arrays(cached_arrays("x-1", Build()))
 
 
@@ -99,7 +99,9 @@ def test_a_folder_that_cannot_be_written_to_warns_once_and_goes_on(
     assert_arrays(cached_arrays("x-1", build))
     assert_arrays(cached_arrays("x-1", build))
     assert build.calls == 2
-    assert [str(w.message).startswith(f"{tmp_path / 'file' / 'cache'}: cannot keep caches") for w in recwarn] == [True]
+    assert [
+        str(w.message).startswith(f"{tmp_path / 'file' / 'cache'}: cannot write the cache here") for w in recwarn
+    ] == [True]
 
 
 def test_a_write_that_fails_leaves_no_half_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -149,7 +151,9 @@ def test_what_is_read_is_marked_as_used(folder: Path) -> None:
 @pytest.mark.parametrize("limit", ["many", "-1", "nan"])
 def test_a_limit_that_is_no_size_is_refused(folder: Path, limit: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SPLATRL_CACHE_GB", limit)
-    with pytest.raises(ValueError, match=f"SPLATRL_CACHE_GB: expected a number of gigabytes from 0 on, got '{limit}'"):
+    with pytest.raises(
+        ValueError, match=f"SPLATRL_CACHE_GB: expected a non-negative number of gigabytes, got '{limit}'"
+    ):
         cached_arrays("x-1", Build())
 
 

@@ -41,12 +41,12 @@ def test_a_block_becomes_a_line_and_what_is_new_comes_last(folder: Path) -> None
     edit_description(folder, {"object": [1.0, 2.0, 0.5], "robot_height": 0.4})
     text = (folder / "scene.yaml").read_text()
     assert "\nobject: [1.0, 2.0, 0.5]\nwalk:\n" in text
-    assert text.endswith("  psnr: 30.0\nrobot_height: 0.4  # of the robot's camera, metres\n")
+    assert text.endswith("  psnr: 30.0\nrobot_height: 0.4  # height of the robot's camera, metres\n")
     assert read_description(folder)["quality"] == {"psnr": 30.0}
 
 
 def refused(stated: object) -> None:
-    raise ValueError("task.goal: expected it where robots walk")
+    raise ValueError("task.goal: expected a point in the walkable area")
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_a_check_sees_all_and_can_refuse(folder: Path) -> None:
     edit_description(folder, {"goal": [0.0, 0.0, 0.0]}, seen.append)
     assert seen == [read_description(folder)]
     before = (folder / "scene.yaml").read_text()
-    with pytest.raises(ValueError, match="where robots walk"):
+    with pytest.raises(ValueError, match="in the walkable area"):
         edit_description(folder, {"goal": [9.0, 9.0, 0.0]}, refused)
     assert (folder / "scene.yaml").read_text() == before
     assert [path.name for path in folder.iterdir()] == ["scene.yaml"]
@@ -78,7 +78,7 @@ def test_a_check_sees_all_and_can_refuse(folder: Path) -> None:
 def test_a_file_without_lines_is_left_to_its_author(folder: Path) -> None:
     text = '{splat: "room.ply", goal: [0, 0, 0]}\n'
     (folder / "scene.yaml").write_text(text)
-    with pytest.raises(ValueError, match="expected a line for each key"):
+    with pytest.raises(ValueError, match="expected one line per key"):
         edit_description(folder, {"goal": [1.0, 0.0, 0.0]})
     assert (folder / "scene.yaml").read_text() == text
 

@@ -65,9 +65,9 @@ class TestCompressedPly:
             (b"element vertex 3", b"element vertex 4", "expected 136 bytes after the header, got 120"),
             (b"element vertex 3", b"element vertex 0", "chunk: expected 1 rows, got 1|vertex: expected 1 rows, got 0"),
             (b"little", b"big", "format: expected binary_little_endian, got binary_big_endian"),
-            (b"packed_scale", b"packed_scald", "vertex: expected the uints packed_position"),
-            (b"uint packed_color", b"int packed_color", "vertex: expected the uints packed_position"),
-            (b"float max_b", b"uint max_b", "chunk: expected the floats min_x"),
+            (b"packed_scale", b"packed_scald", "vertex: expected the uint properties packed_position"),
+            (b"uint packed_color", b"int packed_color", "vertex: expected the uint properties packed_position"),
+            (b"float max_b", b"uint max_b", "chunk: expected the float properties min_x"),
             (
                 b"element vertex",
                 b"element other 0\nelement vertex",
@@ -119,7 +119,7 @@ class TestSog:
             (("version",), 1, "version: expected 2, got 1"),
             (("count",), 9, "means: expected a texture of 9 pixels, got 4 by 2"),
             (("count",), True, "count: expected a whole number of at least 1, got True"),
-            (("count",), 10**9, r"count: expected at most 16 bytes .*; scene\.max_inflation raises"),
+            (("count",), 10**9, r"count: expected at most 16 unpacked bytes per .*; scene\.max_inflation raises"),
             (("means", "mins"), [0.0, 1.0], "means.mins: expected 3 numbers"),
             (("means", "maxs"), [0.0, 1.0, "x"], "means.maxs: expected finite numbers, got 'x'"),
             (("scales", "codebook"), [0.0] * 255, "scales.codebook: expected 256 numbers"),
@@ -208,7 +208,9 @@ def test_without_the_extra_the_error_says_how_to_install_it(
     path = written(
         tmp_path / ("a.sog" if sog else "a.ply"), b"PK" if sog else compressed_ply_bytes(CHUNK[None], packed(3))
     )
-    with pytest.raises(ImportError, match=r"a\.(sog|ply): to read this format: pip install 'splatrl\[gsply\]'"):
+    with pytest.raises(
+        ImportError, match=r"a\.(sog|ply): this format needs the extra gsply: pip install 'splatrl\[gsply\]'"
+    ):
         read_gaussians(path)
 
     @pytest.mark.parametrize("bands", [0, 1])
@@ -252,6 +254,8 @@ def test_without_the_extra_the_error_says_how_to_install_it(
         meta = json.loads(entries["meta.json"]) | {"count": size * size}
         path = written(tmp_path / "a.sog", zip_bytes({**entries, "meta.json": json.dumps(meta).encode()}))
         assert path.stat().st_size < 50_000
-        with pytest.raises(ValueError, match=r"a\.sog: count: expected at most 16 bytes .*; scene\.max_inflation"):
+        with pytest.raises(
+            ValueError, match=r"a\.sog: count: expected at most 16 unpacked bytes .*; scene\.max_inflation"
+        ):
             read_gaussians(path)
         assert len(read_gaussians(path, max_inflation=1e6).means) == size * size

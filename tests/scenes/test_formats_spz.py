@@ -179,7 +179,7 @@ def test_a_large_place_is_stored_as_finely_as_it_fits(tmp_path: Path) -> None:
 def test_what_is_not_finite_is_not_written(tmp_path: Path, name: str) -> None:
     gaussians = sample_gaussians(3, 1)
     getattr(gaussians, name).view(-1)[1] = 0.0 if name == "scales" else math.nan
-    with pytest.raises(ValueError, match=rf"a\.spz: {name}: expected values that a file can store"):
+    with pytest.raises(ValueError, match=rf"a\.spz: {name}: expected values that are finite when stored"):
         write_gaussians(tmp_path / "a.spz", gaussians)
     assert not list(tmp_path.iterdir())
 
@@ -207,7 +207,7 @@ def test_what_is_beyond_the_range_of_a_byte_is_cut_to_it(tmp_path: Path) -> None
         ({"degree": 1}, "expected 261 bytes after the header, got 180: truncated"),
         (
             {"count": 0xFFFFFFFF},
-            r"numPoints: expected at most 16 bytes .* got 85,899,345,900; scene\.max_inflation",
+            r"numPoints: expected at most 16 unpacked bytes .* got 85,899,345,900; scene\.max_inflation",
         ),
     ],
 )
@@ -268,7 +268,9 @@ def test_a_few_kilobytes_do_not_unpack_to_a_gigabyte_unless_that_is_allowed(tmp_
     count = 200_000
     path = written(tmp_path / "a.spz", spz_bytes(bytes(9 * count) + bytes([255]) * (11 * count), count))
     assert path.stat().st_size < 20_000
-    with pytest.raises(ValueError, match=r"a\.spz: numPoints: expected at most 16 bytes .*; scene\.max_inflation"):
+    with pytest.raises(
+        ValueError, match=r"a\.spz: numPoints: expected at most 16 unpacked bytes .*; scene\.max_inflation"
+    ):
         read_gaussians(path)
     assert len(read_gaussians(path, max_inflation=1000.0).means) == count
     assert len(read_scene(path, max_inflation=1000.0).gaussians.means) == count
@@ -289,13 +291,13 @@ def test_version_4_holds_the_same_as_version_3(tmp_path: Path, degree: int) -> N
     [
         ({"version": 5}, "version: expected 4, got 5"),
         ({"degree": 4}, "shDegree: expected 0 to 3, got 4"),
-        ({"degree": 1}, "expected a table of 6 streams in the file, got 5 at 32"),
-        ({"streams": 6}, "expected a table of 5 streams in the file, got 6 at 32"),
-        ({"contents": 4}, "expected a table of 5 streams in the file, got 5 at 4"),
-        ({"contents": 0xFFFFFFFF}, "expected a table of 5 streams in the file, got 5 at 4294967295"),
-        ({"contents": 33}, "stream 0: expected 81 bytes"),
-        ({"count": 8}, "stream 0: expected 72 bytes, got 81"),
-        ({"count": 0xFFFFFFFF}, r"numPoints: expected at most 16 bytes .*scene\.max_inflation"),
+        ({"degree": 1}, "expected a table of 6 streams in the file, got 5 at byte 32"),
+        ({"streams": 6}, "expected a table of 5 streams in the file, got 6 at byte 32"),
+        ({"contents": 4}, "expected a table of 5 streams in the file, got 5 at byte 4"),
+        ({"contents": 0xFFFFFFFF}, "expected a table of 5 streams in the file, got 5 at byte 4294967295"),
+        ({"contents": 33}, "stream 0: expected 81 unpacked bytes"),
+        ({"count": 8}, "stream 0: expected 72 unpacked bytes, got 81"),
+        ({"count": 0xFFFFFFFF}, r"numPoints: expected at most 16 unpacked bytes .*scene\.max_inflation"),
     ],
 )
 def test_a_header_of_version_4_that_does_not_fit_is_refused(

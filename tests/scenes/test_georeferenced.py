@@ -76,5 +76,5 @@ def test_splatrl_scene_takes_an_offset_before_it_rounds(tmp_path: Path) -> None:
 
 def test_doubles_that_are_still_far_away_are_warned_of_with_what_to_do(tmp_path: Path) -> None:
     near = sample_gaussians(50, 0)
-    with pytest.warns(UserWarning, match="or of a PLY with doubles by world_from_splat.translation"):
+    with pytest.warns(UserWarning, match="or, for a PLY with doubles, with world_from_splat.translation"):
         read_gaussians(doubles(tmp_path / "a.ply", near))

@@ -72,7 +72,7 @@ def test_a_frame_that_is_not_z_up_is_warned_of(tmp_path: Path) -> None:
     captured = sample_gaussians(9, degree=0)
     from_y_up = torch.tensor([[1.0, 0, 0, 0.5], [0, 0, -1, 2], [0, 1, 0, -1]]).double()
     splat = trained(tmp_path / "ns", captured, from_y_up)
-    with pytest.warns(UserWarning, match=r"splat\.ply: dataparser_transforms\.json .* not z up: splatrl-scene"):
+    with pytest.warns(UserWarning, match=r"splat\.ply: dataparser_transforms\.json .* not z-up; .* with splatrl-scene"):
         assert_same(read_scene(splat).gaussians, captured, atol=1e-5)
 
 
@@ -81,7 +81,7 @@ def test_a_frame_that_is_not_z_up_is_warned_of(tmp_path: Path) -> None:
     [
         ('{"transform": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}', "expected a rotation and a shift"),
         ('{"transform": [[1, 0, 0, NaN], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}', "3 rows of 4 finite numbers"),
-        ('{"transform": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": Infinity}', "finite number above 0"),
+        ('{"transform": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": Infinity}', "positive, finite number"),
         ('{"transform": [[1, 0, 0, 1e999], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}', "3 rows of 4 finite numbers"),
         (f'{{"transform": [[{10**400}, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}}', "expected numbers"),
         ("[" * 100_000, "expected JSON"),
@@ -149,7 +149,7 @@ def test_splatrl_scene_takes_frame_and_mode_from_beside_the_file(
     for mode in ("classic", "antialiased"):
         splat = trained(tmp_path / mode, world, turned_about_z(1.0), mode)
         main([str(splat)])
-        assert "frame       by dataparser_transforms.json beside it" in capsys.readouterr().out
+        assert "frame       from dataparser_transforms.json next to the file" in capsys.readouterr().out
         assert read_description(splat.parent)["antialiased"] is (mode == "antialiased")
         torch.testing.assert_close(read_scene(splat.parent).gaussians.means, world.means, atol=1e-4, rtol=0)
         main([str(splat.parent)])
@@ -167,6 +167,6 @@ def test_splatrl_scene_finds_up_where_the_cameras_frame_is_not_z_up(
     moved = torch.tensor([[1.0, 0, 0, 0.5], [0, 0, -1, 2], [0, 1, 0, -1]]).double()
     splat = trained(tmp_path / "ns", world.transformed(y_up), moved)
     main([str(splat)])
-    assert "its scale by dataparser_transforms.json" in capsys.readouterr().out
+    assert "scale from dataparser_transforms.json" in capsys.readouterr().out
     z = read_scene(splat.parent).gaussians.means[:, 2]
     assert (float(z.median()), float(z.max())) == pytest.approx((0.0, 1.2), abs=0.02)

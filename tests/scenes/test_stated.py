@@ -41,9 +41,12 @@ def test_up_is_known_where_axes_or_a_transform_say_so() -> None:
     ("arguments", "message"),
     [
         ({"axes": ["x", "y"]}, "axes: expected 3"),
-        ({"axes": ["x", "y", "z"], "transform": TURNED}, "transform: expected no axes"),
-        ({"translation": [0.0, 0.0, 1.0], "transform": TURNED}, "transform: expected no axes and no translation"),
-        ({"scale": 0.0}, "scale: expected finite metres above 0, got 0.0"),
+        ({"axes": ["x", "y", "z"], "transform": TURNED}, "transform: expected either a transform or axes"),
+        (
+            {"translation": [0.0, 0.0, 1.0], "transform": TURNED},
+            "transform: expected either a transform or axes and translation",
+        ),
+        ({"scale": 0.0}, "scale: expected a positive, finite number of metres per unit, got 0.0"),
     ],
 )
 def test_a_frame_that_makes_no_sense_is_refused(arguments: dict, message: str) -> None:

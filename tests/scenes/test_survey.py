@@ -122,7 +122,7 @@ def test_units_come_from_the_height_of_a_room_and_from_nothing_else() -> None:
     assert small.units_guess.confidence == "only a guess"
     unknown = guess_upright(yard())
     assert unknown.metres_per_unit == 1.0
-    assert unknown.units_guess.confidence == "cannot be known"
+    assert unknown.units_guess.confidence == "unknown"
 
 
 def test_where_nothing_stands_on_the_ground_the_origin_tells_its_upper_side() -> None:
@@ -148,11 +148,11 @@ def test_a_stated_up_is_kept_and_only_the_floor_is_guessed() -> None:
 def test_a_single_gaussian_is_surveyed_and_guessed_without_a_claim() -> None:
     single = yard()[:1]
     assert survey(single).floaters == 0.0
-    assert guess_upright(single).units_guess.confidence == "cannot be known"
+    assert guess_upright(single).units_guess.confidence == "unknown"
 
 
 def test_two_gaussians_are_guessed_too() -> None:
-    assert guess_upright(yard()[:2]).units_guess.confidence == "cannot be known"
+    assert guess_upright(yard()[:2]).units_guess.confidence == "unknown"
 
 
 def test_a_survey_counts_and_measures() -> None:
@@ -279,7 +279,7 @@ def test_nerfstudios_transform_is_undone(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"scale": 0.0}, "scale: expected a finite number above 0"),
+        ({"scale": 0.0}, "scale: expected a positive, finite number"),
         ({"scale": "large"}, "expected numbers"),
         ({"transform": [[1.0, 0.0], [0.0, 1.0]]}, "3 rows of 4"),
         ({"transform": [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0], []]}, "expected numbers"),

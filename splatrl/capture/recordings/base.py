@@ -172,7 +172,7 @@ def quaternion_poses(source: object, xyzw: Floats, places: Floats) -> Floats:
     """
     norms = np.linalg.norm(xyzw, axis=1, keepdims=True)
     if not (np.isfinite(xyzw).all() and np.isfinite(places).all() and (norms > 1e-6).all()):
-        raise CaptureError(f"{source}: expected finite places and quaternions as poses")
+        raise CaptureError(f"{source}: expected poses of finite positions and non-zero quaternions")
     x, y, z, w = (xyzw / norms).T
     poses = np.tile(np.eye(4), (len(xyzw), 1, 1))
     poses[:, 0, :3] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], 1)
@@ -200,7 +200,7 @@ def read_depth(path: Path, confidence: Path | None = None, least: int = 0, farth
     except ValueError as error:
         raise CaptureError(str(error)) from error
     if depth.dtype != np.uint16:
-        raise CaptureError(f"{path}: expected depth in 16 bits, got {depth.dtype}")
+        raise CaptureError(f"{path}: expected 16-bit depth, got {depth.dtype}")
     return filtered(path, depth, trust, least, farthest)
 
 
@@ -209,7 +209,7 @@ def filtered(
 ) -> Depth:
     """Return depth without what the sensor itself does not trust; arguments as for ``read_depth``."""
     if trust is not None and trust.shape != depth.shape:
-        raise CaptureError(f"{source}: expected depth of the size {trust.shape} of its confidence, got {depth.shape}")
+        raise CaptureError(f"{source}: expected depth as large as its confidence, {trust.shape}, got {depth.shape}")
     kept = np.ones(depth.shape, bool) if trust is None else trust >= least
     if farthest is not None:
         kept &= depth <= farthest
@@ -226,7 +226,7 @@ def beside(folder: Path, name: object) -> Path:
     if not path.suffix:
         path = next((path.with_suffix(s) for s in PHOTO_SUFFIXES if path.with_suffix(s).is_file()), path)
     if folder.resolve() not in path.resolve().parents:
-        raise CaptureError(f"{str(name)[:80]!r}: expected an image within {folder}")
+        raise CaptureError(f"{str(name)[:80]!r}: expected an image within {folder}, got a path outside it")
     if not path.is_file():
         raise CaptureError(f"{path}: expected an image, found none")
     return path

@@ -48,7 +48,7 @@ def read(source: Path) -> Recording:
     places = [place for place in (source / "images", model / "images", source) if place.is_dir()]
     paths = [_beside_any(model, places, image.name) for image in images]
     if missing := {image.camera for image in images} - lenses.keys():
-        raise CaptureError(f"{files[1]}: expected cameras of {files[0].name}, got {min(missing)}")
+        raise CaptureError(f"{files[1]}: expected camera ids that are in {files[0].name}, got {min(missing)}")
     poses = np.tile(np.eye(4), (len(images), 1, 1))
     if images:
         given = np.array([image.pose for image in images])
@@ -141,7 +141,7 @@ def _folder(source: Path) -> Path | None:
 def _parameters(name: str) -> int:
     """Return how many parameters a camera model has."""
     if name not in DISTORTION:
-        raise CaptureError(f"expected a camera among {', '.join(DISTORTION)}, got {name[:40]}")
+        raise CaptureError(f"expected a camera model among {', '.join(DISTORTION)}, got {name[:40]}")
     return len(DISTORTION[name]) + (3 if name.startswith("SIMPLE") or name == "RADIAL" else 4)
 
 

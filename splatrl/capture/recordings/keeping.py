@@ -86,14 +86,14 @@ def one_camera(source: object, lenses: Sequence[Lens], border: float = 0.0) -> t
     if max(fx.max() / fx.min(), fy.max() / fy.min()) > SPREAD or wander > WANDER:
         raise CaptureError(
             f"{source}: expected one camera, got focal lengths from {fx.min():.0f} to {fx.max():.0f} pixels, and a "
-            f"centre that moves by {100 * wander:.0f} % of the width; give the images of one camera alone"
+            f"principal point that moves by {100 * wander:.0f} % of the width; keep only the images of one camera"
         )
     focal, middle = np.median(own[:, :2], axis=0), np.median(own[:, 2:], axis=0)
     reach = np.minimum(middle, [width - middle[0], height - middle[1]])
     if (reach < 0.2 * np.array([width, height])).any():
         raise CaptureError(
-            f"{source}: expected a camera whose centre is near the middle of {width:.0f} × {height:.0f} pixels, got "
-            f"({middle[0]:.0f}, {middle[1]:.0f}): are its intrinsics those of another image size?"
+            f"{source}: expected a principal point near the middle of {width:.0f} × {height:.0f} pixels, got "
+            f"({middle[0]:.0f}, {middle[1]:.0f}); are the intrinsics for another image size?"
         )
     before = own[:, 2:] - border  # extents of the part that shows something
     behind = [width - border, height - border] - own[:, 2:]
@@ -139,7 +139,7 @@ def _write(
         index["seconds"].append(shot.seconds - shots[0].seconds)
         index["poses"].append(_turned(poses[number], turns).tolist())
     if size is None:
-        raise CaptureError(f"{recording.source}: expected images, found none for its poses")
+        raise CaptureError(f"{recording.source}: expected images for its poses, found none")
     index["size"], index["K"] = _intrinsics(camera, size, turns)
     index["depth"] = depths.finish()
     (made / INDEX).write_text(json.dumps(index), "utf-8")
@@ -150,7 +150,9 @@ def _scale(source: object, image: Image.Image, camera: Lens) -> Floats:
     stored = np.array(image.size) / [camera.width, camera.height]
     if abs(stored[0] / stored[1] - 1) > 0.01:
         shape = f"{camera.width:.0f} × {camera.height:.0f}"
-        raise CaptureError(f"{source}: expected images shaped as {shape}, got {image.width} × {image.height}")
+        raise CaptureError(
+            f"{source}: expected images with the aspect ratio of {shape}, got {image.width} × {image.height}"
+        )
     return stored
 
 
@@ -227,7 +229,7 @@ class _DepthFiles:
             self.size = depth.shape
             self.folder.mkdir()
         if depth.shape != self.size:
-            raise CaptureError(f"{self.source}: expected depth of one size, got {self.size} and {depth.shape}")
+            raise CaptureError(f"{self.source}: expected depth images of one size, got {self.size} and {depth.shape}")
         Image.fromarray(np.ascontiguousarray(depth)).save(self.folder / f"{name}.png")
 
     def finish(self) -> bool:

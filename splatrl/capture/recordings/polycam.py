@@ -56,7 +56,7 @@ def read(source: Path) -> Recording:
             return Recording(
                 source, shots, pictures_of(paths), [*files, *paths], up=ARKIT_UP, metric=True, border=border
             )
-    raise CaptureError(f"{folder}: expected images with a camera of the same name each, found none")
+    raise CaptureError(f"{folder}: expected images that each have a camera file of the same name, found none")
 
 
 def _with_cameras(images: Path, cameras: Path) -> list[Path]:
@@ -73,7 +73,7 @@ def _shot(number: int, path: Path, file: Path) -> Shot:
         pose[:3] = [[float(camera[f"t_{row}{column}"]) for column in range(4)] for row in range(3)]
         width, height, fx, fy, cx, cy = (float(camera[name]) for name in ("width", "height", "fx", "fy", "cx", "cy"))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise CaptureError(f"{file}: expected a camera of Polycam: {error!r}") from error
+        raise CaptureError(f"{file}: expected a camera file of Polycam: {error!r}") from error
     depth, confidence = (path.parents[1] / name / f"{path.stem}.png" for name in ("depth", "confidence"))
     trust = confidence if confidence.is_file() else None
     measured = partial(read_depth, depth, trust, MEDIUM) if depth.is_file() else None

@@ -63,7 +63,9 @@ def read_recording(
     lenses = {shot.lens for shot in recording.shots}
     distorted = any(any(lens.distortion) for lens in lenses)
     if distorted and len(lenses) > 1:
-        raise CaptureError(f"{source}: expected one camera, or several without distortion, got {len(lenses)}")
+        raise CaptureError(
+            f"{source}: expected one camera, or several without distortion, got {len(lenses)} with distortion"
+        )
     measured = any(shot.depth is not None for shot in recording.shots)
     if recording.prepared and len(lenses) == 1 and (distorted or not measured):
         return _as_they_are(recording, folder, progress)
@@ -81,18 +83,20 @@ def check_recording(recording: Recording) -> None:
     straight = np.isfinite(poses).all() and np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=1e-3)
     if not len(poses) or not straight or (np.linalg.det(turns) < 0).any():
         raise CaptureError(
-            f"{recording.source}: expected at least one image, with rotations and finite places as poses"
+            f"{recording.source}: expected at least one image, and poses of rotations and finite positions"
         )
     if len(poses) > 1 and not np.ptp(poses[:, :3, 3], axis=0).any():
         raise CaptureError(
-            f"{recording.source}: expected poses in more than one place, got all in one; a recording of the front "
-            "camera has no poses: give its images alone"
+            f"{recording.source}: expected poses at different positions, got all of them at one; a recording with the "
+            "front camera has no poses, so capture its images alone"
         )
     for shot in recording.shots:
         lens = shot.lens
         numbers = (lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, *lens.distortion)
         if not np.isfinite(numbers).all() or min(lens.width, lens.height, lens.fx, lens.fy) <= 0:
-            raise CaptureError(f"{recording.source}: expected finite intrinsics with focal lengths above 0, got {lens}")
+            raise CaptureError(
+                f"{recording.source}: expected finite intrinsics with positive focal lengths, got {lens}"
+            )
 
 
 def _as_they_are(recording: Recording, folder: Path, progress: Progress) -> Photos:
@@ -101,7 +105,7 @@ def _as_they_are(recording: Recording, folder: Path, progress: Progress) -> Phot
     across, down = width / lens.width, height / lens.height  # images may have been rescaled since
     if abs(across / down - 1) > 0.01:
         raise CaptureError(
-            f"{recording.source}: expected images shaped as {lens.width:.0f} × {lens.height:.0f}, got "
+            f"{recording.source}: expected images with the aspect ratio of {lens.width:.0f} × {lens.height:.0f}, got "
             f"{width} × {height}"
         )
     K = torch.tensor([[lens.fx * across, 0, lens.cx * across], [0, lens.fy * down, lens.cy * down], [0, 0, 1]]).double()

@@ -78,7 +78,7 @@ def read(source: Path) -> Recording:
         seconds = [float(time) for time in times]
         numbers = [n for n in range(len(poses)) if n in images]
         if min(size) < 1 or size[0] * size[1] > MAX_DEPTH:
-            raise ValueError(f"dh, dw: expected a size, got {size}")
+            raise ValueError(f"dh, dw: expected the height and width of a depth image, got {size}")
         shots = [
             Shot(seconds[n], lenses[n], poses[n] @ OPENGL, depth=_depth_of(files, n, size) if numbers else None)
             for n in numbers
@@ -86,7 +86,7 @@ def read(source: Path) -> Recording:
     except CaptureError:
         raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, ZeroDivisionError) as error:
-        raise CaptureError(f"{where}: expected what Record3D writes: {error!r}") from error
+        raise CaptureError(f"{where}: expected the metadata of a Record3D recording: {error!r}") from error
     pictures = partial(_pictures, files, [images[n] for n in numbers])
     return Recording(source, shots, pictures, files.stamped, up=up, metric=True)
 
@@ -115,7 +115,9 @@ class Files:
         try:
             self._archive = zipfile.ZipFile(source)
         except DAMAGED as error:
-            raise CaptureError(f"{source}: expected Record3D's ZIP archive, got another or a damaged file") from error
+            raise CaptureError(
+                f"{source}: expected a ZIP archive of Record3D, got another file or a damaged one"
+            ) from error
         self.names = set(self._archive.namelist())
 
     def open(self, name: str) -> io.BytesIO:
@@ -216,5 +218,5 @@ def _unpacked(files: Files, name: str, size: int) -> bytes:
         raise CaptureError(f"{files.source}: {name}: expected LZFSE, got a damaged file: {error}") from error
     if len(unpacked) != size:
         many = "more" if len(unpacked) > size else f"{len(unpacked):,}"
-        raise CaptureError(f"{files.source}: {name}: expected {size:,} bytes once unpacked, got {many}")
+        raise CaptureError(f"{files.source}: {name}: expected {size:,} unpacked bytes, got {many}")
     return unpacked

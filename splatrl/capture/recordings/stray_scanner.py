@@ -57,7 +57,7 @@ def read(source: Path) -> Recording:
     columns = _columns(path)
     numbers = columns["frame"]
     if not (np.diff(numbers) > 0).all() or (numbers % 1 != 0).any() or numbers[0] < 0:
-        raise CaptureError(f"{path}: frame: expected ascending whole numbers")
+        raise CaptureError(f"{path}: frame: expected ascending, non-negative whole numbers")
     poses = quaternion_poses(
         path,
         np.stack([columns[name] for name in ("qx", "qy", "qz", "qw")], 1),
@@ -110,7 +110,7 @@ def _columns(path: Path) -> dict[str, Floats]:
     names = [name.strip() for name in rows[0]] if rows else []
     missing = [name for name in NEEDED if name not in names]
     if missing or len(rows) < 2:
-        raise CaptureError(f"{path}: expected a row for each frame, with the columns {', '.join(NEEDED)}")
+        raise CaptureError(f"{path}: expected one row per frame, with the columns {', '.join(NEEDED)}")
     try:
         values = {
             name: np.array([_number(row[names.index(name)]) for row in rows[1:]])

@@ -56,7 +56,7 @@ def read(source: Path) -> Recording:
     except CaptureError:
         raise
     except (ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError, ZeroDivisionError) as error:
-        raise CaptureError(f"{path}: expected the frames of nerfstudio or instant-ngp: {error!r}") from error
+        raise CaptureError(f"{path}: expected frames as nerfstudio or instant-ngp writes them: {error!r}") from error
     shots = [Shot(float(n), *known) for n, known in enumerate(zip(lenses, poses, paths, depths, strict=True))]
     metric = any(depth is not None for depth in depths)
     return Recording(path, shots, pictures_of(paths), [path, *paths], up, metric, prepared=True)
@@ -75,7 +75,7 @@ def _lens(frame: dict[str, Any], data: dict[str, Any]) -> Lens:
     """Return the intrinsics of one frame: its own values, or else those shared by all frames."""
     model = str(frame.get("camera_model", data.get("camera_model", "OPENCV")))
     if model not in MODELS:
-        raise ValueError(f"camera_model: expected a perspective one, got {model[:40]!r}")
+        raise ValueError(f"camera_model: expected a perspective model, got {model[:40]!r}")
     given: dict[str, Any] = {
         name: frame.get(name, data.get(name)) for name in ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x")
     }

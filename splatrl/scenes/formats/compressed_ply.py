@@ -50,6 +50,8 @@ def read_compressed_ply(path: Path, header: PlyHeader) -> Gaussians:
         if element.count != rows or rows == 0:
             raise ValueError(f"{path}: {name}: expected {max(rows, 1)} rows, got {element.count}")
         if tuple(element.properties) != names or not set(element.properties.values()) <= set(kinds):
-            raise ValueError(f"{path}: {name}: expected the {kinds[0]}s {', '.join(names)}, got {element.properties}")
+            raise ValueError(
+                f"{path}: {name}: expected the {kinds[0]} properties {', '.join(names)}, got {element.properties}"
+            )
     header.check_size(path)
     return from_gsply(path, gsply.decompress_from_bytes(path.read_bytes()))

@@ -22,7 +22,7 @@ def extra_module(name: str, path: Path) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise ImportError(f"{path}: to read this format: pip install 'splatrl[gsply]'") from error
+        raise ImportError(f"{path}: this format needs the extra gsply: pip install 'splatrl[gsply]'") from error
 
 
 def from_gsply(path: Path, decoded: Any) -> Gaussians:

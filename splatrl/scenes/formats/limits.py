@@ -23,6 +23,6 @@ def check_inflation(path: Path, what: str, unpacked: int, held: int, most: float
     """
     if unpacked > most * held + SLACK:
         raise ValueError(
-            f"{path}: {what}: expected at most {most:g} bytes for each of the {held:,} in the file, got {unpacked:,}; "
-            "scene.max_inflation raises the limit"
+            f"{path}: {what}: expected at most {most:g} unpacked bytes per byte of the file ({held:,} bytes), got "
+            f"{unpacked:,}; scene.max_inflation raises the limit"
         )

@@ -59,7 +59,9 @@ def write_ply(path: Path, gaussians: Gaussians) -> None:
     rows = np.empty(len(sh), [(name, "<f4") for names in values for name in names])
     for names, columns in values.items():
         if not columns.isfinite().all():
-            raise ValueError(f"{path}: {', '.join(names)}: expected values that a file can store, got non-finite ones")
+            raise ValueError(
+                f"{path}: {', '.join(names)}: expected values that are finite when stored, got non-finite ones"
+            )
         for name, column in zip(names, columns.detach().cpu().unbind(1), strict=True):
             rows[name] = column.numpy()
     element = plyfile.PlyElement.describe(rows, "vertex")

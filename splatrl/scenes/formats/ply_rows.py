@@ -43,7 +43,7 @@ def vertex_columns(path: Path, header: PlyHeader, groups: Names, dtypes: Sequenc
     header.check_size(path)
     vertex = header.elements["vertex"]
     if vertex.size is None:
-        raise ValueError(f"{path}: vertex: expected rows of a fixed size, got lists in them")
+        raise ValueError(f"{path}: vertex: expected rows of a fixed size, got list properties")
     read = _ascii if header.format == "ascii" else _binary
     try:
         with np.errstate(over="ignore", invalid="ignore"):

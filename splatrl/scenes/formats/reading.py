@@ -56,13 +56,13 @@ def read_gaussians(
     reader = readers().get(path.suffix.lower())
     if reader is None:
         raise ValueError(
-            f"{path}: expected a file that ends in {', '.join(readers())}, got {path.suffix or 'no ending'!r}"
+            f"{path}: expected a file with the extension {', '.join(readers())}, got {path.suffix or 'no extension'!r}"
         )
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such splat file")
     if path.stat().st_size == 0:
         raise ValueError(f"{path}: expected a splat file, got an empty one")
-    with refusing(path, "a whole splat file"):
+    with refusing(path, "a complete splat file"):
         gaussians = reader(path, max_inflation)
     if transform is not None:
         gaussians = gaussians.transformed(transform)
@@ -78,7 +78,7 @@ def _warn_of_distance(path: Path, gaussians: Gaussians) -> None:
     if step > float(gaussians.scales.amax(1).median()):
         warnings.warn(
             f"{path}: half of its Gaussians lie more than {away:.3g} units from the origin, where single precision "
-            f"rounds places to {step:.2g} and they are smaller: subtract an offset before they are written, or of a "
-            "PLY with doubles by world_from_splat.translation",
+            f"rounds positions to {step:.2g}, more than their size; subtract an offset before writing the file, or, "
+            "for a PLY with doubles, with world_from_splat.translation",
             stacklevel=3,
         )

@@ -138,13 +138,17 @@ def _join(path: Path, stream: BinaryIO, max_inflation: float) -> tuple[Header, B
     check_inflation(path, "numPoints", sum(sizes), len(data), max_inflation)
     start = contents + ENTRY.size * len(sizes)
     if streams != len(sizes) or not HEADER_4.size <= contents <= start <= len(data):
-        raise ValueError(f"{path}: expected a table of {len(sizes)} streams in the file, got {streams} at {contents}")
+        raise ValueError(
+            f"{path}: expected a table of {len(sizes)} streams in the file, got {streams} at byte {contents}"
+        )
     decode = extra_module("imagecodecs", path).zstd_decode
     parts = []
     for number, size in enumerate(sizes):
         packed, unpacked = ENTRY.unpack_from(data, contents + ENTRY.size * number)
         if unpacked != size or packed > len(data) - start:
-            raise ValueError(f"{path}: stream {number}: expected {size} bytes, got {unpacked} in {packed} of the file")
+            raise ValueError(
+                f"{path}: stream {number}: expected {size} unpacked bytes, got {unpacked} from {packed} packed"
+            )
         parts.append(bytes(decode(data[start : start + packed], out=size)))
         if len(parts[-1]) != size:
             raise ValueError(f"{path}: stream {number}: expected {size} bytes, got {len(parts[-1])}: truncated")

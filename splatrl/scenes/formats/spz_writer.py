@@ -44,7 +44,7 @@ def write_spz(path: Path, gaussians: Gaussians, antialiased: bool = True) -> Non
     values["scales"] = values["scales"].log()
     for name, value in values.items():
         if not value.isfinite().all():
-            raise ValueError(f"{path}: {name}: expected values that a file can store, got non-finite ones")
+            raise ValueError(f"{path}: {name}: expected values that are finite when stored, got non-finite ones")
     farthest = float(values["means"].abs().max())
     bits = FRACTIONAL_BITS if farthest == 0.0 else min(FRACTIONAL_BITS, math.floor(math.log2(LARGEST / farthest)))
     if bits < 0:

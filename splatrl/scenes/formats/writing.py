@@ -32,4 +32,4 @@ def write_gaussians(path: str | os.PathLike[str], gaussians: Gaussians, antialia
     elif ending == ".spz":
         write_spz(path, gaussians, antialiased)
     else:
-        raise ValueError(f"{path}: expected a name that ends in {' or '.join(ENDINGS)}, got {ending or 'no ending'!r}")
+        raise ValueError(f"{path}: expected the extension {' or '.join(ENDINGS)}, got {ending or 'no extension'!r}")
