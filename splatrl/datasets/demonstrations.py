@@ -68,7 +68,7 @@ class Demonstrations:
         rows = torch.arange(len(self))
         since = rows - torch.where(begins, rows, 0).cummax(0).values
         if not (bool(done[-1]) and torch.equal(episode, begins.cumsum(0) - 1) and torch.equal(frame, since)):
-            raise ValueError("expected whole episodes, numbered from 0 and each to its end, got others")
+            raise ValueError("expected complete episodes, numbered from 0 and in order, got others")
 
 
 def joined(episodes: list[TensorDictBase]) -> TensorDict:

@@ -64,22 +64,23 @@ def read_demonstrations(folder: Path) -> Demonstrations:
         raise FileNotFoundError(f"{folder}: expected a folder of demonstrations with {FACTS}, found none")
     facts = read_json(path, MAX_HEADER)
     if not isinstance(facts, dict) or facts.get("version") != VERSION:
-        raise ValueError(f"{path}: expected demonstrations of version {VERSION}, got something else")
+        raise ValueError(f"{path}: expected demonstrations of format version {VERSION}, got something else")
     names, fps = facts.get("action_names"), facts.get("fps")
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise ValueError(f"{path}: expected action_names, a list of names, got {names!r:.80}")
+        raise ValueError(f"{path}: expected a list of names under action_names, got {names!r:.80}")
     if not isinstance(fps, int) or isinstance(fps, bool) or not 1 <= fps <= 1000:
-        raise ValueError(f"{path}: expected fps, a whole number from 1 to 1000, got {fps!r:.80}")
+        raise ValueError(f"{path}: expected a whole number from 1 to 1000 under fps, got {fps!r:.80}")
     here = folder / MEMMAP
     values = _tensors(here, NEEDED)
     values["next"] = _tensors(here / "next", set(AFTER))
     shapes = {len(each) for each in [*values["next"].values(), *(v for k, v in values.items() if k != "next")]}
     if len(shapes) != 1 or not min(shapes):
-        raise ValueError(f"{here}: expected frames, as many of each key, got {sorted(shapes)}")
+        raise ValueError(f"{here}: expected the same number of frames for every key, at least 1, got {sorted(shapes)}")
     _check_kinds(here, values)
     optimal = values.get("optimal")
     if optimal is not None and (optimal.dtype, optimal.shape[1:]) != (torch.bool, (len(names),)):
-        raise ValueError(f"{here}: expected optimal, [N, {len(names)}] bool, got {optimal.dtype} {list(optimal.shape)}")
+        got = f"{optimal.dtype} {list(optimal.shape)}"
+        raise ValueError(f"{here}: expected optimal as torch.bool [N, {len(names)}], got {got}")
     result = Demonstrations(TensorDict(values, [shapes.pop()]), tuple(names), fps)
     try:
         result.check()
@@ -100,7 +101,7 @@ def _tensors(folder: Path, needed: set[str]) -> dict[str, Any]:
         {key: value for key, value in header.items() if isinstance(value, dict)} if isinstance(header, dict) else {}
     )
     if missing := needed - entries.keys():
-        raise ValueError(f"{path}: expected {', '.join(sorted(missing))}, found none")
+        raise ValueError(f"{path}: expected entries for {', '.join(sorted(missing))}, found none")
     return {
         key: _tensor(folder, checked_name(f"{path}: a key", key), entry, path)
         for key, entry in entries.items()
@@ -112,13 +113,14 @@ def _tensor(folder: Path, key: str, entry: Mapping[str, Any], header: Path) -> T
     shape, dtype, path = entry.get("shape"), DTYPES.get(str(entry.get("dtype"))), folder / f"{key}.memmap"
     whole = isinstance(shape, list) and 1 <= len(shape) <= 8
     if not whole or not all(type(side) is int and side >= 1 for side in shape or ()) or dtype is None:
-        raise ValueError(f"{header}: expected a shape and one of {', '.join(DTYPES)} for {key}, got {entry!r:.120}")
+        known = ", ".join(DTYPES)
+        raise ValueError(f"{header}: expected a shape and a dtype ({known}) for {key}, got {entry!r:.120}")
     assert shape is not None
     if not path.is_file():
         raise ValueError(f"{path}: expected a file, found none")
     count, size = math.prod(shape), path.stat().st_size
     if count * dtype.itemsize != size:
-        raise ValueError(f"{path}: expected {count * dtype.itemsize:,} bytes, as its header says, got {size:,}")
+        raise ValueError(f"{path}: expected {count * dtype.itemsize:,} bytes, as stated in its header, got {size:,}")
     return torch.from_file(str(path), shared=False, size=count, dtype=dtype).reshape(shape)
 
 
@@ -137,4 +139,6 @@ def _check_kinds(folder: Path, values: Mapping[str, Any]) -> None:
         and (after["state"].shape, after["state"].dtype) == (values["state"].shape, values["state"].dtype)
     )
     if not right:
-        raise ValueError(f"{folder}: expected the shapes and dtypes of frames (pixels: [N, H, W, 3] uint8), got others")
+        raise ValueError(
+            f"{folder}: expected the shapes and dtypes of frames (such as uint8 [N, H, W, 3] for pixels), got others"
+        )

@@ -55,7 +55,9 @@ def _together(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
 def _check(ppo: PPO, world: World | Worlds, shown: int, dagger: DaggerSettings) -> None:
     if dagger.rounds and not world.planned and not _has_teacher(world):
         name = type(world.task).__name__
-        raise ValueError(f"dagger.rounds: expected 0 for a task whose episodes do not end at goal states, {name}")
+        raise ValueError(
+            f"dagger.rounds: expected 0 for a task with neither goal states nor a teacher ({name}), got {dagger.rounds}"
+        )
     if dagger.frames_per_round % ppo.env.numel():
         raise ValueError(
             f"dagger.frames_per_round: expected a multiple of env.num_envs = {ppo.env.numel()}, "
@@ -64,8 +66,8 @@ def _check(ppo: PPO, world: World | Worlds, shown: int, dagger: DaggerSettings) 
     acted = dagger.rounds * dagger.frames_per_round
     if shown + acted > ppo.total_frames:
         raise ValueError(
-            f"collector.total_frames: expected at least {shown + acted:,}, for {shown:,} frames of demos and {acted:,} "
-            f"of dagger.rounds, got {ppo.total_frames:,}"
+            f"collector.total_frames: expected at least {shown + acted:,}, the sum of {shown:,} frames of demos and "
+            f"{acted:,} frames of dagger.rounds, got {ppo.total_frames:,}"
         )
 
 
@@ -87,7 +89,7 @@ def _frames(shown: Demonstrations, ppo: PPO, reads: Sequence[str]) -> dict[str, 
     names, found = env.task.motion.action_names, (frames["pixels"].shape[1:3], frames["action"].shape[1:])
     if shown.action_names != tuple(names) or found != ((height, width), spec.shape[1:]):
         raise ValueError(
-            f"demos: expected images of {width} × {height} and the task's actions {', '.join(names)}, "
+            f"demos: expected images of {width} × {height} pixels and the task's actions {', '.join(names)}, "
             f"got {found[0][1]} × {found[0][0]} and {', '.join(shown.action_names) or list(found[1])}"
         )
     seen = {key: shown.stacked(channels // 3) if key == "pixels" else frames.get(key, None) for key in reads}
@@ -95,7 +97,7 @@ def _frames(shown: Demonstrations, ppo: PPO, reads: Sequence[str]) -> dict[str, 
         spec_of = env.observation_spec[key]
         if values is None or (values.shape[1:], values.dtype) != (spec_of.shape[1:], spec_of.dtype):
             got = "none" if values is None else f"{values.dtype} {list(values.shape[1:])}"
-            raise ValueError(f"demos: expected {key}, {spec_of.dtype} {list(spec_of.shape[1:])}, got {got}")
+            raise ValueError(f"demos: expected {key} as {spec_of.dtype} {list(spec_of.shape[1:])} per frame, got {got}")
     target = frames["action"]
     if names:
         optimal = frames.get("optimal", None)

@@ -80,7 +80,7 @@ def check_lerobot(width: int, height: int) -> None:
         ValueError: for an odd width or height, which the video format does not support.
     """
     if find_spec("pyarrow") is None:
-        raise ImportError("LeRobot's layout needs pyarrow: pip install 'splatrl[lerobot]'")
+        raise ImportError("the LeRobot format needs pyarrow: pip install 'splatrl[lerobot]'")
     if height % 2 or width % 2:
         raise ValueError(f"robot.image_width, robot.image_height: expected even numbers, got {width} and {height}")
 

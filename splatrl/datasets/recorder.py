@@ -54,7 +54,7 @@ def planner_episodes(
                 progress(len(episode))
         if len(kept) == episodes:
             return Demonstrations(joined(kept), tuple(world.task.motion.action_names))
-    raise ValueError(f"planner: expected to reach the goal {episodes} times, got there {len(kept)} times")
+    raise ValueError(f"planner: expected {episodes} episodes that reach the goal, got only {len(kept)}")
 
 
 @torch.no_grad()

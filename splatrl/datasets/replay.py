@@ -53,7 +53,7 @@ def replay(
             equal += int((seen["pixels"][..., -3:] == told["pixels"]).flatten(1).all(1).sum())
             now = env.step_mdp(taken)
             progress(len(here))
-    return [f"{name}: other bytes in {count:,} frames" for name, count in different.items() if count], equal
+    return [f"{name}: differs in {count:,} frames" for name, count in different.items() if count], equal
 
 
 def _check(world: World, demonstrations: Demonstrations) -> None:
@@ -61,4 +61,4 @@ def _check(world: World, demonstrations: Demonstrations) -> None:
     spec, action = world.task.motion.action_spec, demonstrations.frames["action"]
     many = spec.expand(len(action), *spec.shape)
     if action.dtype != spec.dtype or action.shape != many.shape or not many.to(action.device).is_in(action):
-        raise ValueError(f"demos: expected actions of {spec.dtype} {list(spec.shape)} of the task, got others")
+        raise ValueError(f"demos: expected valid actions of the task ({spec.dtype} {list(spec.shape)}), got others")

@@ -23,11 +23,11 @@ def given_scene(given: TensorDictBase, scenes: int, only: Tensor | None) -> Tens
     scene = given.get("scene", None)
     if scene is None or scene.dtype != torch.int64:
         raise ValueError(
-            f"scene: expected torch.int64 [B, 1] beside the state, got {None if scene is None else scene.dtype}"
+            f"scene: expected torch.int64 [B, 1] along with the state, got {None if scene is None else scene.dtype}"
         )
     asked = scene if only is None else scene[only]
     if len(wrong := asked[(asked < 0) | (asked >= scenes)]):
-        raise ValueError(f"scene: expected from 0 to {scenes - 1}, got {int(wrong[0])}")
+        raise ValueError(f"scene: expected an index from 0 to {scenes - 1}, got {int(wrong[0])}")
     return scene.squeeze(1).clamp(0, scenes - 1)
 
 

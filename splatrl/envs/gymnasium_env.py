@@ -68,7 +68,7 @@ class GymnasiumEnv(gymnasium.Env[Observation, Action]):
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, Infos]:
         """Take one action."""
         if self._present is None:
-            raise gymnasium.error.ResetNeeded("step: expected reset first")
+            raise gymnasium.error.ResetNeeded("step: expected a call to reset() first")
         step = self.env.step(_act(self.env, self._present, self.action_space, action))
         _raise_faults(self.env)
         after = step["next"]
@@ -82,7 +82,7 @@ class GymnasiumEnv(gymnasium.Env[Observation, Action]):
         if self.render_mode is None:
             return None
         if self._present is None:
-            raise gymnasium.error.ResetNeeded("render: expected reset first")
+            raise gymnasium.error.ResetNeeded("render: expected a call to reset() first")
         return _pixels(self._present)[0]
 
 
@@ -139,7 +139,7 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
         several = isinstance(seed, (Sequence, np.ndarray))
         seeds = [None if one is None else int(one) for one in seed] if several else None  # type: ignore[union-attr]
         if seeds is not None and len(seeds) != self.num_envs:
-            raise ValueError(f"seed: expected one number, or {self.num_envs} of them, got {seeds}")
+            raise ValueError(f"seed: expected one number, or a list of {self.num_envs}, got {seeds}")
         together = seed if seeds is None else _together(seeds)
         super().reset(seed=together)  # type: ignore[arg-type]
         self._present = _begin(self.env, together, options, seeds)  # type: ignore[arg-type]
@@ -151,7 +151,7 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
     ) -> tuple[Observation, npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_], Infos]:
         """Take one action per robot."""
         if self._present is None:
-            raise gymnasium.error.ResetNeeded("step: expected reset first")
+            raise gymnasium.error.ResetNeeded("step: expected a call to reset() first")
         acted = _act(self.env, self._present, self.action_space, actions)
         return (self._step_over if self._over.any() else self._step)(acted)
 
@@ -200,7 +200,7 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
         if self.render_mode is None:
             return None
         if self._present is None:
-            raise gymnasium.error.ResetNeeded("render: expected reset first")
+            raise gymnasium.error.ResetNeeded("render: expected a call to reset() first")
         return tuple(_pixels(self._present))
 
 
@@ -234,7 +234,7 @@ def _action_space(spec: TensorSpec) -> gymnasium.Space[Any]:
         return Discrete(int(spec.n))
     if isinstance(spec, Bounded) and spec.dtype == torch.float32:
         return Box(-1.0, 1.0, tuple(spec.shape[1:]), np.float32)
-    raise ValueError(f"env: expected a discrete or a bounded float32 action, got {type(spec).__name__} {spec.dtype}")
+    raise ValueError(f"env: expected a discrete or bounded float32 action, got {type(spec).__name__} {spec.dtype}")
 
 
 def _together(seeds: list[int | None]) -> int | None:
@@ -248,7 +248,7 @@ def _begin(
 ) -> TensorDictBase:
     unknown = set(options or ()) - {"state"}
     if unknown:
-        raise ValueError(f"options: expected 'state' or nothing, got {sorted(unknown)}")
+        raise ValueError(f"options: expected 'state' as the only key, got {sorted(unknown)}")
     if seed is not None:
         env.set_seed(int(seed))
     if not options:
@@ -257,7 +257,8 @@ def _begin(
     state = torch.as_tensor(options["state"], dtype=expected.dtype, device=env.device)
     placed = state.reshape(expected.shape) if state.numel() == expected.shape.numel() else None
     if placed is None or not expected.is_in(placed):
-        raise ValueError(f"options['state']: expected {list(expected.shape)} inside the bounds, got {state.tolist()}")
+        shape = list(expected.shape)
+        raise ValueError(f"options['state']: expected shape {shape} and values within bounds, got {state.tolist()}")
     return env.reset(TensorDict({"state": placed}, env.batch_size, device=env.device), set_state=True)
 
 
@@ -266,7 +267,7 @@ def _act(env: EnvBase, present: TensorDictBase, space: gymnasium.Space[Any], act
     if continuous:
         actions = np.asarray(actions, space.dtype)  # clients may pass float64
     if not space.contains(actions):
-        raise ValueError(f"action: expected one of {space}, got {actions}")
+        raise ValueError(f"action: expected an action in {space}, got {actions}")
     spec = env.action_spec
     action = torch.as_tensor(actions, device=env.device).reshape(spec.shape)
     if continuous:

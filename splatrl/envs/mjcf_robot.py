@@ -55,8 +55,8 @@ def mjcf_robot(
     stands = float(at_home(model).xpos[int(model.cam_bodyid[number]), 2])
     if not stands > body.half_height:
         raise ValueError(
-            f"robot.body: expected one that ends above the ground, less than {2 * stands:.3g} m high around the body "
-            f"that carries the camera of {place}, got {2 * body.half_height:.3g} m"
+            f"robot.body: expected a height below {2 * stands:.3g} m, so that the shape around the camera's body in "
+            f"{place} stays above the ground, got {2 * body.half_height:.3g} m"
         )
     wide = math.tan(0.5 * math.radians(float(model.cam_fovy[number]))) * image_width / image_height
     return Robot(

@@ -26,6 +26,6 @@ def refuse_frame_skip(transform: Transform) -> None:
     """
     if any(isinstance(part, FrameSkipTransform) for part in transform.modules()):
         raise ValueError(
-            "FrameSkipTransform: expected splatrl.envs.transforms.FrameSkip in its place, since TorchRL's repeats the "
-            "same step in an env that keeps its state in the TensorDict"
+            "FrameSkipTransform: expected splatrl.envs.transforms.FrameSkip instead; TorchRL's transform would repeat "
+            "each step from the same state, because this env keeps its state in the TensorDict"
         )

@@ -46,9 +46,9 @@ def env_specs(task: Task, senses: Senses, scenes: int, batch_size: torch.Size, d
     """
     remembered, motion, robot = task.memory_spec, task.motion, senses.robot
     if taken := {*senses.sensors} & (RESERVED | {*remembered}):
-        raise ValueError(f"sensors: expected keys other than the env's own, got {', '.join(sorted(taken))}")
+        raise ValueError(f"sensors: expected keys that env and task do not use, got {', '.join(sorted(taken))}")
     if taken := {*remembered} & RESERVED:
-        raise ValueError(f"task.memory_spec: expected keys other than the env's own, got {', '.join(sorted(taken))}")
+        raise ValueError(f"task.memory_spec: expected keys that the env does not use, got {', '.join(sorted(taken))}")
     count = Unbounded(shape=(1,), dtype=torch.int64)
     number = Unbounded(shape=(1,), dtype=torch.float32)
     flag = Categorical(2, shape=(1,), dtype=torch.bool)

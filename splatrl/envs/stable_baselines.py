@@ -61,7 +61,7 @@ class StableBaselinesVecEnv(VecEnv):
 
     def step_wait(self) -> tuple[Observation, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[Infos]]:
         """Take the stored action of each robot."""
-        assert self._actions is not None, "expected step_async first"
+        assert self._actions is not None, "step_wait: expected a call to step_async() first"
         observations, rewards, terminated, truncated, infos = self.vector.step(self._actions)
         done = terminated | truncated
         told = []
@@ -95,7 +95,7 @@ class StableBaselinesVecEnv(VecEnv):
             ValueError: for a subset of the robots, since they share the attribute.
         """
         if len(list(self._get_indices(indices))) != self.num_envs:
-            raise ValueError(f"indices: expected all robots, which share {attr_name}, got {indices}")
+            raise ValueError(f"indices: expected all robots, since they share {attr_name}, got {indices}")
         setattr(self.vector, attr_name, value)
 
     def env_method(
@@ -106,7 +106,7 @@ class StableBaselinesVecEnv(VecEnv):
         Raises:
             NotImplementedError: always.
         """
-        raise NotImplementedError(f"{method_name}: expected a call of .vector, since robots have no env of their own")
+        raise NotImplementedError(f"{method_name}: expected a call on .vector, since robots have no separate envs")
 
     def env_is_wrapped(self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: Indices = None) -> list[bool]:
         """Return False for each requested robot: robots have no wrappers of their own."""
@@ -120,7 +120,7 @@ def _together(options: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
     keys = {key for option in options for key in option}
     for key in keys:
         if not all(key in option for option in options):
-            raise ValueError(f"options: expected {key!r} for all robots or for none")
+            raise ValueError(f"options: expected {key!r} for all robots or for none, got it for some")
     return {key: np.stack([np.asarray(option[key]) for option in options]) for key in keys}
 
 

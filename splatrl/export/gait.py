@@ -19,7 +19,7 @@ def gait_of(model: ActorValueOperator) -> Dense:
     linear = [layer for layer in head.modules() if isinstance(layer, nn.Linear)]
     joined = trunk[-1].module
     if not isinstance(joined, JoinedTrunk) or joined.seen is not None or joined.told is None or len(linear) != 1:
-        raise ValueError("gait: expected a policy that reads vectors alone and remembers nothing, got another")
+        raise ValueError("gait: expected a policy that reads only vectors and has no memory, got another")
     dense = [layer for layer in joined.modules() if isinstance(layer, nn.Linear)]
     layers = [(each.weight.detach(), each.bias.detach()) for each in dense]
     weight, bias = linear[0].weight.detach(), linear[0].bias.detach()

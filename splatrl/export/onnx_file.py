@@ -65,7 +65,7 @@ def export_policy(
     content = onnx_bytes(policy, about | dict(facts or {}))
     found = largest_difference(content, policy, model, env, frames)
     if not found <= PARITY:  # also true for NaN
-        raise ValueError(f"{POLICY}: expected what PyTorch gives within {PARITY}, got a difference of {found:.1e}")
+        raise ValueError(f"{POLICY}: expected outputs within {PARITY} of PyTorch's, got a difference of {found:.1e}")
     folder.mkdir(parents=True, exist_ok=True)
     with replacing(folder / RUNNER) as stream, Path(__file__).with_name(RUNNER).open("rb") as source:
         shutil.copyfileobj(source, stream)
@@ -101,8 +101,9 @@ def metadata(
         space = motion.action_spec.space
         facts |= {"low": space.low.tolist(), "high": space.high.tolist()}
     preprocessing = (
-        f"pixels: RGB, uint8, [batch, {height}, {width}, 3], {robot.fov_deg:g} degrees across; crop the camera's image "
-        f"about its centre to that field of view and shape, and shrink it by averaging areas; all else is in the file"
+        f"pixels: RGB, uint8, [batch, {height}, {width}, 3], horizontal field of view {robot.fov_deg:g} degrees; crop "
+        f"the centre of the camera's image to that field of view and aspect ratio, and shrink it by area averaging; "
+        f"the network does all other preprocessing"
     )
     return {"preprocessing": preprocessing} | {
         key: value if isinstance(value, str) else json.dumps(value) for key, value in facts.items()

@@ -135,5 +135,5 @@ def _left_out(env: EnvBase) -> list[str]:
     strange = [type(each).__name__ for each in transforms if not isinstance(each, (*SIMULATED, *REMEMBERING))]
     if strange:
         known = ", ".join(kind.__name__ for kind in (*SIMULATED, FrameStack))
-        raise ValueError(f"transforms: expected some of {known}, which can be exported, got {', '.join(strange)}")
+        raise ValueError(f"transforms: expected only those that can be exported ({known}), got {', '.join(strange)}")
     return [type(each).__name__ for each in transforms if isinstance(each, SIMULATED)]

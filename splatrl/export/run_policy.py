@@ -14,9 +14,9 @@ import numpy as np
 import onnxruntime
 
 parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("source", help="a video, or the number of a camera")
-parser.add_argument("--fov", type=float, help="of the camera, degrees across; the policy's own where it is not given")
-parser.add_argument("--give", action="append", default=[], metavar="NAME=NUMBERS", help="or a picture; see above")
+parser.add_argument("source", help="a video file, or the number of a camera")
+parser.add_argument("--fov", type=float, help="horizontal field of view, degrees; by default that of the policy")
+parser.add_argument("--give", action="append", default=[], metavar="NAME=NUMBERS", help="or NAME=IMAGE; see above")
 options = parser.parse_args()
 session = onnxruntime.InferenceSession(str(Path(__file__).with_name("policy.onnx")))
 facts = session.get_modelmeta().custom_metadata_map
@@ -29,7 +29,7 @@ given: dict[str, np.ndarray] = {
 observed = [name for name in json.loads(facts["sensors"]) if name in given]
 told = dict(one.partition("=")[::2] for one in options.give)
 if missing := [name for name in [*observed, *told] if (name in told) != (name in observed)]:
-    parser.error(f"--give: expected {' and '.join(observed) or 'nothing'} for this policy; see {missing[0]}")
+    parser.error(f"--give: expected {' and '.join(observed) or 'nothing'} for this policy; check {missing[0]}")
 for name, value in told.items():
     picture = cv2.imread(value) if Path(value).is_file() else None
     if picture is not None:

@@ -43,15 +43,15 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> dict[str,
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: expected a checkpoint, found none")
-    with refusing(path, "a whole checkpoint of tensors and plain values"):
+    with refusing(path, "a complete checkpoint of tensors and plain values"):
         with zipfile.ZipFile(path) as archive:  # its checksums reveal damage that PyTorch would read as numbers
             _check_entries(archive, path.stat().st_size)
             damaged = archive.testzip()
         if damaged is not None:
-            raise ValueError(f"the checksum of {damaged} differs")
+            raise ValueError(f"{damaged} does not match its checksum")
         state = torch.load(path, map_location=device, weights_only=True)
     if not isinstance(state, dict):
-        raise ValueError(f"{path}: expected a checkpoint, found a {type(state).__name__}")
+        raise ValueError(f"{path}: expected a checkpoint, got a {type(state).__name__}")
     return state
 
 
@@ -59,9 +59,9 @@ def _check_entries(archive: zipfile.ZipFile, size: int) -> None:
     """Refuse entries that unpack to more than the file's size, and pickles that create more than tensors and values."""
     entries = archive.infolist()
     if any(entry.compress_type != zipfile.ZIP_STORED for entry in entries):
-        raise ValueError("expected entries that are stored, got compressed ones")
+        raise ValueError("expected uncompressed entries, got compressed ones")
     if sum(entry.file_size for entry in entries) > size:
-        raise ValueError(f"expected entries of at most {size:,} bytes, got more")
+        raise ValueError(f"expected entries of at most {size:,} bytes in total, got more")
     for entry in entries:
         if entry.filename.endswith(".pkl"):
             made = _made(archive.read(entry))
@@ -76,5 +76,5 @@ def _made(pickled: bytes) -> set[object]:
         if code.name == "GLOBAL":
             made.add(argument)
         if number > MOST_STEPS:  # each takes a byte or more, and may create a list of 64 bytes
-            raise ValueError(f"expected at most {MOST_STEPS:,} values, got more")
+            raise ValueError(f"expected at most {MOST_STEPS:,} pickle operations, got more")
     return made

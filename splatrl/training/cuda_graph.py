@@ -54,6 +54,6 @@ class CudaGraph:
         except RuntimeError as error:
             raise RuntimeError(
                 "collector.cuda_graph: expected a step that never synchronises with the host, got one that could not "
-                "be captured; collector.cuda_graph=false trains without a graph"
+                "be captured; type collector.cuda_graph=false to train without a graph"
             ) from error
         return graph

@@ -82,7 +82,7 @@ def visited(
     """
     drives = torch.rand(env.numel()) < guided if guided else torch.zeros(env.numel(), dtype=torch.bool)
     acts = partial(_taught_actor, Actor(learner.model), env, plans, drives.to(env.device))
-    with tqdm(total=frames, desc="act and be taught", unit="frame", leave=False, dynamic_ncols=True) as bar:
+    with tqdm(total=frames, desc="collect and label", unit="frame", leave=False, dynamic_ncols=True) as bar:
 
         def actor(td: TensorDictBase) -> TensorDictBase:
             bar.update(env.numel())

@@ -75,7 +75,7 @@ def policy_head(
         parameters, kind = ["loc", "scale"], Squashed
         options = {name: limit.reshape(-1, limit.shape[-1])[0] for name, limit in limits.items()}
     else:
-        raise ValueError(f"action_spec: expected Categorical or Bounded floats, got {action_spec}")
+        raise ValueError(f"action_spec: expected a Categorical spec or a Bounded spec of floats, got {action_spec}")
     layer = nn.Sequential(Leading(features), layer) if beside else layer
     return ProbabilisticTensorDictSequential(
         TensorDictModule(layer, in_keys=["hidden"], out_keys=parameters),

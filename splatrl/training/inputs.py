@@ -51,15 +51,15 @@ def inputs_of(named: Mapping[str, str], spec: Composite, group: str = "inputs") 
         if encoding not in ENCODINGS:
             raise ValueError(f"{group}.{key}: expected one of {', '.join(ENCODINGS)}, got {encoding}")
         if key not in spec.keys():  # noqa: SIM118, a spec is no dict
-            raise ValueError(f"{group}.{key}: expected an observation, got none of that name; type sensors=[...]")
+            raise ValueError(f"{group}.{key}: expected an observation, found none of that name; type sensors=[...]")
         shape = tuple(spec[key].shape[1:])
         fits = {"image": len(shape) == 3, "polar": shape == (2,)}.get(encoding, len(shape) == 1)
         if not fits:
-            raise ValueError(f"{group}.{key}: expected what can be read as {encoding}, got a shape of {list(shape)}")
+            raise ValueError(f"{group}.{key}: expected a shape that suits {encoding} encoding, got {list(shape)}")
         found[key] = Input(encoding, shape)
     sides = {one.shape[:2] for one in found.values() if one.encoding == "image"}
     if len(sides) > 1:
-        raise ValueError(f"{group}: expected images of one size, got {sorted(sides)}")
+        raise ValueError(f"{group}: expected images of the same size, got {sorted(sides)}")
     return found
 
 

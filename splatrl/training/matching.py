@@ -75,7 +75,7 @@ def views(env: EnvBase, frames: int) -> Views:
     image = torch.empty(2, frames, *env.observation_spec[ImageGoal.KEY].shape[1:], dtype=torch.uint8)
     planar, scene = torch.empty(2, frames, 3), torch.zeros(2, frames, dtype=torch.int64)
     batches = torch.arange(frames).split(env.numel())
-    for rows in tqdm(batches, desc="views to tell apart", unit="batch", leave=False, dynamic_ncols=True):
+    for rows in tqdm(batches, desc="collect views", unit="batch", leave=False, dynamic_ncols=True):
         begun = env.reset()
         image[0, rows], image[1, rows] = begun["pixels"].cpu(), begun[ImageGoal.KEY].cpu()
         planar[0, rows], planar[1, rows] = env.task.motion.planar(begun["state"]).float().cpu(), begun["goal"].cpu()
@@ -109,7 +109,10 @@ class Matcher:
     def __init__(self, model: ActorValueOperator, settings: MatchingSettings):
         prepare, trunk, *_ = model.module[0].module
         if tuple(prepare.in_keys) != READS:
-            raise ValueError(f"matching.frames: expected 0 for a policy that reads {', '.join(prepare.in_keys)}")
+            raise ValueError(
+                f"matching.frames: expected 0, or a policy that reads only {' and '.join(READS)}, got one that reads "
+                f"{', '.join(prepare.in_keys)}"
+            )
         self.settings, self._prepare, self._trunk = settings, prepare.module, trunk.module
         self._device = next(trunk.parameters()).device
 
@@ -120,7 +123,7 @@ class Matcher:
         parameters = [*self._trunk.parameters(), *head.parameters()]
         optimizer = torch.optim.Adam(parameters, lr=self.settings.lr)
         steps = math.ceil(self.settings.pairs / size)
-        bar = tqdm(range(steps), desc="pairs of views", unit="batch", leave=False, dynamic_ncols=True)
+        bar = tqdm(range(steps), desc="match views", unit="batch", leave=False, dynamic_ncols=True)
         for step in bar:
             for group in optimizer.param_groups:
                 group["lr"] = self.settings.lr * (1.0 - step / steps)

@@ -68,10 +68,12 @@ def actor_critic(
     known = wide = memory or features
     if critic_inputs:
         if memory:
-            raise ValueError(f"critic_inputs: expected none with a memory, got {', '.join(critic_inputs)}")
+            raise ValueError(f"critic_inputs: expected none for a policy with memory, got {', '.join(critic_inputs)}")
         told = Prepare(critic_inputs, 1)
         if twice := set(critic_inputs) & set(reads):
-            raise ValueError(f"critic_inputs: expected what the actor does not read, got {', '.join(sorted(twice))}")
+            raise ValueError(
+                f"critic_inputs: expected observations that the actor does not read, got {', '.join(sorted(twice))}"
+            )
         if images := [key for key, one in critic_inputs.items() if one.encoding == "image"]:
             raise ValueError(f"critic_inputs.{images[0]}: expected plain, angle or polar, got image")
         reads, prepared, wide = [*reads, *critic_inputs], [*prepared, "critic_vector"], 2 * features
@@ -103,7 +105,10 @@ def _reader(
         raise ValueError(f"network.fusion: expected one of {', '.join(FUSIONS)}, got {fusion}")
     images = [one.shape for one in (inputs or {}).values() if one.encoding == "image"]
     if fusion != "early" and (len(images) != 2 or images[0] != images[1]):
-        raise ValueError(f"network.fusion: expected early for any images but two alike, got {fusion} of {len(images)}")
+        raise ValueError(
+            f"network.fusion: expected early unless the policy reads exactly two images of the same shape, got "
+            f"{fusion} for {len(images)} images"
+        )
     if not inputs:
         height, width, depth = image_shape
         return ["pixels"], ["image"], PoolPixels(pool), Trunk(height // pool, width // pool, depth, channels, features)

@@ -128,7 +128,7 @@ class PPO:
         base, transformed = layers(self.env)
         made_on = state.get("device", "cpu")
         if made_on != self.device.type:
-            raise ValueError(f"device: expected {made_on}, where the checkpoint was made, got {self.device.type}")
+            raise ValueError(f"device: expected {made_on}, on which the checkpoint was made, got {self.device.type}")
         self.frames = state["frames"]
         self.model.load_state_dict(state["model"])
         self.learner.optimizer.load_state_dict(state["optimizer"])

@@ -173,7 +173,7 @@ def _imported(package: str, module: str) -> Any:
         return import_module(module)
     except ImportError as error:
         raise ImportError(
-            f"logger.backend={package}: expected it to be installed: pip install 'splatrl[{package}]'"
+            f"logger.backend={package}: expected the package {package}, found none; pip install 'splatrl[{package}]'"
         ) from error
 
 

@@ -111,8 +111,8 @@ class Trainer:
             return load_checkpoint(last)
         except (FileNotFoundError, ValueError) as error:
             if not previous.exists():
-                raise ValueError(f"{error}; there is none before it, so begin anew in another folder") from error
-            warnings.warn(f"{error}; going on from the one before it, {previous.name}", stacklevel=3)
+                raise ValueError(f"{error}; there is no earlier checkpoint, so start again in a new folder") from error
+            warnings.warn(f"{error}; resuming from the previous checkpoint, {previous.name}", stacklevel=3)
             state = load_checkpoint(previous)
             save_checkpoint(last, state)  # otherwise the next save would keep the damaged one as previous.pt
             return state
@@ -151,7 +151,7 @@ class Trainer:
         for row in prepare():
             row |= {"frames": self.ppo.frames, "level": int(self.ppo.env.curriculum.level)}
             (lesson,) = (name for name in row if name.startswith("loss_"))
-            told = f"taught {self.ppo.frames:,} frames: {lesson} {row[lesson]:.4f}"
+            told = f"trained on {self.ppo.frames:,} frames: {lesson} {row[lesson]:.4f}"
             if tested_at == 0 or _crossed(tested_at, self.ppo.frames, self.test_interval):
                 row |= self._tested()
                 told, tested_at = f"{told}, success {row['test_success']:.2f}", self.ppo.frames
@@ -224,7 +224,7 @@ def _interrupts() -> Iterator[list[int]]:
         if found:
             raise KeyboardInterrupt
         found.append(number)
-        print("\nstopping after this batch; interrupt again to stop at once", file=sys.stderr)
+        print("\nstopping after this batch; interrupt again to stop immediately", file=sys.stderr)
 
     if threading.current_thread() is not threading.main_thread():
         yield found  # only the main thread can handle signals

@@ -61,7 +61,7 @@ def two_convolutions(height: int, width: int, depth: int, channels: Sequence[int
         ValueError: if the image is too small for them, or ``channels`` does not hold two numbers.
     """
     if min(height, width) < 8:
-        raise ValueError(f"image: expected sides of at least 8 · pool pixels, got {height} × {width} after pooling")
+        raise ValueError(f"image: expected at least 8 × 8 pixels after pooling, got {height} × {width}")
     if len(channels) != 2:
         raise ValueError(f"network.channels: expected two numbers, got {list(channels)}")
     first, second = channels

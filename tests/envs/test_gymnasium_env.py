@@ -137,15 +137,23 @@ def unbounded_env() -> EnvBase:
         (
             lambda env: env.reset(options={"pose": 1}),
             ValueError,
-            r"options: expected 'state' or nothing, got \['pose'\]",
+            r"options: expected 'state' as the only key, got \['pose'\]",
         ),
-        (lambda env: env.reset(options={"state": [5, 0, 0]}), ValueError, r"options\['state'\]: expected \[1, 3\]"),
-        (lambda env: env.reset(options={"state": [0, 0]}), ValueError, r"options\['state'\]: expected \[1, 3\]"),
-        (lambda env: env.step(np.int64(0)), gymnasium.error.ResetNeeded, "step: expected reset first"),
-        (lambda env: env.render(), gymnasium.error.ResetNeeded, "render: expected reset first"),
-        (lambda env: (env.reset(), env.step(np.int64(6))), ValueError, r"action: expected one of Discrete\(6\), got 6"),
+        (
+            lambda env: env.reset(options={"state": [5, 0, 0]}),
+            ValueError,
+            r"options\['state'\]: expected shape \[1, 3\]",
+        ),
+        (lambda env: env.reset(options={"state": [0, 0]}), ValueError, r"options\['state'\]: expected shape \[1, 3\]"),
+        (lambda env: env.step(np.int64(0)), gymnasium.error.ResetNeeded, r"step: expected a call to reset\(\) first"),
+        (lambda env: env.render(), gymnasium.error.ResetNeeded, r"render: expected a call to reset\(\) first"),
+        (
+            lambda env: (env.reset(), env.step(np.int64(6))),
+            ValueError,
+            r"action: expected an action in Discrete\(6\), got 6",
+        ),
         (lambda env: (env.reset(), env.step(np.int64(-1))), ValueError, "action"),
-        (lambda env: GymnasiumEnv(unbounded_env()), ValueError, "env: expected a discrete or a bounded float32 action"),
+        (lambda env: GymnasiumEnv(unbounded_env()), ValueError, "env: expected a discrete or bounded float32 action"),
         (lambda env: GymnasiumEnv(tiny_env([2])), ValueError, r"env: expected batch size \[1\], got \[2\]"),
         (lambda env: GymnasiumEnv(tiny_env([1]), "human"), ValueError, "render_mode: expected 'rgb_array' or None"),
         (
@@ -156,7 +164,7 @@ def unbounded_env() -> EnvBase:
         (
             lambda env: GymnasiumVectorEnv(tiny_env([2])).reset(seed=[1, 2, 3]),
             ValueError,
-            r"seed: expected one number, or 2 of them, got \[1, 2, 3\]",
+            r"seed: expected one number, or a list of 2, got \[1, 2, 3\]",
         ),
         (
             lambda env: GymnasiumVectorEnv(tiny_env([2]), AutoresetMode.DISABLED),
@@ -394,7 +402,7 @@ def test_a_continuous_action_can_have_double_precision_and_may_not_leave_the_box
     assert space == gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
     env.step(np.array([0.3, -0.2]))
     for action in ([1.1, 0.0], [0.0, np.nan], [0.0], 0.5):
-        with pytest.raises(ValueError, match="action: expected one of Box"):
+        with pytest.raises(ValueError, match="action: expected an action in Box"):
             env.step(np.array(action))
 
 

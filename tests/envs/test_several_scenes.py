@@ -84,10 +84,10 @@ def given(env: EnvBase, **values: torch.Tensor) -> TensorDictBase:
 @pytest.mark.parametrize(
     ("scene", "message"),
     [
-        (None, r"scene: expected torch.int64 \[B, 1\] beside the state, got None"),
+        (None, r"scene: expected torch.int64 \[B, 1\] along with the state, got None"),
         (torch.zeros(4, 1), r"scene: expected torch.int64 .* got torch.float32"),
-        (torch.tensor([[0], [1], [2], [0]]), "scene: expected from 0 to 1, got 2"),
-        (torch.tensor([[0], [-1], [0], [0]]), "scene: expected from 0 to 1, got -1"),
+        (torch.tensor([[0], [1], [2], [0]]), "scene: expected an index from 0 to 1, got 2"),
+        (torch.tensor([[0], [-1], [0], [0]]), "scene: expected an index from 0 to 1, got -1"),
     ],
 )
 def test_a_state_without_its_scene_is_refused(grid: EnvBase, scene: torch.Tensor | None, message: str) -> None:

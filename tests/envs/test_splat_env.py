@@ -206,7 +206,7 @@ def test_a_memory_that_takes_the_envs_own_keys_is_refused(monkeypatch: pytest.Mo
     taken = {"level": Unbounded(shape=(1,)), "mine": Unbounded(shape=(1,)), "pixels": Unbounded(shape=(1,))}
     monkeypatch.setattr(Grid, "memory_spec", taken)
     with pytest.raises(
-        ValueError, match=r"task\.memory_spec: expected keys other than the env's own, got level, pixels"
+        ValueError, match=r"task\.memory_spec: expected keys that the env does not use, got level, pixels"
     ):
         tiny_env((2,))
 

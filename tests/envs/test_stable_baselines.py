@@ -71,9 +71,9 @@ def test_what_robots_share_is_told_for_each() -> None:
     assert env.get_attr("colour", 0) == ["red"]
     env.reset()
     assert len(env.get_images()) == 3 and env.render().ndim == 3
-    with pytest.raises(ValueError, match="indices: expected all robots, which share colour, got 1"):
+    with pytest.raises(ValueError, match="indices: expected all robots, since they share colour, got 1"):
         env.set_attr("colour", "blue", 1)
-    with pytest.raises(NotImplementedError, match=r"turn: expected a call of \.vector"):
+    with pytest.raises(NotImplementedError, match=r"turn: expected a call on \.vector"):
         env.env_method("turn")
     with pytest.raises(ValueError, match="options: expected 'state' for all robots or for none"):
         env.set_options([{"state": [0, 0, 0]}, {}, {}])

@@ -129,5 +129,7 @@ def test_transforms_of_the_action_go_around_it(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("size", [[2, 4], [], [0], [-1], 4])
 def test_a_shape_that_cannot_be_kept_is_refused(size: list[int], tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"batch_size: expected a list of one number of at least 1, or None, got"):
+    with pytest.raises(
+        ValueError, match=r"batch_size: expected a list with one whole number of at least 1, or None, got"
+    ):
         make_env(tiny_overrides(tmp_path), batch_size=size)

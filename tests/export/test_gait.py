@@ -35,7 +35,7 @@ def test_a_gait_does_what_the_policy_would_most_probably_do(tmp_path: Path) -> N
 
 def test_a_policy_that_sees_or_moves_something_else_is_no_gait() -> None:
     spec = Bounded(-torch.ones(2), torch.ones(2))
-    with pytest.raises(ValueError, match="gait: expected a policy that reads vectors alone"):
+    with pytest.raises(ValueError, match="gait: expected a policy that reads only vectors and has no memory"):
         gait_of(actor_critic((8, 12, 3), spec, 1, (4, 4), 16))
     with pytest.raises(ValueError, match="gait: expected 46 inputs and 12 outputs, got 3 and 2"):
         gait_of(actor_critic((8, 12, 3), spec, 1, (4, 4), 16, inputs={"gps": Input("plain", (3,))}))

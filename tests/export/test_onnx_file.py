@@ -91,7 +91,7 @@ def test_onnxruntime_does_what_pytorch_does(kind: str, exported: Callable[[str],
     assert session.get_inputs()[0].shape[1:] == ([2] if kind == "blind" else [12, 16, 3])
     facts = session.get_modelmeta().custom_metadata_map
     assert (facts["image_width"], facts["image_height"], facts["scene"]) == ("16", "12", "room")
-    assert float(facts["fov_deg"]) == 90.0 and "90 degrees across" in facts["preprocessing"]
+    assert float(facts["fov_deg"]) == 90.0 and "horizontal field of view 90 degrees" in facts["preprocessing"]
     assert json.loads(facts["actions"]) == list(world.task.motion.action_names)
     assert json.loads(facts["left_out"]) == (["PoseNoise", "Appearance"] if kind == "drive" else [])
     assert ("low" in facts) == (kind == "drive")
@@ -132,7 +132,7 @@ def test_a_policy_that_differs_is_not_written(
     assert largest_difference(content, policy, model, env, 40) < 1e-5
     assert 1e-5 < largest_difference(content, policy, other, env, 40) < 0.1
     monkeypatch.setattr("splatrl.export.onnx_file.onnx_bytes", lambda policy, facts: content)
-    with pytest.raises(ValueError, match=r"policy\.onnx: expected what PyTorch gives within 1e-05"):
+    with pytest.raises(ValueError, match=r"policy\.onnx: expected outputs within 1e-05 of PyTorch's"):
         export_policy(other, world, tmp_path / "out", frames=40)
     assert not (tmp_path / "out").exists()
 
@@ -144,7 +144,7 @@ def test_a_transform_that_only_simulates_nothing_cannot_be_left_out(tmp_path: Pa
         return [RewardScaling(0.0, 0.5)]
 
     scaled = replace(world, make_transforms=partial(transforms))
-    with pytest.raises(ValueError, match=r"transforms: expected some of Appearance, .*FrameStack.*RewardScal"):
+    with pytest.raises(ValueError, match=r"transforms: expected only those .* \(Appearance, .*FrameStack.*RewardScal"):
         export_policy(model, scaled, tmp_path / "out")
 
 

@@ -77,9 +77,9 @@ def test_it_acts_and_learns_on_plain_tensors() -> None:
 @pytest.mark.parametrize(
     ("told", "memory", "message"),
     [
-        ({"pixels": Input("image", (8, 12, 3))}, 0, "expected what the actor does not read, got pixels"),
+        ({"pixels": Input("image", (8, 12, 3))}, 0, "expected observations that the actor does not read, got pixels"),
         ({"depth": Input("image", (8, 12, 1))}, 0, r"critic_inputs\.depth: expected plain, angle or polar, got image"),
-        ({"ball": Input("plain", (3,))}, 8, "critic_inputs: expected none with a memory, got ball"),
+        ({"ball": Input("plain", (3,))}, 8, "critic_inputs: expected none for a policy with memory, got ball"),
     ],
 )
 def test_what_a_critic_cannot_be_told_is_refused(told: Mapping[str, Input], memory: int, message: str) -> None:

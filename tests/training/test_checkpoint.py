@@ -85,7 +85,7 @@ def test_damage_to_a_number_is_refused(tmp_path: Path) -> None:
     place = content.index(torch.tensor([4.0, 5.0]).numpy().tobytes())
     content[place] ^= 1
     path.write_bytes(content)
-    with pytest.raises(ValueError, match=rf"{path}: expected a whole checkpoint .* checksum"):
+    with pytest.raises(ValueError, match=rf"{path}: expected a complete checkpoint .* checksum"):
         load_checkpoint(path)
 
 
@@ -94,7 +94,7 @@ def test_a_checkpoint_cut_at_any_place_is_refused(tmp_path: Path) -> None:
     content = saved()
     for length in range(0, len(content), 7):
         path.write_bytes(content[:length])
-        with pytest.raises(ValueError, match=rf"{path}: expected a whole checkpoint"):
+        with pytest.raises(ValueError, match=rf"{path}: expected a complete checkpoint"):
             load_checkpoint(path)
 
 
@@ -112,7 +112,7 @@ def test_entries_that_unpack_are_refused(tmp_path: Path) -> None:
         for name, content in entries.items():
             archive.writestr(name, content)
     assert path.stat().st_size < 10_000 and "a" in torch.load(path, weights_only=True)
-    with pytest.raises(ValueError, match=r"last\.pt: .*expected entries that are stored"):
+    with pytest.raises(ValueError, match=r"last\.pt: .*expected uncompressed entries"):
         load_checkpoint(path)
 
 

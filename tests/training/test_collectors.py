@@ -190,7 +190,7 @@ def test_a_resumed_training_is_the_same_to_the_byte(tmp_path: object) -> None:
 
 def test_a_checkpoint_of_another_device_is_refused() -> None:
     state = settled().state_dict() | {"device": "cuda"}
-    with pytest.raises(ValueError, match="device: expected cuda, where the checkpoint was made, got cpu"):
+    with pytest.raises(ValueError, match="device: expected cuda, on which the checkpoint was made, got cpu"):
         settled().load_state_dict(state)
 
 

@@ -75,5 +75,5 @@ def test_what_cannot_be_captured_says_how_to_go_without() -> None:
     call = CudaGraph(work)
     for _ in range(WARM_UP):
         call()
-    with pytest.raises(RuntimeError, match=r"could not be captured; collector\.cuda_graph=false trains without"):
+    with pytest.raises(RuntimeError, match=r"could not be captured; type collector\.cuda_graph=false to train without"):
         call()

@@ -179,7 +179,7 @@ def test_what_does_not_fit_is_refused(made: tuple[DictConfig, World]) -> None:
     cloner = Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5))
     for settings, message in (
         (DaggerSettings(1, 100, 1), "dagger.frames_per_round: expected a multiple of env.num_envs = 16, got 100"),
-        (DaggerSettings(3, 128, 1), "collector.total_frames: expected at least 384, for 0 frames of demos and 384"),
+        (DaggerSettings(3, 128, 1), "collector.total_frames: expected at least 384, the sum of 0 frames of demos"),
     ):
         with pytest.raises(ValueError, match=message):
             next(imitate(ppo, cloner, world, [], settings, 0))

@@ -75,5 +75,5 @@ def test_the_entropy_of_a_choice_is_exact() -> None:
 
 @pytest.mark.parametrize("spec", [OneHot(4), Bounded(0, 3, shape=(2,), dtype=torch.int64)])
 def test_another_kind_of_action_is_refused(spec: TensorSpec) -> None:
-    with pytest.raises(ValueError, match="action_spec: expected Categorical or Bounded floats, got "):
+    with pytest.raises(ValueError, match="action_spec: expected a Categorical spec or a Bounded spec of floats, got "):
         policy_head(spec, HIDDEN)

@@ -88,10 +88,10 @@ def test_ppo_learns_from_several_inputs_alike_with_both_collectors(on_device) ->
     ("named", "match"),
     [
         ({"pixels": "picture"}, r"inputs.pixels: expected one of image, plain, angle, polar, got picture"),
-        ({"sonar": "plain"}, r"inputs.sonar: expected an observation, got none"),
-        ({"lidar": "image"}, r"inputs.lidar: expected what can be read as image, got a shape of \[5\]"),
-        ({"lidar": "polar"}, r"inputs.lidar: expected what can be read as polar"),
-        ({"pixels": "image", "small": "image"}, r"inputs: expected images of one size"),
+        ({"sonar": "plain"}, r"inputs.sonar: expected an observation, found none"),
+        ({"lidar": "image"}, r"inputs.lidar: expected a shape that suits image encoding, got \[5\]"),
+        ({"lidar": "polar"}, r"inputs.lidar: expected a shape that suits polar encoding"),
+        ({"pixels": "image", "small": "image"}, r"inputs: expected images of the same size"),
     ],
 )
 def test_inputs_that_are_not_there_or_do_not_fit_are_refused(named, match) -> None:

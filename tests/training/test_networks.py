@@ -101,7 +101,7 @@ def test_the_core_shrinks_images_as_pytorch_does(shape: tuple[int, ...], pool: i
 
 @pytest.mark.parametrize(("height", "width", "pool"), [(16, 15, 2), (7, 20, 1)])
 def test_an_image_that_is_too_small_is_refused(height: int, width: int, pool: int) -> None:
-    with pytest.raises(ValueError, match=rf"expected sides of at least 8 · pool pixels, got {height // pool} × "):
+    with pytest.raises(ValueError, match=rf"expected at least 8 × 8 pixels after pooling, got {height // pool} × "):
         actor_critic((height, width, 3), SPEC, pool)
 
 

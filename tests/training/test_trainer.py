@@ -78,7 +78,8 @@ def test_a_damaged_checkpoint_is_replaced_by_the_one_before(tmp_path: Path) -> N
     for damage in (lambda: last.write_bytes(last.read_bytes()[:1000]), last.unlink):
         damage()
         again = trainer(tmp_path, [0.9, 0.6])
-        with pytest.warns(UserWarning, match=r"last\.pt: expected .*; going on from the one before it, previous\.pt"):
+        message = r"last\.pt: expected .*; resuming from the previous checkpoint, previous\.pt"
+        with pytest.warns(UserWarning, match=message):
             again.resume()
         assert again.ppo.frames == 192
         again.fit()
@@ -90,7 +91,7 @@ def test_traces_of_a_training_without_a_checkpoint_do_not_begin_anew(tmp_path: P
     trainer(tmp_path, [0.4, 0.9, 0.6]).fit()
     for name in ("last", "previous"):
         (tmp_path / "checkpoints" / f"{name}.pt").unlink()
-    with pytest.raises(ValueError, match=r"last\.pt: expected a checkpoint, found none; there is none before it"):
+    with pytest.raises(ValueError, match=r"last\.pt: expected a checkpoint, found none; there is no earlier"):
         trainer(tmp_path, []).resume()
 
 

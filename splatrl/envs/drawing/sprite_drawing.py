@@ -44,7 +44,7 @@ class SpriteDrawing:
     ):
         for name, value in {"size": size, "near": near}.items():
             if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"drawing.{name}: expected positive metres, got {value}")
+                raise ValueError(f"drawing.{name}: expected a positive, finite number of metres, got {value}")
         if position is not None and not (len(position) == 3 and all(math.isfinite(value) for value in position)):
             raise ValueError(f"drawing.position: expected finite x, y and z in metres, got {list(position)}")
         self.renderer = renderer

@@ -41,7 +41,7 @@ class Depth(PlainSensor):
 
     def read(self, moment: Moment) -> Tensor:
         """Return the depth of each pixel."""
-        assert moment.depth is not None, "the env draws depth where a sensor needs it"
+        assert moment.depth is not None, "expected depth, which the env renders if a sensor needs it, got None"
         depth = moment.depth.clamp(self.nearest, self.farthest)
         if self.normalize:
             depth = ((depth - self.nearest) / (self.farthest - self.nearest)).clamp(0.0, 1.0)

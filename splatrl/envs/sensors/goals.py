@@ -19,7 +19,7 @@ def goal_of(moment: Moment) -> Tensor:
         ValueError: for a task without goals.
     """
     if "goal" not in moment.memory:
-        raise ValueError("sensors: expected a task with a goal of each episode, such as task=pointnav, got one without")
+        raise ValueError("sensors: expected a task with a goal per episode, such as task=pointnav, got one without")
     return moment.memory["goal"].double()
 
 

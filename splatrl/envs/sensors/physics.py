@@ -41,7 +41,7 @@ class Measured(PlainSensor):
         known = [model.sensor(number).name for number in range(model.nsensor)]
         if missing := [name for name in self.names if name not in known]:
             raise ValueError(
-                f"{path}: sensors.{key}: expected some of {', '.join(known) or 'none'}, got {missing[0]!r}"
+                f"{path}: sensors.{key}: expected names among {', '.join(known) or 'none'}, got {missing[0]!r}"
             )
         self.size = sum(int(model.sensor(name).dim[0]) for name in self.names)
 
@@ -147,7 +147,7 @@ class Felt(PlainSensor):
         """Return the proprioception."""
         motion: Any = moment.motion
         if not isinstance(motion, LegsMotion):
-            raise ValueError(f"sensors: expected a robot on legs, got {type(motion).__name__}")
+            raise ValueError(f"sensors: expected a legged robot, got {type(motion).__name__}")
         return motion.felt(moment.state)
 
 

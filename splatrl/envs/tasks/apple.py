@@ -74,7 +74,7 @@ class Apple(OutcomeTask):
             )
         for name, value in (("red_share", red_share), ("mean_red", mean_red)):
             if value is not None and not 0 < value <= 1:
-                raise ValueError(f"task.{name}: expected a share in (0, 1], got {value}")
+                raise ValueError(f"task.{name}: expected a fraction in (0, 1], got {value}")
         self.reach, self.red_share, self.mean_red = reach * motion.step, red_share, mean_red
         self.facing = math.radians(facing_deg)
         self.register_buffer("place", torch.tensor(tuple(place), dtype=torch.float32), persistent=False)

@@ -86,7 +86,7 @@ class Course(TaskModule):
         max_steps: int,
     ):
         if not isinstance(motion, PhysicsMotion):
-            raise ValueError(f"task.motion: expected one with physics, got {type(motion).__name__}")
+            raise ValueError(f"task.motion: expected a motion with physics, got {type(motion).__name__}")
         super().__init__(motion, max_steps)
         for key, count in (("courses", courses), ("test_courses", test_courses)):
             require_number(f"task.{key}", count, 1, 4096, whole=True)

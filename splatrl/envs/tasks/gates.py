@@ -69,10 +69,10 @@ class Gates(Course):
     ):
         super().__init__(motion, course or TrackSettings(), rewards, courses, test_courses, seed, max_steps)
         if motion.ceiling is None:
-            raise ValueError("task.motion.ceiling: expected metres, got None")
+            raise ValueError("task.motion.ceiling: expected a height in metres, got None")
         if len(motion.thing_paths) != 1:
             raise ValueError(
-                f"task.motion.things: expected one, the gate of a track, got {', '.join(motion.thing_paths) or 'none'}"
+                f"task.motion.things: expected only the gate of a track, got {', '.join(motion.thing_paths) or 'none'}"
             )
         require_rgb("task.lit", lit)
         motion.repeat(self.course.gates)

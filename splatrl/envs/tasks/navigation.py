@@ -95,7 +95,7 @@ class NavigationTask(TaskModule):
     ):
         if not isinstance(motion, StoppingMotion):
             raise ValueError(
-                f"task.motion: expected one that can stop, navigate or drive, got {type(motion).__name__}; "
+                f"task.motion: expected a motion that can stop (navigate or drive), got {type(motion).__name__}; "
                 "type motion@task.motion=navigate"
             )
         super().__init__(motion, max_steps)
@@ -125,7 +125,8 @@ class NavigationTask(TaskModule):
         longest = self.geodesics.longest
         if longest < self.nearest:
             raise ValueError(
-                f"task.nearest: expected at most {longest:.2f} m, the longest way there is, got {self.nearest:g}"
+                f"task.nearest: expected at most {longest:.2f} m, the length of the longest path to a goal, "
+                f"got {self.nearest:g}"
             )
 
     @property
@@ -191,8 +192,8 @@ class NavigationTask(TaskModule):
             if left == 0:
                 return {key: torch.cat([each[key] for each in found]) for key in found[0]}
         raise ValueError(
-            f"task.nearest, task.farthest: expected starts and goals {self.nearest} to {self.farthest} m apart, found "
-            f"{count - left} of {count}"
+            f"task.nearest, task.farthest: expected {count} pairs of a start and a goal {self.nearest} to "
+            f"{self.farthest} m apart, found only {count - left}"
         )
 
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:

@@ -136,7 +136,7 @@ class Push(TaskModule):
         max_steps: int = 150,
     ):
         if not isinstance(motion, PhysicsMotion):
-            raise ValueError(f"task.motion: expected one with physics, got {type(motion).__name__}")
+            raise ValueError(f"task.motion: expected a motion with physics, got {type(motion).__name__}")
         super().__init__(motion, max_steps)
         numbers = {"success_distance": success_distance, "mark_radius": mark_radius, "farthest": farthest}
         for name, value in numbers.items():
@@ -181,8 +181,8 @@ class Push(TaskModule):
         spread = (places.amax(0) - places.amin(0)).norm() if len(places) else 0.0
         if not spread >= self.nearest:
             raise ValueError(
-                f"places for ball and mark: expected some {self.nearest:g} m apart and {self.clearance:g} m from what "
-                f"is solid, found {len(places)}; type wider task.motion.lower and upper"
+                f"places for ball and mark: expected two at least {self.nearest:g} m apart and {self.clearance:g} m "
+                f"from obstacles, found none among {len(places)}; widen task.motion.lower and task.motion.upper"
             )
         self.places = places.to(self.places.device)
         lower, upper = lower - self.leeway, upper + self.leeway

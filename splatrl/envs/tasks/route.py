@@ -84,7 +84,7 @@ class Route(Course):
             require_rgb(f"task.{name}", rgb)
         if motion.limits.shape[1] != 2:
             raise ValueError(
-                f"task.motion: expected a speed and a steering angle, got {motion.limits.shape[1]} actions"
+                f"task.motion: expected two actions, speed and steering angle, got {motion.limits.shape[1]} actions"
             )
         self.reach, self.wheelbase, self.leeway = reach, wheelbase, leeway
         self.balls = Models((ball(mark_radius, mark_rgb), ball(mark_radius, later_rgb)))

@@ -90,13 +90,14 @@ class Strides(TaskModule):
         forward: Sequence[float] | None = None,
     ):
         if not isinstance(motion, StridesMotion):
-            raise ValueError(f"task.motion: expected legs that make strides, got {type(motion).__name__}")
+            got = type(motion).__name__
+            raise ValueError(f"task.motion: expected a StridesMotion (legs controlled joint by joint), got {got}")
         super().__init__(motion, round(motion.commands * motion.span / STRIDE))
         require_number("task.allowed", allowed, 0.0, 10.0)
         require_number("task.shaken", shaken, 0.0, 1.0)
         low, high = motion.forward_limits if forward is None else forward
         if not -2.0 <= low <= high <= 2.0:
-            raise ValueError(f"task.forward: expected lowest ≤ highest, at most 2 m/s, got {[low, high]}")
+            raise ValueError(f"task.forward: expected -2 ≤ lowest ≤ highest ≤ 2 m/s, got {[low, high]}")
         self.rewards, self.allowed, self.shaken = rewards or StridesRewards(), allowed, shaken
         self.lowest, self.highest = (low, -motion.turn_limit), (high, motion.turn_limit)
 

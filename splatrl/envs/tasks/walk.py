@@ -77,7 +77,8 @@ class Walk(Route):
         max_steps: int = 100,
     ):
         if not isinstance(motion, WalkMotion):
-            raise ValueError(f"task.motion: expected legs that walk, got {type(motion).__name__}")
+            got = type(motion).__name__
+            raise ValueError(f"task.motion: expected a WalkMotion (a legged robot that walks), got {got}")
         require_number("task.ahead_deg", ahead_deg, 0.0, 180.0)
         course = course or RouteSettings(distance=(1.0, 2.5), clearance=0.4, waypoints=1)
         super().__init__(

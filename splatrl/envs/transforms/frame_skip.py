@@ -44,7 +44,7 @@ class FrameSkip(Transform):
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         parent, asked = self.parent, self._asked
         if parent is None or asked is None:
-            raise RuntimeError("FrameSkip: expected an env, found none")
+            raise RuntimeError("FrameSkip: expected a parent env, found none; use it in a TransformedEnv")
         inputs = tensordict.exclude("next")
         for _ in range(self.steps - 1):
             last, done = next_tensordict, next_tensordict["done"]
@@ -59,7 +59,7 @@ class FrameSkip(Transform):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Refuse data that does not come from an env."""
-        raise RuntimeError("FrameSkip: expected an env, found none")
+        raise RuntimeError("FrameSkip: expected a parent env, found none; use it in a TransformedEnv")
 
 
 def _rows(mask: Tensor, chosen: Tensor, other: Tensor) -> Tensor:

@@ -22,7 +22,7 @@ class FrameStack(CatFrames):
 
     def __init__(self, N: int, in_keys: tuple[str, ...] = ("pixels",), dim: int = -1):
         if dim != -1:
-            raise ValueError(f"stack.dim: expected -1, the axis of the channels, got {dim}")
+            raise ValueError(f"stack.dim: expected -1, the channel axis, got {dim}")
         super().__init__(N, dim, in_keys=list(in_keys))
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:

@@ -43,7 +43,7 @@ class Latency(RandomTransform):
         super().__init__(seed, out_keys=["pixels", *LATE])
         for name, pair in (("camera", camera), ("action", action)):
             if len(pair) != 2:
-                raise ValueError(f"latency.{name}: expected a lowest and a highest delay, got {list(pair)}")
+                raise ValueError(f"latency.{name}: expected the lowest and the highest delay, got {list(pair)}")
             for value in pair:
                 require_number(f"latency.{name}", value, 0, MOST, whole=True)
             if pair[0] > pair[1]:
@@ -70,7 +70,7 @@ class Latency(RandomTransform):
         options = {"generator": self.generator, "device": view.device}
         drawn = [torch.randint(low, high + 1, batch, **options) for low, high in zip(self.low, self.high, strict=True)]
         spec = self.parent.full_action_spec["action"] if self.parent is not None else None
-        assert spec is not None, "a reset belongs to an env"
+        assert spec is not None, "latency: expected a parent env, found none"
         shape = (batch[0], self.high[1], *spec.shape[1:])
         late = torch.full(shape, _none_of(spec.dtype), dtype=spec.dtype, device=view.device)
         values = {

@@ -123,7 +123,7 @@ class PoseNoise(RandomTransform):
         """Read ``camera_offset`` from the input of a step or a reset."""
         if isinstance(self.env, ParallelEnv):
             raise ValueError(
-                "PoseNoise: expected the env that renders, got a ParallelEnv, which does not pass camera_offset on; "
+                "PoseNoise: expected the env that renders, got a ParallelEnv, which does not forward camera_offset; "
                 "put PoseNoise around the env of each worker"
             )
         return self._with_offset(state_spec)

@@ -110,7 +110,7 @@ class Weather(EpisodeLook):
         """Add ``weather`` to the observation, and remove the depth."""
         if isinstance(self.env, EnvBase) and VIEW_DEPTH not in observation_spec.keys():  # noqa: SIM118
             raise ValueError(
-                f"weather: expected a drawing that shows {VIEW_DEPTH} (around_drawing: DepthDrawing), got none"
+                f"weather: expected a drawing that provides {VIEW_DEPTH} (around_drawing: DepthDrawing), got none"
             )
         spec = super().transform_observation_spec(observation_spec)
         if VIEW_DEPTH in spec.keys():  # noqa: SIM118

@@ -101,12 +101,12 @@ def test_robots_without_physics_or_legs_are_refused() -> None:
         with pytest.raises(ValueError, match=r"sensors: expected a robot with physics, .* got DriveMotion"):
             sensor.read(moment(drive, torch.zeros(1, 3)))
     wheels = PhysicsMotion("wheels", "eye", threads=1)
-    with pytest.raises(ValueError, match="sensors: expected a robot on legs, got PhysicsMotion"):
+    with pytest.raises(ValueError, match="sensors: expected a legged robot, got PhysicsMotion"):
         Felt().read(moment(wheels, wheels.placed(torch.zeros(1, 3))))
 
 
 def test_a_sensor_that_the_robot_lacks_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"quadruped: sensors\.imu: expected some of accelerometer, gyro, .*'compass'"):
+    with pytest.raises(ValueError, match=r"quadruped: sensors\.imu: expected names among accelerometer, .*'compass'"):
         Measured("imu", "quadruped", ["compass"])
 
 

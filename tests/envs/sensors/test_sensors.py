@@ -183,7 +183,7 @@ def test_sensors_are_chosen_in_the_config(tmp_path) -> None:
         (lambda: Depth(2.0, 1.0), "sensors.depth"),
         (lambda: Lidar(beams=0), "sensors.lidar.beams"),
         (lambda: Lidar(reach=0.0), "sensors.lidar.reach"),
-        (lambda: sensing_env((1,), pixels=Depth()), "sensors: expected keys other than the env's own, got pixels"),
+        (lambda: sensing_env((1,), pixels=Depth()), "sensors: expected keys that env and task do not use, got pixels"),
     ],
 )
 def test_what_does_not_fit_is_refused_by_its_key(make, key) -> None:

@@ -159,9 +159,9 @@ def test_the_config_is_the_published_one_without_collision() -> None:
         ({"place": None}, r"task\.place: expected x, y and z in metres, got None"),
         ({"place": (0.0, 1.0)}, r"task\.place: expected x, y and z in metres, got \[0\.0, 1\.0\]"),
         ({"place": (0.0, 1.0, math.nan)}, r"task\.place"),
-        ({"red_share": 0.0}, r"task\.red_share: expected a share in \(0, 1\], got 0\.0"),
+        ({"red_share": 0.0}, r"task\.red_share: expected a fraction in \(0, 1\], got 0\.0"),
         ({"red_share": 1.5}, r"task\.red_share"),
-        ({"mean_red": 55.0}, r"task\.mean_red: expected a share in \(0, 1\], got 55\.0"),
+        ({"mean_red": 55.0}, r"task\.mean_red: expected a fraction in \(0, 1\], got 55\.0"),
         ({"max_steps": 0}, r"task\.max_steps"),
     ],
 )

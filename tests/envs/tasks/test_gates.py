@@ -124,7 +124,7 @@ def test_a_quadrotor_that_hovers_passes_nothing() -> None:
 
 
 def test_other_things_than_one_gate_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"task\.motion\.things: expected one, the gate of .* got gate1, gate2"):
+    with pytest.raises(ValueError, match=r"task\.motion\.things: expected only the gate of .* got gate1, gate2"):
         Gates(gates().motion)
 
 

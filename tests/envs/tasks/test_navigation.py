@@ -215,7 +215,7 @@ def test_episodes_for_tests_are_seeded_and_have_goals_of_their_own() -> None:
     assert all(torch.equal(one[key], again[key]) for key in one)
     assert not torch.equal(one["state"], other["state"])
     assert (one["goal_row"] >= 8).all() and (one["start_distance"] >= 0.3).all()
-    with pytest.raises(ValueError, match=r"found \d+ of 20"):
+    with pytest.raises(ValueError, match=r"expected 20 pairs of a start and a goal .* found only \d+"):
         task_of(nearest=task.geodesics.longest).episodes(paths().starts[:3], 20, 1)
 
 
@@ -262,7 +262,7 @@ def test_the_configured_tasks_keep_their_specs(task: str, motion: str, tmp_path)
 
 
 def test_a_motion_that_cannot_stop_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"task\.motion: expected one that can stop"):
+    with pytest.raises(ValueError, match=r"task\.motion: expected a motion that can stop"):
         PointNav(ForwardMotion(HEIGHT))  # type: ignore[arg-type]
 
 

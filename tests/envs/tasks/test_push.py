@@ -135,8 +135,8 @@ def test_balls_and_marks_begin_where_they_are_asked_to() -> None:
     [
         ({"nearest": 0.1}, "task.nearest: expected success_distance < nearest < farthest"),
         ({"ahead_deg": 200.0}, "task.ahead_deg: expected a number from 0.0 to 180.0"),
-        ({"ball": "egg"}, "task.motion.things: expected 'egg' with a free joint"),
-        ({"clearance": 0.9}, "places for ball and mark: expected some 0.5 m apart"),
+        ({"ball": "egg"}, "task.motion.things: expected 'egg' to have a free joint"),
+        ({"clearance": 0.9}, "places for ball and mark: expected two at least 0.5 m apart"),
         ({"mark_rgb": (1.0, 0.0)}, "task.mark_rgb: expected red, green and blue"),
     ],
 )
@@ -146,7 +146,7 @@ def test_what_does_not_fit_is_refused(settings: dict[str, Any], message: str) ->
 
 
 def test_a_motion_without_physics_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"task\.motion: expected one with physics, got DriveMotion"):
+    with pytest.raises(ValueError, match=r"task\.motion: expected a motion with physics, got DriveMotion"):
         Push(DriveMotion(0.3))  # type: ignore[arg-type]
 
 

@@ -114,7 +114,7 @@ def test_two_waypoints_are_shown_and_none_after_the_last() -> None:
 
 def test_a_robot_with_other_actions_is_refused() -> None:
     motion = PhysicsMotion("quadrotor", "eye", linear=(-1.0, 1.0), angular_deg=90.0, threads=1)
-    with pytest.raises(ValueError, match=r"task\.motion: expected a speed and a steering angle, got 4 actions"):
+    with pytest.raises(ValueError, match=r"task\.motion: expected two actions, speed and steering angle, got 4"):
         Route(motion)
 
 

@@ -97,7 +97,7 @@ def test_commands_take_turns() -> None:
 
 
 def test_other_motions_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"task\.motion: expected legs that make strides, got WalkMotion"):
+    with pytest.raises(ValueError, match=r"task\.motion: expected a StridesMotion .*, got WalkMotion"):
         Strides(WalkMotion(path="quadruped", camera="eye", gait=None, threads=1))  # type: ignore[arg-type]
 
 

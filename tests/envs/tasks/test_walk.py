@@ -101,7 +101,7 @@ def test_robots_begin_at_ways_and_look_beside_their_mark_by_as_much_as_asked() -
 
 
 def test_other_motions_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"task\.motion: expected legs that walk, got StridesMotion"):
+    with pytest.raises(ValueError, match=r"task\.motion: expected a WalkMotion .*, got StridesMotion"):
         Walk(StridesMotion(path="quadruped", camera="eye", threads=1))  # type: ignore[arg-type]
 
 

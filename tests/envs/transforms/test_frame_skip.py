@@ -150,5 +150,5 @@ def test_a_number_of_steps_that_makes_no_sense_is_refused(steps: float) -> None:
 
 
 def test_it_needs_an_env() -> None:
-    with pytest.raises(RuntimeError, match="FrameSkip: expected an env"):
+    with pytest.raises(RuntimeError, match="FrameSkip: expected a parent env"):
         FrameSkip(2)(TensorDict({"pixels": torch.zeros(2, 3)}, [2]))

@@ -115,7 +115,7 @@ def test_frames_that_are_skipped_are_delayed_step_by_step() -> None:
     [
         ((2, 1), (0, 0), r"latency\.camera: expected lowest ≤ highest, got \[2, 1\]"),
         ((0, 0), (0, 65), r"latency\.action: expected .* got 65"),
-        ((0,), (0, 0), r"latency\.camera: expected a lowest and a highest delay, got \[0\]"),
+        ((0,), (0, 0), r"latency\.camera: expected the lowest and the highest delay, got \[0\]"),
     ],
 )
 def test_other_delays_are_refused(camera: tuple[int, ...], action: tuple[int, ...], message: str) -> None:
