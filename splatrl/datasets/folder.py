@@ -63,8 +63,9 @@ def read_demonstrations(folder: Path) -> Demonstrations:
     if not path.is_file():
         raise FileNotFoundError(f"{folder}: expected a folder of demonstrations with {FACTS}, found none")
     facts = read_json(path, MAX_HEADER)
-    if not isinstance(facts, dict) or facts.get("version") != VERSION:
-        raise ValueError(f"{path}: expected demonstrations of format version {VERSION}, got something else")
+    version = facts.get("version") if isinstance(facts, dict) else None
+    if version != VERSION:
+        raise ValueError(f"{path}: expected demonstrations of format version {VERSION}, got {version!r:.80}")
     names, fps = facts.get("action_names"), facts.get("fps")
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise ValueError(f"{path}: expected a list of names under action_names, got {names!r:.80}")

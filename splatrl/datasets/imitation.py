@@ -88,9 +88,11 @@ def _frames(shown: Demonstrations, ppo: PPO, reads: Sequence[str]) -> dict[str, 
     (height, width, channels), spec = env.observation_spec["pixels"].shape[1:], env.action_spec
     names, found = env.task.motion.action_names, (frames["pixels"].shape[1:3], frames["action"].shape[1:])
     if shown.action_names != tuple(names) or found != ((height, width), spec.shape[1:]):
+        ours = ", ".join(names) or list(spec.shape[1:])
+        theirs = ", ".join(shown.action_names) or list(found[1])
         raise ValueError(
-            f"demos: expected images of {width} × {height} pixels and the task's actions {', '.join(names)}, "
-            f"got {found[0][1]} × {found[0][0]} and {', '.join(shown.action_names) or list(found[1])}"
+            f"demos: expected images of {width} × {height} pixels and the task's actions {ours}, "
+            f"got {found[0][1]} × {found[0][0]} and {theirs}"
         )
     seen = {key: shown.stacked(channels // 3) if key == "pixels" else frames.get(key, None) for key in reads}
     for key, values in seen.items():

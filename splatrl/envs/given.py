@@ -21,10 +21,9 @@ def given_scene(given: TensorDictBase, scenes: int, only: Tensor | None) -> Tens
         ValueError: for a scene that does not exist, or if no scene is given.
     """
     scene = given.get("scene", None)
-    if scene is None or scene.dtype != torch.int64:
-        raise ValueError(
-            f"scene: expected torch.int64 [B, 1] along with the state, got {None if scene is None else scene.dtype}"
-        )
+    if scene is None or scene.dtype != torch.int64 or scene.shape[1:] != (1,):
+        got = None if scene is None else f"{scene.dtype} {list(scene.shape)}"
+        raise ValueError(f"scene: expected torch.int64 [B, 1] along with the state, got {got}")
     asked = scene if only is None else scene[only]
     if len(wrong := asked[(asked < 0) | (asked >= scenes)]):
         raise ValueError(f"scene: expected an index from 0 to {scenes - 1}, got {int(wrong[0])}")

@@ -180,7 +180,7 @@ def edit(name: str, change: Callable[[dict], object]) -> Callable[[Path], None]:
     ("damage", "message"),
     [
         (lambda folder: (folder / "demonstrations.json").unlink(), "expected a folder of demonstrations"),
-        (edit("demonstrations.json", lambda facts: facts.update(version=2)), "demonstrations of format version 1"),
+        (edit("demonstrations.json", lambda facts: facts.update(version=2)), "of format version 1, got 2"),
         (edit("demonstrations.json", lambda facts: facts.update(action_names=3)), "a list of names under action_names"),
         (edit("demonstrations.json", lambda facts: facts.update(fps=0)), "from 1 to 1000 under fps"),
         (edit("memmap/meta.json", lambda meta: meta.pop("action")), "expected entries for action"),

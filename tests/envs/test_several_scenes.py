@@ -86,6 +86,7 @@ def given(env: EnvBase, **values: torch.Tensor) -> TensorDictBase:
     [
         (None, r"scene: expected torch.int64 \[B, 1\] along with the state, got None"),
         (torch.zeros(4, 1), r"scene: expected torch.int64 .* got torch.float32"),
+        (torch.zeros(4, 2, dtype=torch.int64), r"scene: expected torch.int64 .* got torch.int64 \[4, 2\]"),
         (torch.tensor([[0], [1], [2], [0]]), "scene: expected an index from 0 to 1, got 2"),
         (torch.tensor([[0], [-1], [0], [0]]), "scene: expected an index from 0 to 1, got -1"),
     ],
