@@ -1,15 +1,15 @@
-"""How long a capture takes from a phone video to a scene to train in, and how far it is from the truth.
+"""Measures how long a capture takes from a phone video to a scene to train in, and how far it is from the truth.
 
-    python benchmarks/capture.py                    # films 60 s at 1080p in the backyard, then captures that
-    python benchmarks/capture.py --yard 3           # or in one of the generated yards
-    python benchmarks/capture.py --people 2         # while two people walk through it
-    python benchmarks/capture.py kitchen_m.mp4      # any video with its truth in a .npz beside it
+    python benchmarks/capture.py                    # films 60 s at 1080p in the backyard, then captures the film
+    python benchmarks/capture.py --yard 3           # the same in a generated yard
+    python benchmarks/capture.py --people 2         # two people walk through the place during the film
+    python benchmarks/capture.py kitchen_m.mp4      # any video with ground truth in a .npz beside it
 
-The truth is used to judge, and for one thing that a person would measure: the height of the camera above the floor, or
-``--distance`` as ``splatrl-capture`` takes it. Prints wall and CPU seconds of every stage, how far the cameras are from
-the truth once a similarity has brought them closest (ATE), how far up and scale are off, and how well images that were
-never fitted are drawn; of a film that it made, also how near what is drawn is to the place as it is when nobody walks
-through it. ``--keep FOLDER`` keeps film and scene, and a second call continues there.
+The truth only serves to judge the capture, except for the one length that a person would measure: the height of the
+camera above the floor. Prints the wall-clock and CPU seconds of every stage, the camera errors after alignment by the
+closest similarity (ATE), the errors of up and scale, and the quality of held-out images. If it made the film itself, it
+also compares what the cameras see in the capture with the same place without people. ``--keep FOLDER`` keeps film and
+scene, and a second call continues there.
 """
 
 import argparse
@@ -50,14 +50,14 @@ Floats = NDArray[np.float64]
 
 FILM = "walk.mp4"
 INSIDE, ABOVE = 1.2, 0.6
-"""Metres between a yard's bounds and where the walk goes, and of the camera above ground: a little above the robots."""
+"""Distance of the walk from a yard's bounds, and default height of the camera, a little above the robots; metres."""
 TOLERANCE = 0.5
-"""Pixels: of the level of detail that the film is drawn with."""
+"""Tolerance of the level of detail in the film, pixels."""
 
 
 @dataclass(frozen=True)
 class Lap:
-    """What one stage took: seconds of the clock, and of all processors."""
+    """Wall-clock seconds of one stage, and its CPU seconds over all cores."""
 
     stage: str
     wall: float
@@ -66,7 +66,7 @@ class Lap:
 
 @dataclass(frozen=True)
 class Result:
-    """A capture against its truth."""
+    """A capture compared with its ground truth."""
 
     video: str
     seconds: float
@@ -100,7 +100,7 @@ class Result:
 
 @dataclass
 class Stopwatch:
-    """Times stages as they are told: lines of ``say`` end one, and what ``progress`` names is timed within it."""
+    """Times the stages of a capture, each of which ends with a line of ``say``, and the parts that report progress."""
 
     bars: Bars
     laps: list[Lap] = field(default_factory=list)
@@ -109,7 +109,7 @@ class Stopwatch:
     _part: tuple[str, float] = ("", 0.0)
 
     def __call__(self, what: str, done: int, total: int) -> None:
-        """Progress of a stage."""
+        """Receive the progress of a part of a stage."""
         now = time.perf_counter()
         if self._part[0] == what:
             self.parts[what] = self.parts.get(what, 0.0) + now - self._part[1]
@@ -117,7 +117,7 @@ class Stopwatch:
         self.bars(what, done, total)
 
     def say(self, line: str) -> None:
-        """A stage is done."""
+        """Receive the line that ends a stage."""
         wall, cpu = _clock()
         self.laps.append(Lap(line.split()[0], wall - self._began[0], cpu - self._began[1]))
         self.bars.say(line)
@@ -125,17 +125,17 @@ class Stopwatch:
 
 
 def _clock() -> tuple[float, float]:
-    """Seconds of the clock, and of the processors for this process and those that it has waited for."""
+    """Return wall-clock seconds, and the CPU seconds of this process and of the subprocesses that it has waited for."""
     return time.perf_counter(), sum(os.times()[:4])
 
 
 def place_of(options: argparse.Namespace) -> Scene:
-    """What is filmed."""
+    """Return the scene to film."""
     return splatrl.backyard() if options.yard is None else splatrl.yard(options.yard)
 
 
 def filmed(path: Path, options: argparse.Namespace) -> Path:
-    """A phone walk in a yard, unless it is there already."""
+    """Film a walk through a yard with a simulated phone, unless the film exists already."""
     if path.is_file() and path.with_suffix(".npz").is_file():
         return path
     scene = place_of(options)
@@ -155,7 +155,7 @@ def filmed(path: Path, options: argparse.Namespace) -> Path:
 
 
 def likenesses(gaussians: Gaussians, placed: Placed, width: int) -> list[Likeness]:
-    """Images that were never fitted beside what is drawn, at the width that was fitted."""
+    """Compare held-out images with renders of the capture, at the width of the fit."""
     found = placed.reconstruction
     width = min(width, found.width)
     size = (width, round(found.height * width / found.width))
@@ -173,9 +173,9 @@ def likenesses(gaussians: Gaussians, placed: Placed, width: int) -> list[Likenes
 def likeness_to(
     scene: Scene, gaussians: Gaussians, placed: Placed, truth: Truth, options: argparse.Namespace
 ) -> Floats:
-    """PSNR of what the cameras of a capture see in it to what they would have seen in the empty place, dB: [N].
+    """Compare a capture with the place without people: the PSNR of each camera's view to its view of the empty place.
 
-    Each channel is fitted by a factor and a shift first, since the exposure of the film drifts.
+    Each channel is first fitted by a gain and an offset, since the exposure of the film drifts. Returns [N], dB.
     """
     found, (full, height) = placed.reconstruction, options.size
     size = options.width, round(options.width * height / full)
@@ -188,36 +188,36 @@ def likeness_to(
 
 
 def settings_of(options: argparse.Namespace, truth: Truth) -> CaptureSettings:
-    """What a person would state: how high the camera was above the floor at z = ``--floor``."""
+    """Return the settings; the camera's mean height above the floor at z = ``--floor`` is what a person would state."""
     height = float((truth.camera_to_world[:, 2, 3] - options.floor).mean())
     fit = FitSettings(width=options.width, cap=options.gaussians, views=options.views, seed=options.seed)
     return CaptureSettings(camera_height=height, seed=options.seed, fit=fit, force=True, still=options.still)
 
 
 def parsed() -> argparse.Namespace:
-    """The options."""
+    """Parse the options."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("video", type=Path, nargs="?", help="with its truth beside it; none films the backyard")
-    parser.add_argument("--seconds", type=float, default=60.0, help="of the film")
-    parser.add_argument("--size", type=int, nargs=2, default=(1920, 1080), help="of the film, pixels")
-    parser.add_argument("--yard", type=int, help="seed of a generated yard to film; none films the backyard")
-    parser.add_argument("--height", type=float, default=ABOVE, help="of the camera of the film, metres")
-    parser.add_argument("--turn", type=float, default=Stroll.turn, help="seconds in which the view goes once around")
-    parser.add_argument("--people", type=int, default=0, help="who walk through the place while it is filmed")
-    parser.add_argument("--still", action="store_true", help="do not look for what moved")
+    parser.add_argument("video", type=Path, nargs="?", help="with its truth in a .npz beside it; default: film a yard")
+    parser.add_argument("--seconds", type=float, default=60.0, help="length of the film, seconds")
+    parser.add_argument("--size", type=int, nargs=2, default=(1920, 1080), help="width and height of the film, pixels")
+    parser.add_argument("--yard", type=int, help="seed of a generated yard to film; by default the backyard")
+    parser.add_argument("--height", type=float, default=ABOVE, help="height of the camera in the film, metres")
+    parser.add_argument("--turn", type=float, default=Stroll.turn, help="seconds per full turn of the view")
+    parser.add_argument("--people", type=int, default=0, help="number of people who walk through the film")
+    parser.add_argument("--still", action="store_true", help="assume a static scene: do not look for moving things")
     parser.add_argument("--floor", type=float, default=0.0, help="height of the floor in the truth, metres")
     parser.add_argument("--width", type=int, default=FitSettings.width)
     parser.add_argument("--gaussians", type=int, default=FitSettings.cap)
     parser.add_argument("--views", type=int, default=FitSettings.views)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep", type=Path, help="folder for film and scene; none forgets them")
+    parser.add_argument("--keep", type=Path, help="folder in which to keep film and scene; by default they are deleted")
     parser.add_argument("--json", action="store_true", help="write benchmarks/results/<date>-cpu-capture.json")
     parser.add_argument("--png", type=Path, default=RESULTS / f"{today()}-cpu-capture.png")
     return parser.parse_args()
 
 
 def measured(video: Path, folder: Path, options: argparse.Namespace) -> tuple[Result, list[Likeness], Placed]:
-    """Capture a video, and compare the capture with the truth."""
+    """Capture a video, and compare the capture with the ground truth."""
     truth, settings = read_truth(video), settings_of(options, read_truth(video))
     with av.open(str(video)) as container:
         stream = container.streams.video[0]
@@ -265,30 +265,30 @@ def measured(video: Path, folder: Path, options: argparse.Namespace) -> tuple[Re
 
 
 def print_result(result: Result) -> None:
-    """Two tables: what the stages took, and how good the capture is."""
+    """Print two tables: the time of each stage, and the quality of the capture."""
     rows = [[lap.stage, f"{lap.wall:.1f}", "" if np.isnan(lap.cpu) else f"{lap.cpu:.1f}"] for lap in result.laps]
     print_markdown(["stage", "wall s", "CPU s"], [*rows, ["all", f"{result.wall:.1f}", f"{result.cpu:.1f}"]])
     empty = "–" if result.empty is None else f"{result.empty:.2f} dB, the worst tenth {result.empty_worst:.2f}"
     figures = [
         ("images with a pose", f"{result.posed} of {result.images}"),
         ("points, Gaussians", f"{result.points:,}, {result.gaussians:,}"),
-        ("ATE", f"{result.ate_percent:.3f} % of the path, {1000 * result.ate_metres:.1f} mm"),
+        ("camera error (ATE)", f"{result.ate_percent:.3f} % of the path, {1000 * result.ate_metres:.1f} mm"),
         ("rotation, median", f"{result.turn_deg:.2f}°"),
         ("up", f"{result.up_deg:.2f}°"),
         ("scale", f"{result.scale_percent:+.2f} % (by {result.scale_from})"),
         ("focal length", f"{result.focal_percent:+.2f} %"),
         ("jerks of the path", f"{result.jerks:.1f}"),
-        (f"held out, {result.fit_width} pixels", f"{result.psnr:.2f} dB, SSIM {result.ssim:.3f}"),
+        (f"held out, {result.fit_width} pixels wide", f"{result.psnr:.2f} dB, SSIM {result.ssim:.3f}"),
         ("the same, colour-corrected", f"{result.psnr_corrected:.2f} dB"),
-        ("likeness to the place without people", empty),
-        ("path that is free", f"{100 * result.path_free:.1f} %"),
+        ("compared with the place without people", empty),
+        ("free fraction of the path", f"{100 * result.path_free:.1f} %"),
         ("floating voxels", f"{result.floating} of {result.solid}"),
     ]
     print_markdown(["", ""], [list(row) for row in figures])
 
 
 def main() -> None:
-    """Film, capture, compare and print."""
+    """Film, capture, compare, and print the results."""
     options = parsed()
     machine = measured_machine()
     print(machine)

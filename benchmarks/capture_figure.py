@@ -1,4 +1,4 @@
-"""The picture of a run of capture.py: what the stages took, where the cameras were, and held-out images."""
+"""Figure of a run of capture.py: the time of each stage, the camera positions, and held-out images."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ SHOWN = 4
 
 @dataclass(frozen=True)
 class Likeness:
-    """A photo that was never fitted and what is drawn in its place, each [H, W, 3] in [0, 1]."""
+    """A held-out photo and the render of the same view, each [H, W, 3] in [0, 1]."""
 
     photo: NDArray[np.float64]
     drawn: NDArray[np.float64]
@@ -31,7 +31,7 @@ class Likeness:
 
 
 class Timed(Protocol):
-    """A stage and its seconds."""
+    """A stage and its wall-clock and CPU seconds."""
 
     @property
     def stage(self) -> str: ...
@@ -42,14 +42,14 @@ class Timed(Protocol):
 
 
 def draw(laps: Sequence[Timed], alike: Sequence[Likeness], placed: Placed, true: Tensor, path: Path) -> None:
-    """Draw the picture.
+    """Draw the figure.
 
     Args:
-        laps: of the stages; parts of them are left out.
+        laps: times of the stages; the parts of stages, which have no CPU time, are left out.
         alike: held-out images.
         placed: the capture.
         true: [N, 4, 4] true poses of its cameras.
-        path: of the picture; its suffix is the format.
+        path: file to write; its suffix selects the format.
     """
     figure = Figure(figsize=(14, 8), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)

@@ -1,20 +1,20 @@
-"""Whether what is solid in a capture is where it really is: depth and free space against what is known of two places.
+"""Tests whether a capture is solid where the place is: its depth and free space against ground truth of two places.
 
     splatrl-capture SCENES/videos/redkitchen/video.mp4 --out red --camera-height 1.3
     python benchmarks/capture_truth.py redkitchen red
     splatrl-capture SCENES/videos/kitchen_m.mp4 --out kitchen
     python benchmarks/capture_truth.py kitchen kitchen
 
-The capture is brought to the truth by the similarity that fits its cameras best; nothing else of the truth is used,
-and the capture may have had its scale from anything.
+The capture is aligned with the truth by the similarity that fits its cameras best. Nothing else of the truth is used,
+so the source of the capture's scale does not matter.
 
-redkitchen: a depth sensor's images. AbsRel is the mean of |depth − sensor's| / sensor's over all pixels that the sensor
-measured; free space is made of the voxels of the capture that at least three of the sensor's images look through, up to
-10 cm (and 5 %) before what they measured, and that are more than a voxel away from anything that any of them measured.
-Recall is that of a 0.1 m cube centred on places that the sensor measured.
+redkitchen is compared with the images of a depth sensor. AbsRel is the mean of |depth − sensor's| / sensor's over all
+pixels that the sensor measured. Free space consists of the voxels of the capture that at least three of the sensor's
+images look through, ending 10 cm and 5 % before the measured depth (whichever is more), and that are more than a voxel
+away from everything that any image measured. Recall is that of a 0.1 m cube centred on places that the sensor measured.
 
-kitchen: hand-made boxes. False hits are those of a 0.1 m cube in the free middle, recall that of a 0.2 m cube centred
-on surfaces of the counters that at least two cameras of the capture saw.
+kitchen is compared with hand-made boxes. False hits are those of a 0.1 m cube in the free middle, recall is that of a
+0.2 m cube centred on surfaces of the counters that at least two cameras of the capture saw.
 """
 
 import argparse
@@ -52,17 +52,17 @@ NO_DEPTH = 65535
 BEFORE, BEFORE_SHARE, LOOKS = 0.1, 0.05, 3
 FRAMES_A_SECOND = 30.0
 AGREES = 0.03
-"""A camera sees a place whose depth is off by at most this share."""
+"""Maximum relative deviation of the depth at which a camera counts as seeing a place."""
 
 
 def aligned(placed: Placed, true: Tensor) -> tuple[Tensor, float]:
-    """The similarity [4, 4] from a capture to the truth by its cameras [N, 4, 4], and its scale."""
+    """Return the similarity [4, 4] that aligns a capture with its cameras' true poses [N, 4, 4], and its scale."""
     to_truth = closest_similarity(placed.reconstruction.camera_to_world[:, :3, 3], true[:, :3, 3])
     return to_truth, float(to_truth[:3, :3].det() ** (1 / 3))
 
 
 def redkitchen(scene: Scene, occupancy: Occupancy, placed: Placed) -> dict[str, float]:
-    """Depth and free space against the sensor's."""
+    """Compare depth and free space with the sensor's."""
     folder = VIDEOS["redkitchen"].parent
     truth = torch.from_numpy(np.load(folder / "truth.npz")["camera_to_world"]).double()
     taken = (placed.reconstruction.seconds * FRAMES_A_SECOND).round().long().clamp_max(len(truth) - 1)
@@ -94,7 +94,7 @@ def redkitchen(scene: Scene, occupancy: Occupancy, placed: Placed) -> dict[str, 
 
 
 def measured_places(poses: Tensor, measured: Tensor) -> Tensor:
-    """Places [P, 3] on what a depth sensor measured, as many of each image, drawn by a seed."""
+    """Draw places [P, 3] that a depth sensor measured, equally many per image, with a fixed seed."""
     generator, places = torch.Generator().manual_seed(0), []
     for pose, depth in zip(poses, measured, strict=True):
         pixels = depth.nonzero()
@@ -106,14 +106,14 @@ def measured_places(poses: Tensor, measured: Tensor) -> Tensor:
 
 
 def share_hit(occupancy: Occupancy, places: Tensor, cube: Box, turn: Tensor, scale: float) -> float:
-    """The share of places [P, 3] of a capture at which a cube, metres of the truth, touches what is solid."""
+    """Return the fraction of a capture's places [P, 3] where a cube, sized in true metres, touches solid voxels."""
     checker = NativeChecker(occupancy, Box(tuple(side / scale for side in cube.size)))
     poses = rigid(turn.expand(len(places), 3, 3), places.float())
     return float(checker.collides(poses).double().mean())
 
 
 def looked_through(occupancy: Occupancy, poses: Tensor, measured: Tensor, scale: float) -> NDArray[np.bool_]:
-    """Voxels of an occupancy that a depth sensor's images show to be free."""
+    """Return the mask of an occupancy's voxels that a depth sensor's images show to be free."""
     shape, edge = occupancy.occupied.shape, occupancy.resolution
     grid = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), -1).reshape(-1, 3)
     places = torch.from_numpy((grid + occupancy.origin_key + 0.5) * edge)
@@ -132,7 +132,7 @@ def looked_through(occupancy: Occupancy, poses: Tensor, measured: Tensor, scale:
 
 
 def kitchen(scene: Scene, occupancy: Occupancy, placed: Placed) -> dict[str, float]:
-    """Occupancy against hand-made boxes."""
+    """Compare the occupancy with hand-made boxes."""
     truth = kitchen_truth()
     assert truth is not None
     to_truth, scale = aligned(placed, true_poses(placed.reconstruction, read_truth(VIDEOS["kitchen"])))
@@ -152,7 +152,7 @@ def kitchen(scene: Scene, occupancy: Occupancy, placed: Placed) -> dict[str, flo
 
 
 def seen(scene: Scene, places: Tensor, capture: Reconstruction) -> Tensor:
-    """By how many cameras of a capture each place [N, 3] of a scene is seen."""
+    """Count, for each place [N, 3] of a scene, the cameras of a capture that see it."""
     renderer, count = NativeRenderer(scene), torch.zeros(len(places), dtype=torch.int64)
     for pose in capture.camera_to_world:
         view = renderer.render(Cameras(pose[None].float(), capture.K.float(), capture.width, capture.height))
@@ -162,7 +162,7 @@ def seen(scene: Scene, places: Tensor, capture: Reconstruction) -> Tensor:
 
 
 def captured(place: str, folder: Path) -> Placed:
-    """The cameras of a capture, where its scene has them, whatever told how large it is."""
+    """Return the cameras of a capture in the frame and scale of its finished scene."""
     placed, _ = reconstruct(VIDEOS[place], folder, CaptureSettings())
     to_scene = closest_similarity(
         placed.reconstruction.camera_to_world[:, :3, 3], torch.from_numpy(read_points(folder / PATH))
@@ -171,11 +171,11 @@ def captured(place: str, folder: Path) -> Placed:
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure, and print the results as JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("place", choices=list(VIDEOS))
-    parser.add_argument("folder", type=Path, help="of the capture of its video")
-    parser.add_argument("--cutoff", type=float, help="share of the light that is solid, in place of scene.yaml's")
+    parser.add_argument("folder", type=Path, help="folder of the capture of that place's video")
+    parser.add_argument("--cutoff", type=float, help="fraction of light that solid voxels absorb; default scene.yaml's")
     arguments = parser.parse_args()
     placed = captured(arguments.place, arguments.folder)
     scene = read_scene(arguments.folder)

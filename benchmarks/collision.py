@@ -1,12 +1,12 @@
-"""Measures what a collision query costs: natively, in plain torch, and in a loop over FCL.
+"""Measures the cost of a collision query: with the native checker, in plain torch, and in a loop over FCL.
 
     python benchmarks/collision.py                     # some minutes
     python benchmarks/collision.py --rounds 3 --json
 
-The scene is a synthetic yard of 20 m, at two resolutions. Before the clock starts, the native checker's answers are
-compared with FCL's. All rows take turns, round by round, so that a drifting machine drifts for all of them. The loop
-over FCL is what python-fcl alone costs, with one object made for each pose, without the look-ups of ``FclChecker``; its
-moves are ``FclChecker``'s, tested pose by pose.
+The scene is a synthetic yard of 20 m, at two resolutions. Before anything is timed, the native checker's answers are
+compared with FCL's. All rows take turns, round by round, so that a drifting machine affects all of them alike. The FCL
+loop is the cost of python-fcl alone: it makes one object per pose and has none of ``FclChecker``'s look-ups. FCL's
+moves are those of ``FclChecker``, tested pose by pose.
 """
 
 import argparse
@@ -41,18 +41,18 @@ COLORS = {"box": INK, "sphere": BLUE, "capsule": PURPLE}
 RESOLUTIONS = {"10k": 0.29, "300k": 0.05}
 BATCHES = (1, 64, 1024, 65_536)
 LOOPED, MOVED, TWIN = 256, 24, 16
-"""Queries per turn of FCL's loop, of its moves, and of the torch twin."""
+"""Queries per turn of the FCL loop, of FCL's moves, and of the torch checker."""
 STEP = 0.2
-"""Metres of a move."""
+"""Length of a move, metres."""
 BLOCKS = 4.0
 LEAST = 4096
-"""Queries per turn of the native checker, or a batch where that is more."""
+"""Minimum number of queries per turn of the native checker; larger batches take one batch."""
 COMPARED = 512
-"""Queries of each kind that FCL answers as well."""
+"""Number of queries of each kind that are compared with FCL's answers."""
 
 
 class Row(NamedTuple):
-    """A measurement; ``poses`` says where the bodies are, ``query`` is static or swept."""
+    """A measurement; ``poses`` is uniform or near (surfaces), ``query`` is static or swept."""
 
     backend: str
     body: str
@@ -65,7 +65,7 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class Result:
-    """One row of the table. Times are per query; the share of hits is over all poses of its kind."""
+    """One row of the table. Times are per query; ``hits`` is a fraction of all poses of this kind."""
 
     backend: str
     body: str
@@ -82,14 +82,14 @@ class Result:
 
 
 class Queries(NamedTuple):
-    """Moves, [N, 4, 4] each; static queries use their starts."""
+    """Start and end poses of moves, [N, 4, 4] each; static queries use the starts."""
 
     start: Tensor
     end: Tensor
 
 
 def yard(resolution: float) -> Occupancy:
-    """Ground, walls and crowns of trees in 20 m × 20 m × 6 m."""
+    """Build ground, walls and tree crowns in 20 m × 20 m × 6 m."""
     rng = np.random.default_rng(0)
     ground = rng.uniform(0, 20, (600_000, 2))
     height = 0.5 + 0.3 * np.sin(ground[:, 0]) * np.cos(0.7 * ground[:, 1])
@@ -106,7 +106,7 @@ def yard(resolution: float) -> Occupancy:
 
 
 def queries_in(occupancy: Occupancy, near: bool, count: int) -> Queries:
-    """Random bodies: anywhere in the grid, or with their centres within 0.4 m of a solid voxel's along each axis."""
+    """Draw random moves: anywhere in the grid, or starting within 0.4 m of a solid voxel's centre along each axis."""
     generator = torch.Generator().manual_seed(0)
     share = torch.rand(count, 3, generator=generator)
     if near:
@@ -121,13 +121,13 @@ def queries_in(occupancy: Occupancy, near: bool, count: int) -> Queries:
 
 
 def asked(query: Callable[..., Tensor], batches: Sequence[tuple[Tensor, ...]]) -> None:
-    """Query batches that were cut beforehand."""
+    """Query each batch; the batches are split beforehand."""
     for batch in batches:
         query(*batch)
 
 
 def asking(checker: Any, queries: Queries, swept: bool, batch: int, total: int) -> Callable[[], None]:
-    """A call that makes ``total`` queries to a checker, in batches."""
+    """Return a call that makes ``total`` queries to a checker, in batches."""
     starts, ends = (poses[:total].split(batch) for poses in queries)
     if swept:
         return partial(asked, checker.sweeps, list(zip(starts, ends, strict=True)))
@@ -135,7 +135,7 @@ def asking(checker: Any, queries: Queries, swept: bool, batch: int, total: int) 
 
 
 def looped(shape: Any, octrees: Sequence[Any], queries: Queries) -> None:
-    """The loop that a user of python-fcl writes."""
+    """Run the loop that a user of python-fcl would write."""
     for pose in queries.start[:LOOPED].double().numpy():
         item = fcl.CollisionObject(shape, fcl.Transform(pose[:3, :3], pose[:3, 3]))
         for octree in octrees:
@@ -146,7 +146,7 @@ def looped(shape: Any, octrees: Sequence[Any], queries: Queries) -> None:
 def planned(
     occupancies: dict[str, Occupancy], queries: dict[tuple[str, str], Queries]
 ) -> dict[Row, tuple[Callable[[], None], int]]:
-    """For every row, the call for one turn and how many queries it makes."""
+    """Return, for every row, the call for one turn and its number of queries."""
     plan: dict[Row, tuple[Callable[[], None], int]] = {}
     for (voxels, occupancy), (name, body) in product(occupancies.items(), BODIES.items()):
         native = {threads: NativeChecker(occupancy, body, threads) for threads in (1, 2)}
@@ -176,7 +176,7 @@ def planned(
 def hit_shares(
     occupancies: dict[str, Occupancy], queries: dict[tuple[str, str], Queries]
 ) -> dict[tuple[str, str, str, str], float]:
-    """The share of hits by body, voxels, poses and query."""
+    """Return the fraction of hits by body, voxels, poses and query."""
     shares = {}
     for (name, body), (voxels, poses) in product(BODIES.items(), queries):
         checker, some = NativeChecker(occupancies[voxels], body), queries[voxels, poses]
@@ -186,7 +186,7 @@ def hit_shares(
 
 
 def print_agreement(occupancies: dict[str, Occupancy], queries: dict[tuple[str, str], Queries]) -> None:
-    """How often the native checker answers as FCL does near surfaces, and by how little it differs otherwise."""
+    """Print how far the native checker's answers agree with FCL's near surfaces."""
     for (voxels, occupancy), (name, body) in product(occupancies.items(), BODIES.items()):
         native, oracle = NativeChecker(occupancy, body), FclChecker(occupancy, body)
         start, end = (poses[:COMPARED] for poses in queries[voxels, "near"])
@@ -195,7 +195,7 @@ def print_agreement(occupancies: dict[str, Occupancy], queries: dict[tuple[str, 
 
 
 def print_table(results: Sequence[Result]) -> None:
-    """The results as Markdown, each beside FCL's loop of the same run."""
+    """Print the results as Markdown, each compared with the FCL loop of the same run."""
     loops = {(r.body, r.voxels, r.poses, r.query): r.ns for r in results if r.backend == "fcl"}
     header = ["backend", "body", "voxels", "poses", "query", "batch", "threads", "hits"]
     header += ["ns/query (fastest to slowest)", "× fcl"]
@@ -208,7 +208,7 @@ def print_table(results: Sequence[Result]) -> None:
 
 
 def draw(results: Sequence[Result], path: Path) -> None:
-    """Plot cost against batch size, on one core."""
+    """Plot the cost on one core against the batch size."""
     figure = Figure(figsize=(13, 9), dpi=DPI, layout="constrained")
     panels = figure.subplots(2, 2, sharex=True, sharey=True)
     kinds = list(product(("uniform", "near"), RESOLUTIONS))

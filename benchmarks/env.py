@@ -1,11 +1,11 @@
-"""Measures how many rendered robot steps per second there are, without learning: 64×64 pixels, random actions.
+"""Measures rendered robot steps per second without learning: 64×64 pixels, random actions.
 
     python benchmarks/env.py             # random poses in the kitchen, and the grid task in the backyard
     python benchmarks/env.py --json
 
-``poses``: each step gives every robot a fresh random pose in the room, as a first-person game with infinite speed
-would, so no view repeats; a step is the new pose and its pixels. ``SplatEnv``: the grid task with collisions, rewards
-and automatic resets, without the memory of views. All rows take turns, round by round.
+``poses``: each step gives every robot a new random pose in the room, so that no view repeats; a step is the pose and
+its pixels. ``SplatEnv``: the grid task with collisions, rewards and automatic resets, without the cache of views. All
+rows take turns, round by round.
 """
 
 import argparse
@@ -29,12 +29,12 @@ from splatrl.cameras import Cameras, intrinsics
 from splatrl.renderers import NativeRenderer, Parts, Renderer, RenderOutput
 
 SIZE = 64
-"""Width and height, pixels."""
+"""Width and height of the images, pixels."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """One row; a step is a step of one robot."""
+    """One row of the table; a step is that of one robot."""
 
     kind: str
     scene: str
@@ -44,11 +44,11 @@ class Result:
     steps_per_second: float
     slowest: float
     fastest: float
-    rendering: float  # share of the time, in [0, 1]
+    rendering: float  # fraction of the time
 
 
 class TimedRenderer:
-    """Passes cameras on, and adds up the seconds that rendering takes."""
+    """Wraps a renderer and adds up the seconds that its ``pixels`` takes."""
 
     def __init__(self, renderer: Renderer):
         self.renderer, self.seconds = renderer, 0.0
@@ -64,7 +64,7 @@ class TimedRenderer:
 
 
 def random_poses(subject: Subject, renderer: Renderer, batch: int) -> Callable[[], None]:
-    """A step of robots that are somewhere else each time."""
+    """Return a step that renders robots at new random poses."""
     generator = torch.Generator().manual_seed(0)
     K = intrinsics(FOV, SIZE, SIZE)
 
@@ -76,7 +76,7 @@ def random_poses(subject: Subject, renderer: Renderer, batch: int) -> Callable[[
 
 
 def random_actions(env: EnvBase) -> Callable[[], None]:
-    """A step of an env; robots that are done start again."""
+    """Return a step of an env with random actions, in which finished robots are reset."""
     state = env.reset()
 
     def step() -> None:
@@ -87,7 +87,7 @@ def random_actions(env: EnvBase) -> Callable[[], None]:
 
 
 def backyard_env(tolerance: float, batch: int, threads: int) -> splatrl.SplatEnv:
-    """The grid task from any start, every view rendered."""
+    """Build the grid task with starts from the whole start set and without the cache of views."""
     settings = [f"renderer.threads={threads}", f"renderer.tolerance={tolerance}"]
     return splatrl.make_env(
         ["device=cpu", "curriculum=none", "renderer.cache.max_bytes=0", *settings], batch_size=[batch]
@@ -95,7 +95,7 @@ def backyard_env(tolerance: float, batch: int, threads: int) -> splatrl.SplatEnv
 
 
 def measure(subject: Subject, tolerances: Sequence[float], options: argparse.Namespace) -> list[Result]:
-    """Steps per second of both kinds at every tolerance."""
+    """Measure the steps per second of both kinds at every tolerance."""
     batch, threads = options.batch, options.threads
     renderers: dict[tuple[str, str, float], TimedRenderer] = {}
     steps: dict[tuple[str, str, float], Callable[[], None]] = {}
@@ -136,8 +136,8 @@ def measure(subject: Subject, tolerances: Sequence[float], options: argparse.Nam
 
 
 def print_table(results: Sequence[Result]) -> None:
-    """The results as Markdown."""
-    header = ["what", "scene", "detail", "robots", "threads", "steps/s (slowest to fastest)", "rendering share"]
+    """Print the results as Markdown."""
+    header = ["kind", "scene", "detail", "robots", "threads", "steps/s (slowest to fastest)", "time rendering"]
     rows = []
     for r in results:
         rate = f"{r.steps_per_second:,.0f} ({r.slowest:,.0f} to {r.fastest:,.0f})"
@@ -147,13 +147,13 @@ def print_table(results: Sequence[Result]) -> None:
 
 
 def main() -> None:
-    """Parse the command line, measure, show."""
+    """Parse the command line, measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scene", default="kitchen", help="of the random poses: a name, or a splat file (z up)")
-    parser.add_argument("--tolerance", nargs="*", type=float, default=[0.5, 1.0], help="pixels; exact comes by itself")
-    parser.add_argument("--batch", type=int, default=64, help="robots")
-    parser.add_argument("--threads", type=int, default=2, help="of the renderer; PyTorch has one")
-    parser.add_argument("--steps", type=int, default=20, help="in a round, of every robot")
+    parser.add_argument("--scene", default="kitchen", help="scene of the random poses: a name, or a splat file (z up)")
+    parser.add_argument("--tolerance", nargs="*", type=float, default=[0.5, 1.0], help="pixels; exact is included")
+    parser.add_argument("--batch", type=int, default=64, help="number of robots")
+    parser.add_argument("--threads", type=int, default=2, help="threads of the renderer; PyTorch uses one")
+    parser.add_argument("--steps", type=int, default=20, help="steps of every robot per round")
     parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument("--json", action="store_true", help="write benchmarks/results/<date>-cpu-env.json")
     options = parser.parse_args()

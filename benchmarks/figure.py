@@ -1,4 +1,4 @@
-"""The picture of a run of render.py: how fast it is, how good its images are, and what they look like."""
+"""Figure of a run of render.py: speed, quality, and example images."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,14 +13,14 @@ from torch import Tensor
 from splatrl.evaluation.figures import BLUE, DPI, INK, MISSED, PARTLY, PURPLE, REACHED
 from splatrl.files import replacing
 
-COLORS = (INK, BLUE, REACHED, PARTLY, MISSED, PURPLE)  # for exact, and for each tolerance
-MARKERS = "osD^vP"  # for each scene
+COLORS = (INK, BLUE, REACHED, PARTLY, MISSED, PURPLE)  # exact, then each tolerance
+MARKERS = "osD^vP"  # one per scene
 AMPLIFIED = 8
 
 
 @dataclass(frozen=True)
 class Bar:
-    """What the picture shows of one row of the table; fields as in ``render.Result``."""
+    """One row of the table as the figure shows it; fields as in ``render.Result``."""
 
     scene: str
     tolerance: float
@@ -33,7 +33,7 @@ class Bar:
 
 @dataclass(frozen=True)
 class Comparison:
-    """One view, exact and with level of detail: [H, W, 3] float32 in [0, 1]."""
+    """One view, exact and with level of detail, each [H, W, 3] float32 in [0, 1]."""
 
     scene: str
     tolerance: float
@@ -43,7 +43,7 @@ class Comparison:
 
 
 def tolerance_name(tolerance: float) -> str:
-    """A tolerance in words."""
+    """Return the label of a tolerance."""
     return f"LOD {tolerance:g} px" if tolerance else "exact"
 
 
@@ -51,10 +51,10 @@ def draw(bars: Sequence[Bar], comparisons: Sequence[Comparison], title: str, pat
     """Draw bars of speed, quality against speed, and the worst view of each scene.
 
     Args:
-        bars: in the order of the table.
-        comparisons: one per scene, or none where there is no level of detail.
+        bars: rows in the order of the table.
+        comparisons: one per scene; empty without level of detail.
         title: what the rows have in common.
-        path: of the picture; its suffix is the format.
+        path: file to write; its suffix selects the format.
     """
     rows = -(-len(comparisons) // 3)
     figure = Figure(figsize=(15, 5 + 2.4 * rows), dpi=DPI, layout="constrained")
@@ -65,7 +65,7 @@ def draw(bars: Sequence[Bar], comparisons: Sequence[Comparison], title: str, pat
     _qualities(right, bars)
     if below:
         _sheet(below[0][0].subplots(rows, 3 * min(3, len(comparisons)), squeeze=False), comparisons)
-        below[0][0].suptitle(f"the worst view with level of detail, and {AMPLIFIED} times its difference from exact")
+        below[0][0].suptitle(f"worst view with level of detail, and {AMPLIFIED} times its difference from exact")
     FigureCanvasAgg(figure)
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as stream:
@@ -107,7 +107,7 @@ def _qualities(axes: Axes, bars: Sequence[Bar]) -> None:
             axes.plot(speeds[0], bar.true_mean_db, marker, color=color, markersize=7)
             axes.plot(speeds[0], bar.true_worst_db, marker, color=color, markersize=5, markerfacecolor="white")
         axes.plot([], [], marker, color="0.4", linewidth=0, label=scene)
-    axes.plot([], [], "o", color="0.4", markerfacecolor="white", linewidth=0, markersize=5, label="its worst view")
+    axes.plot([], [], "o", color="0.4", markerfacecolor="white", linewidth=0, markersize=5, label="worst view")
     axes.set(xlabel="frames/s, colours as on the left", ylabel="PSNR against 8× supersampled (dB)")
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     axes.grid(color="0.9", linewidth=0.8, which="both")

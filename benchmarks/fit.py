@@ -1,10 +1,10 @@
-"""How well, and how fast, Gaussians are fitted to photos with known poses.
+"""Measures how well and how fast Gaussians are fitted to photos with known poses.
 
     python benchmarks/fit.py [--scene backyard|kitchen] [--video FILE.mp4] [--width 320] [--cap 60000] [--views 7000]
 
-Without a video, a walk around the backyard is rendered. Prints PSNR and SSIM of the views that were held out, plain and
-after fitting an affine colour to each, the views fitted in a second at full resolution, and the CPU time. ``--look
-FOLDER`` keeps held-out views beside their photos.
+Without a video, a walk around the backyard is rendered. Prints the PSNR and SSIM of the held-out views, the PSNR after
+an affine colour correction of each, the views fitted per second at full resolution, and the CPU time. ``--look FOLDER``
+saves the held-out views beside their photos.
 """
 
 import argparse
@@ -29,11 +29,11 @@ from splatrl.renderers import NativeRenderer
 from splatrl.scenes.gaussians import Gaussians
 
 TIMED = 100
-"""Steps that speed is measured over."""
+"""Number of steps over which speed is measured."""
 
 
 def walk(frames: int) -> Tensor:
-    """Poses on a loop through the backyard that looks outward and about: [N, 4, 4]."""
+    """Return poses on a loop through the backyard that looks outwards and around: [N, 4, 4]."""
     turn = torch.linspace(0, 2 * math.pi, frames + 1)[:-1]
     eye = torch.stack([1.2 * turn.cos(), 0.8 * turn.sin(), 0.5 + 0.15 * (3 * turn).sin()], 1)
     yaw = turn + 0.8 * (5 * turn).sin()
@@ -42,7 +42,7 @@ def walk(frames: int) -> Tensor:
 
 
 def similarity(a: Tensor, b: Tensor) -> float:
-    """Mean SSIM of images [N, H, W, 3] in [0, 1], by the window of the loss."""
+    """Return the mean SSIM of images [N, H, W, 3] in [0, 1], with the window of the loss."""
     distance = torch.arange(-5.0, 6.0)
     window = torch.exp(-(distance**2) / (2 * 1.5**2))
     kernel = torch.outer(window, window)[None, None] / window.sum() ** 2
@@ -57,7 +57,7 @@ def similarity(a: Tensor, b: Tensor) -> float:
 
 
 def corrected(views: Tensor, photos: Tensor) -> Tensor:
-    """Views with the affine colour that fits each best to its photo."""
+    """Return the views, each with the affine colour transform that fits it best to its photo."""
     out = []
     for view, photo in zip(views, photos, strict=True):
         known = torch.cat([view.flatten(0, 1), torch.ones(view.shape[0] * view.shape[1], 1)], 1)
@@ -66,12 +66,12 @@ def corrected(views: Tensor, photos: Tensor) -> Tensor:
 
 
 def psnr(a: Tensor, b: Tensor) -> float:
-    """Mean over images, decibels."""
+    """Return the PSNR, averaged over the images, dB."""
     return float((-10 * (a - b).square().flatten(1).mean(1).log10()).mean())
 
 
 def judge(gaussians: Gaussians, reconstruction: Reconstruction, width: int, look: Path | None) -> None:
-    """Print the likeness of held-out views, as the robot's renderer draws them."""
+    """Print the quality of the held-out views, rendered as robots see them."""
     (seen,) = pictures(reconstruction, frame_of(reconstruction.camera_to_world), [width])
     rows = held_out(len(reconstruction.paths))
     photos = seen.pixels[rows].float() / 255
@@ -88,7 +88,7 @@ def judge(gaussians: Gaussians, reconstruction: Reconstruction, width: int, look
 
 
 def speed(reconstruction: Reconstruction, settings: FitSettings, gaussians: Gaussians) -> None:
-    """Print how fast the views of a finished fit are fitted at full resolution."""
+    """Print how many views per second a finished fit processes at full resolution."""
     fitting = Fitting(reconstruction, settings)
     model, frame = fitting.model, fitting.frame
     model.count = 0
@@ -104,11 +104,11 @@ def speed(reconstruction: Reconstruction, settings: FitSettings, gaussians: Gaus
             fitting.step(TIMED * 100 - 1, TIMED * 100 + 1)
     views = TIMED * settings.views_a_step
     wall, cpu = time.perf_counter() - began, time.process_time() - used
-    print(f"{len(gaussians)} Gaussians: {views / wall:.1f} views a second, {1000 * cpu / views:.1f} CPU ms a view")
+    print(f"{len(gaussians)} Gaussians: {views / wall:.1f} views per second, {1000 * cpu / views:.1f} CPU ms per view")
 
 
 def capture_of(args: argparse.Namespace, folder: Path) -> Reconstruction:
-    """The capture that was asked for."""
+    """Make the capture that the options describe."""
     if args.scene == "backyard":
         scene = splatrl.backyard()
     else:
@@ -121,10 +121,10 @@ def capture_of(args: argparse.Namespace, folder: Path) -> Reconstruction:
 
 
 def main() -> None:
-    """Fit, and print the figures."""
+    """Fit, and print the measurements."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", choices=["backyard", "kitchen"], default="backyard")
-    parser.add_argument("--splat", type=Path, help="of the kitchen")
+    parser.add_argument("--splat", type=Path, help="splat file of the kitchen")
     parser.add_argument("--video", type=Path)
     parser.add_argument("--frames", type=int, default=120)
     parser.add_argument("--photo-width", type=int, default=640)

@@ -1,4 +1,4 @@
-"""Captures whose truth is known, as a fit takes them: walks through a scene, and points on its surfaces."""
+"""Captures with known ground truth as input of a fit: images of a walk through a scene, and points on its surfaces."""
 
 from pathlib import Path
 
@@ -14,13 +14,13 @@ from splatrl.renderers import NativeRenderer
 from splatrl.scenes.scene import Scene
 
 NOISE = 0.002
-"""Of the depth of points, as a share."""
+"""Standard deviation of the points' depth noise, relative to the depth."""
 AGREES = 0.02
-"""A camera sees a point whose depth is off by at most this share."""
+"""Maximum relative deviation of the depth at which a camera counts as seeing a point."""
 
 
 def rendered_capture(scene: Scene, poses: Tensor, K: Tensor, size: tuple[int, int], folder: Path) -> Reconstruction:
-    """Photos of a scene from these poses [N, 4, 4], rendered into a folder, with points on its surfaces."""
+    """Render photos of a scene from poses [N, 4, 4] into a folder, and add points on its surfaces."""
     cameras = Cameras(poses.float(), K.float(), *size)
     renderer = NativeRenderer(scene)
     paths = []
@@ -32,7 +32,7 @@ def rendered_capture(scene: Scene, poses: Tensor, K: Tensor, size: tuple[int, in
 
 
 def filmed_capture(scene: Scene, video: Path, frames: int, width: int, folder: Path) -> Reconstruction:
-    """Frames of a video whose poses lie in a .npz beside it, with points on the surfaces of the scene that it shows."""
+    """Extract frames of a video with its poses in a .npz beside it, and add points on the surfaces of its scene."""
     known = np.load(video.with_suffix(".npz"))
     count = len(known["camera_to_world"])
     chosen = sorted({round(i) for i in np.linspace(0, count - 1, frames)})
@@ -53,7 +53,7 @@ def filmed_capture(scene: Scene, video: Path, frames: int, width: int, folder: P
 def surveyed(
     scene: Scene, paths: list[Path], poses: Tensor, K: Tensor, size: tuple[int, int], points: int = 3000
 ) -> Reconstruction:
-    """A reconstruction with points at random pixels, a little off in depth, and who sees them."""
+    """Make a reconstruction with points at random pixels, whose depth is noisy, and the cameras that see each point."""
     random = torch.Generator().manual_seed(0)
     cameras = Cameras(poses.float(), K.float(), *size)
     rendered = NativeRenderer(scene)

@@ -2,12 +2,13 @@
 
     python benchmarks/gpu.py                 # with an NVIDIA GPU; writes JSON and PNG to benchmarks/results
     python benchmarks/gpu.py --only rendering collision
-    python benchmarks/gpu.py --only town     # frames/s in the generated town, which is made first if it is new
-    python benchmarks/gpu.py --dry-run       # anywhere: tiny, emulated, not saved; shows that it runs
+    python benchmarks/gpu.py --only town     # frames/s in the generated town, which is generated first if needed
+    python benchmarks/gpu.py --dry-run       # on any machine: tiny, emulated, not saved; shows that everything runs
 
-Every section is a process of its own, with its share of the time. One that fails, crashes or hangs is reported and does
-not affect the others, what it had found by then is kept, and the exit status is 1. The JSON is written anew after each
-section. The captured kitchen is left out where SPLATRL_SCENES has none, gsplat where it is not installed and compiled.
+Every section runs in its own process with its own time limit. A section that fails, crashes or hangs is reported and
+does not affect the others; the results that it had found by then are kept, and the exit status is 1. The JSON is
+rewritten after each section. The captured kitchen is left out if SPLATRL_SCENES has none, and gsplat if it is not
+installed and compiled.
 """
 
 import argparse
@@ -35,9 +36,9 @@ from gpu_training import stepping, training
 from record import RESULTS, today, write_json
 
 MACHINE = "machine"
-"""The section that is always run, and first."""
+"""Section that always runs, before all others."""
 TOWN = "town"
-"""The section that is run where it is named, and in a dry run."""
+"""Section that only runs if it is named, and in dry runs."""
 SECONDS = {
     MACHINE: 15,
     "first use": 35,
@@ -49,16 +50,16 @@ SECONDS = {
     "gsplat": 65,
     TOWN: 240,
 }
-"""Time limit of each section, in this order; what one does not use goes to those after it."""
+"""Time limit of each section, seconds, in the order in which they run; unused time passes to later sections."""
 SPARE = 20
-"""Seconds that a section may run beyond that before it is killed: together with ``SECONDS``, under 8 minutes
-without the town."""
+"""Seconds beyond its limit after which a section is killed; with ``SECONDS``, a run without the town stays under 8
+minutes."""
 
 DRY = "DRY RUN: emulated on a CPU, and no number here is a measurement"
 
 
 def sections(bench: Bench, machine: Machine) -> dict[str, Callable[[], None]]:
-    """The sections that can be measured, by the names in ``SECONDS``."""
+    """Return the function that measures each section, by the names in ``SECONDS``."""
     dry = isinstance(bench, DryRun)
     return {
         MACHINE: lambda: bench.keep(bench.machine()),
@@ -74,12 +75,12 @@ def sections(bench: Bench, machine: Machine) -> dict[str, Callable[[], None]]:
 
 
 def bench_of(dry: bool) -> Bench:
-    """An empty bench; it does not touch the GPU yet."""
+    """Make an empty bench, without touching the GPU yet."""
     return DryRun() if dry else Bench(torch.device("cuda", 0))
 
 
 def machine_of(bench: Bench) -> Machine:
-    """The machine among the results."""
+    """Return the machine among the results, or ``UNKNOWN``."""
     return next(iter(bench.found(Machine)), UNKNOWN)
 
 
@@ -87,10 +88,10 @@ def measure(name: str, dry: bool, folder: Path, ends: float) -> None:
     """Run a section in this process.
 
     Args:
-        name: of the section.
+        name: name of the section.
         dry: whether this is a dry run.
-        folder: holds what sections find, each in a file of its own, which is complete after every result.
-        ends: when the section must be over, by ``time.monotonic``.
+        folder: holds one file of results per section, which is complete after every result.
+        ends: deadline of the section, by ``time.monotonic``.
     """
     before = bench_of(dry)
     before.read(folder / MACHINE)
@@ -100,7 +101,7 @@ def measure(name: str, dry: bool, folder: Path, ends: float) -> None:
 
 
 def measure_apart(name: str, dry: bool, folder: Path, ends: float, bench: Bench) -> None:
-    """Run a section in a process of its own, and report how it ended. See ``measure``."""
+    """Run a section in its own process, and record how it ended; arguments as in ``measure``."""
     command = [sys.executable, __file__, "--section", name, str(folder), str(ends), *(["--dry-run"] if dry else [])]
     section, said = run_section(name, command, ends + SPARE - time.monotonic())
     bench.keep(section)
@@ -109,12 +110,12 @@ def measure_apart(name: str, dry: bool, folder: Path, ends: float, bench: Bench)
 
 
 class Run:
-    """A run of some sections, whose results are complete on disk after each.
+    """A run of some sections; all results so far are on disk after each of them.
 
     Args:
         dry: whether this is a dry run.
-        folder: for ``<date>-<device>-gpu.json`` and ``.png``.
-        commit: that is measured; None asks git.
+        folder: folder for ``<date>-<device>-gpu.json`` and ``.png``.
+        commit: commit that is measured; None asks git.
     """
 
     def __init__(self, dry: bool, folder: Path, commit: str | None) -> None:
@@ -122,7 +123,7 @@ class Run:
         self.bench = bench_of(dry)
 
     def go(self, names: list[str]) -> None:
-        """Run sections until all are over, or until it is interrupted."""
+        """Run the named sections until all are done or the run is interrupted."""
         planned = time.monotonic()
         with tempfile.TemporaryDirectory() as found:
             for name, seconds in SECONDS.items():
@@ -142,13 +143,13 @@ class Run:
                     print(machine_of(self.bench), flush=True)
 
     def write(self) -> tuple[Path, list[Target]]:
-        """Write all that was found so far; returns the file, and how close the targets are."""
+        """Write all results so far, and return the file and the targets."""
         machine, reach = machine_of(self.bench), targets(self.bench)
         results = [*(one for one in self.bench.results if not isinstance(one, Machine)), *reach]
         return write_json("gpu", machine, results, machine.slug, self.folder, self.commit, self.bench.notes), reach
 
     def finish(self) -> None:
-        """Print the tables, and draw the picture."""
+        """Print the tables, and draw the figure."""
         path, reach = self.write()
         print_tables(self.bench, reach)
         size = self.bench.sizes.pixels
@@ -158,13 +159,13 @@ class Run:
 
 
 def parsed() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--dry-run", action="store_true", help="on the CPU, by the tests' emulator, at tiny sizes")
-    parser.add_argument("--only", nargs="+", choices=list(SECONDS), metavar="SECTION")
-    parser.add_argument("--folder", type=Path, help="for <date>-<device>-gpu.json and .png; default benchmarks/results")
-    parser.add_argument("--commit", help="the commit that is measured, if the checkout does not know it")
-    parser.add_argument("--section", nargs=3, help=argparse.SUPPRESS)  # how this program calls itself: see measure
+    parser.add_argument("--dry-run", action="store_true", help="run on the CPU at tiny sizes, with the tests' emulator")
+    parser.add_argument("--only", nargs="+", choices=list(SECONDS), metavar="SECTION", help="sections to run")
+    parser.add_argument("--folder", type=Path, help="folder of the JSON and PNG files; default benchmarks/results")
+    parser.add_argument("--commit", help="commit that is measured, if this is no git checkout")
+    parser.add_argument("--section", nargs=3, help=argparse.SUPPRESS)  # used by this program to run itself; see measure
     return parser.parse_args()
 
 
@@ -174,7 +175,7 @@ def main() -> int:
     if options.section:
         name, folder, ends = options.section
         faulthandler.enable()
-        faulthandler.dump_traceback_later(max(1.0, float(ends) + SPARE - 1 - begun))  # where it hangs
+        faulthandler.dump_traceback_later(max(1.0, float(ends) + SPARE - 1 - begun))  # shows where it hangs
         measure(name, options.dry_run, Path(folder), float(ends))
         return 0
     if not (options.dry_run or torch.cuda.is_available()):
@@ -194,5 +195,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # what was found is written, and the section killed
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that results are written and the section is killed
     sys.exit(main())

@@ -1,11 +1,11 @@
-"""Compares kernels of the renderer with those of other checkouts, on a GPU, in turns and in one process.
+"""Compares the renderer's kernels with those of other checkouts on a GPU, in turns and in one process.
 
     git worktree add ../before HEAD~3
-    python benchmarks/gpu_against.py ../before                     # frames/s of both, and bytes that differ
+    python benchmarks/gpu_against.py ../before                     # frames/s of both, and how many bytes differ
     python benchmarks/gpu_against.py a b c --scenes kitchen --tolerances 0 0.5
 
-Of a checkout only ``splatrl/native`` is taken, whose kernels must take the arguments of this one. ``--dry-run``
-emulates a GPU, at tiny sizes: only the bytes mean anything.
+Only ``splatrl/native`` of the other checkouts is used; their kernels must take the same arguments as those of this one.
+``--dry-run`` emulates a GPU at tiny sizes, so that only the comparison of bytes is meaningful.
 """
 
 import argparse
@@ -26,13 +26,13 @@ from splatrl.renderers.cuda import CudaRenderer
 
 HERE = "this one"
 SECONDS = 8.0
-"""For the turns of all checkouts, for each scene and tolerance."""
+"""Seconds per scene and tolerance for the turns of all checkouts together."""
 FOUND = ("scene", "tolerance, px", "checkout", "frames/s (slowest to fastest)", "× this one", "bytes that differ")
 
 
 @contextmanager
 def sources_of(checkout: Path | None) -> Iterator[None]:
-    """Compile kernels from a checkout's sources while the block runs; None for those of this one."""
+    """Compile kernels from a checkout's sources within the ``with`` block; None keeps those of this checkout."""
     if checkout is None:
         yield
         return
@@ -45,7 +45,7 @@ def sources_of(checkout: Path | None) -> Iterator[None]:
 
 
 def compare(bench: Bench, subject: Subject, tolerance: float, checkouts: Mapping[str, Path | None]) -> list[list[str]]:
-    """Rows of the table, for one scene and tolerance."""
+    """Return the rows of the table for one scene and tolerance."""
     views = bench.views(subject, 2 * max(bench.sizes.batches))
     renderers: dict[str, CudaRenderer] = {}
     for name, checkout in checkouts.items():
@@ -66,12 +66,12 @@ def compare(bench: Bench, subject: Subject, tolerance: float, checkouts: Mapping
 
 
 def main() -> None:
-    """Compare and print."""
+    """Compare, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("checkouts", nargs="+", type=Path)
+    parser.add_argument("checkouts", nargs="+", type=Path, help="folders of other checkouts")
     parser.add_argument("--scenes", nargs="+", default=["dense", "kitchen"])
     parser.add_argument("--tolerances", type=float, nargs="+", default=[0.0, 0.5])
-    parser.add_argument("--dry-run", action="store_true", help="on the CPU, by the tests' emulator, at tiny sizes")
+    parser.add_argument("--dry-run", action="store_true", help="run on the CPU at tiny sizes, with the tests' emulator")
     options = parser.parse_args()
     if not (options.dry_run or torch.cuda.is_available()):
         raise SystemExit("no CUDA device: nothing was measured; --dry-run shows that everything runs")

@@ -1,4 +1,4 @@
-"""What the sections of gpu.py share: the device, how to build things on it, sizes, time, and where results go."""
+"""Shared by the sections of gpu.py: the device, builders of what is measured on it, sizes, deadlines and results."""
 
 import math
 import os
@@ -39,27 +39,27 @@ ROOT = Path(__file__).parents[1]
 
 @dataclass(frozen=True)
 class Sizes:
-    """How much of everything is measured.
+    """Sizes of all measurements.
 
     Attributes:
-        scenes: names.
-        pixels: width and height of an image.
-        batches: cameras per launch, ascending; ``batches[base]`` is the one for quality and comparisons.
+        scenes: names of the scenes.
+        pixels: width and height of the images.
+        batches: cameras per launch, ascending; ``batches[base]`` is used for quality and comparisons.
         base: see ``batches``.
-        frames: the fewest that a timed call draws, where batches are small.
-        tolerances: of the level of detail, pixels.
-        views: how many are used to compare level of detail with exact.
-        native_views: how many of them the CPU draws as well.
-        voxels: resolutions of the yard, by their names in collision.py, ascending.
-        queries: of the checker, per call.
-        compared: queries that the CPU answers as well.
-        robots: per env.
-        steps: of an env, per timed call.
-        fits: scenes that Gaussians are fitted to, with the width and height of their photos, pixels.
-        fit_views: views between two steps of the fit, ascending.
-        copied: bytes that are copied to find the bandwidth.
+        frames: minimum number of frames per timed call; small batches are repeated.
+        tolerances: tolerances of the level of detail, pixels.
+        views: number of views in which level of detail is compared with exact images.
+        native_views: number of these that the CPU draws as well.
+        voxels: resolutions of the yard, by their names in collision.py, ascending in the number of voxels.
+        queries: collision queries per call.
+        compared: number of queries that the CPU answers as well.
+        robots: robots per env.
+        steps: env steps per timed call.
+        fits: scenes to which Gaussians are fitted, with the width and height of their photos in pixels.
+        fit_views: views per step of the fit, ascending.
+        copied: bytes that are copied to measure the bandwidth.
         training: overrides of splatrl-train.
-        iterations: batches of PPO that are timed.
+        iterations: maximum number of PPO iterations that are timed.
     """
 
     scenes: tuple[str, ...] = ("dense", "kitchen")
@@ -112,15 +112,15 @@ TINY = Sizes(
 
 @dataclass
 class Bench:
-    """A GPU, and what was found on it.
+    """A GPU and the results found on it.
 
     Attributes:
-        device: the one that is measured.
-        sizes: how much of everything is measured.
+        device: device that is measured.
+        sizes: sizes of the measurements.
         results: dataclasses, in the order in which they were found.
-        notes: lines for people, such as what was left out.
-        ends: when the current section must be over, by ``time.monotonic``.
-        file: where results and notes are written as soon as they are found, for another process to read.
+        notes: lines for readers, such as what was left out.
+        ends: deadline of the current section, by ``time.monotonic``.
+        file: file to which results and notes are written as soon as they are found, for another process to read.
     """
 
     device: torch.device
@@ -132,11 +132,11 @@ class Bench:
 
     @property
     def left(self) -> float:
-        """Seconds of the section that are left for measuring."""
+        """Seconds left until the section's deadline."""
         return max(0.0, self.ends - time.monotonic())
 
     def found(self, kind: type, **fields: Any) -> list[Any]:
-        """Results of a kind, by the values of some fields."""
+        """Return the results of a kind whose fields have the given values."""
         mine = (result for result in self.results if isinstance(result, kind))
         return [one for one in mine if all(getattr(one, name) == value for name, value in fields.items())]
 
@@ -146,13 +146,13 @@ class Bench:
         self._write()
 
     def note(self, line: str) -> None:
-        """Print a line, and keep it for the results."""
+        """Print a line, and add it to the notes."""
         print(line, flush=True)
         self.notes.append(line)
         self._write()
 
     def read(self, file: Path) -> None:
-        """Add what another process has written, if it has written anything."""
+        """Add the results and notes in another process's file, if it exists."""
         if file.is_file():
             results, notes = pickle.loads(file.read_bytes())
             self.results += results
@@ -168,16 +168,16 @@ class Bench:
         return measured_machine(self.device, None, self.sizes.copied)
 
     def subjects(self) -> dict[str, Subject]:
-        """Scenes, and where they are viewed from."""
+        """Return the scenes, by name, with the places from which they are viewed."""
         return chosen(list(self.sizes.scenes))
 
     def views(self, subject: Subject, count: int) -> Cameras:
-        """Random views, on the device."""
+        """Return random views of a scene, on the device."""
         cameras = subject.room.views(count, self.sizes.pixels, self.sizes.pixels)
         return on(cameras, self.device)
 
     def town(self, count: int) -> tuple[BlockScene, BlockScene, Cameras]:
-        """A town, one block of it with what is around the town, and so many views into that block."""
+        """Return a town, one of its blocks with the surroundings of the town, and ``count`` views into that block."""
         scene = town()
         around, *blocks = nearest_first(scene)
         middle = next(block for block in blocks if block.bounds[0][:2] == (0.0, 0.0))
@@ -187,55 +187,55 @@ class Bench:
         return scene, BlockScene("one", [around, middle]), on(cameras, self.device)
 
     def renderer(self, scene: Scene | Gaussians, tolerance: float = 0.0, antialiased: bool = True) -> CudaRenderer:
-        """The renderer that is measured; it leaves most of the memory to others."""
+        """Make the renderer that is measured; it leaves most of the memory to others."""
         most = torch.cuda.get_device_properties(self.device).total_memory // 8
         return CudaRenderer(scene, antialiased, tolerance=tolerance, device=self.device, memory=most)
 
     def gsplat(self, scene: Scene, antialiased: bool = True) -> GsplatRenderer:
-        """The renderer that it is compared with."""
+        """Make the renderer that it is compared with."""
         most = torch.cuda.get_device_properties(self.device).total_memory // 5
         return GsplatRenderer(scene, antialiased, device=self.device, memory=most)
 
     def checker(self, occupancy: Occupancy, body: Body) -> CudaChecker:
-        """The checker that is measured."""
+        """Make the checker that is measured."""
         return CudaChecker(occupancy, body, device=self.device)
 
     def fitter(self) -> CudaFitter:
-        """The fitter that is measured."""
+        """Make the fitter that is measured."""
         return CudaFitter(self.device)
 
     def fitted(self, name: str) -> Subject:
-        """Gaussians as a fit leaves them: those of the yard, or 150,000 in its place."""
+        """Return Gaussians as a fit leaves them: those of the backyard, or 150,000 in the same place."""
         return Subject(backyard() if name == "backyard" else dense_backyard(150_000, 1), YARD)
 
     def architecture(self) -> str:
-        """The architecture that kernels are compiled for."""
+        """Return the architecture for which kernels are compiled."""
         major, minor = torch.cuda.get_device_capability(self.device)
         return f"sm_{major}{minor}"
 
     def overrides(self, folder: Path) -> list[str]:
-        """Overrides of splatrl-train, for the task that is trained."""
+        """Return the overrides of splatrl-train for the task that is trained."""
         return ["task=fps", f"device={self.device}"]
 
     def world(self, folder: Path, overrides: list[str]) -> tuple[World, float]:
-        """What envs of a config share, and the tolerance of its renderer in pixels."""
+        """Build the world that a config's envs share, and return it with the renderer's tolerance in pixels."""
         cfg = load_config(overrides)
         return build_world(cfg), float(cfg.renderer.tolerance)
 
     def free(self) -> None:
-        """Release memory that nothing uses any more."""
+        """Release unused memory of the device."""
         if self.device.type == "cuda":
             torch.cuda.empty_cache()
 
 
 class DryRun(Bench):
-    """The same on a CPU, by the tests' emulator and at tiny sizes: it shows that everything runs, but not how fast."""
+    """A bench on the CPU, at tiny sizes with the tests' emulator: shows that everything runs, but not how fast."""
 
     def __init__(self) -> None:
         super().__init__(torch.device("cpu"), TINY)
         self.blocks = tempfile.TemporaryDirectory()
         if str(ROOT) not in sys.path:
-            sys.path.insert(0, str(ROOT))  # for the tests' tools
+            sys.path.insert(0, str(ROOT))  # for the emulator of the tests
 
     def machine(self) -> Machine:
         from tests.emulator import emulated
@@ -293,12 +293,12 @@ class DryRun(Bench):
 
 
 def on(cameras: Cameras, device: torch.device) -> Cameras:
-    """The cameras on a device."""
+    """Move cameras to a device."""
     return Cameras(cameras.camera_to_world.to(device), cameras.K.to(device), cameras.width, cameras.height)
 
 
 @contextmanager
 def cache_folder(folder: Path) -> Iterator[None]:
-    """Keep caches in this folder while the block runs."""
+    """Keep caches in this folder within the ``with`` block."""
     with patch.dict(os.environ, SPLATRL_CACHE=str(folder)):
         yield

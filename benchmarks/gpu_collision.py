@@ -1,4 +1,4 @@
-"""Collision queries per second, and whether the answers are those of the CPU."""
+"""Collision queries per second on a GPU, and their agreement with the CPU's answers."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,14 +13,14 @@ from splatrl.collision import NativeChecker, Occupancy
 from splatrl.collision.cuda import CudaChecker
 
 MARGIN = 1e-6
-"""Tolerance on the free share: answers that differ by no more count as the same."""
+"""Tolerance of the free fraction; answers that differ by no more count as equal."""
 PARTS = 4
-"""Sets of queries that take turns, so that none was in a cache just before."""
+"""Number of query sets that take turns, so that none is in a cache already."""
 
 
 @dataclass(frozen=True)
 class Collision:
-    """A row: queries per second, and the share of them that hit something."""
+    """A row of the table: queries per second, and the fraction of hits."""
 
     what = "collision"
     body: str
@@ -35,7 +35,7 @@ class Collision:
 
 @dataclass(frozen=True)
 class Agreement:
-    """Queries to which GPU and CPU give different answers, of all that were compared."""
+    """Number of queries that GPU and CPU answer differently, of all that were compared."""
 
     what = "agreement"
     body: str
@@ -47,7 +47,7 @@ class Agreement:
 
 
 def collision(bench: Bench) -> None:
-    """Measure every body among few and many voxels, static and swept, anywhere and near surfaces."""
+    """Measure every body among few and many voxels, with static and swept queries, anywhere and near surfaces."""
     most = max(bench.sizes.queries)
     yards = {voxels: yard(RESOLUTIONS[voxels]) for voxels in bench.sizes.voxels}
     kinds = list(product(yards, BODIES))
@@ -67,7 +67,7 @@ def collision(bench: Bench) -> None:
 def asking(
     checker: CudaChecker, queries: Queries, query: str, batch: int
 ) -> tuple[Callable[[], None], int, Callable[[], torch.Tensor]]:
-    """A call that makes queries batch after batch; how many those are; and a call that answers all of them."""
+    """Return a call that makes queries batch by batch, their number per call, and a call that returns all answers."""
     parts = min(PARTS, max(1, len(queries.start) // batch))
     starts, ends = (poses[: parts * batch].split(batch) for poses in queries)
     batches = cycle(zip(starts, ends, strict=True))
@@ -85,7 +85,7 @@ def asking(
 def speeds(
     bench: Bench, checker: CudaChecker, names: tuple[str, str, int, str], queries: Queries, budget: float
 ) -> None:
-    """Queries per second; all batch sizes and both kinds of query take turns."""
+    """Measure queries per second; all batch sizes and both kinds of query take turns."""
     kinds = list(product(("static", "swept"), bench.sizes.queries))
     asked = {kind: asking(checker, queries, *kind) for kind in kinds}
     times = in_turns({kind: call for kind, (call, _, _) in asked.items()}, bench.device, budget)
@@ -97,7 +97,7 @@ def speeds(
 def agreements(
     bench: Bench, checker: CudaChecker, occupancy: Occupancy, names: tuple[str, str, str], queries: Queries
 ) -> None:
-    """Compare with the CPU's answers."""
+    """Compare the answers with the CPU's."""
     native, count = NativeChecker(occupancy, BODIES[names[0]]), bench.sizes.compared
     some = Queries(*(part[:count] for part in queries))
     here = Queries(*(part.to(bench.device) for part in some))

@@ -1,14 +1,14 @@
-"""Counts what a frame takes on a GPU, without one.
+"""Counts the work of a frame on a GPU, without a GPU.
 
     python benchmarks/gpu_counts.py                      # three scenes, a minute each on one core
     python benchmarks/gpu_counts.py kitchen --views 2 --tolerances 0.5
 
-The tests' emulator counts how often a warp comes by each loop of cuda/render.cu, which is as often as its busiest lane
-does, and how many of its lanes do. Instructions of one time are those of the machine code for sm_90, for antialiased
-images of degree 3 with level of detail, line by line as ``nvdisasm -gi`` shows them; harmonics of another degree take
-fewer or more in ``color``. Bytes are what lanes read and write in global memory, caches or not.
+The tests' emulator counts how often a warp passes through each loop of cuda/render.cu, which is as often as its busiest
+lane does, and how many of its lanes are active. The instructions per pass are those of the machine code for sm_90, for
+antialiased images of degree 3 with level of detail, line by line as ``nvdisasm -gi`` shows them; in ``color`` they
+differ for other degrees. Bytes are those that lanes read and write in global memory, cached or not.
 
-These are counts and no measurements: nothing in them waits, for memory, a barrier or another warp.
+These are counts, not measurements: they do not include waiting for memory, barriers or other warps.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from scenes import NAMES, ROOT, Subject, chosen
 
 from splatrl.renderers.cuda import CudaRenderer
 
-sys.path.insert(0, str(ROOT))  # for the tests' tools
+sys.path.insert(0, str(ROOT))  # for the emulator of the tests
 
 from tests.emulator import EmulatedKernels, counted
 
@@ -42,18 +42,19 @@ INSTRUCTIONS = {
     "chunk": 13,
     "pair": 35,
 }
-"""Of a warp, each time."""
+"""Instructions of a warp per pass through each loop."""
 BYTES = {"node": 44, "groups": 24 + 4, "test": 16, "project": 48, "color": 16}
-"""Of a lane, each time: a cluster and its number, bounds of a group, a sphere, a shape, its mean again."""
+"""Bytes of a lane per pass: a cluster and its number; bounds of a group; a sphere; a shape; its mean, read again."""
 KEY_BYTES = 4 + 5 * 8
-"""Of a candidate: index, and key: written, read to be counted, read and written to be dealt, read for its slab."""
+"""Bytes per candidate: its index; and its key, written, read to be counted, read and written to be sorted into buckets,
+and read for its slab."""
 COLOR_BYTES = 6
-"""Per harmonic of a splat that shows."""
+"""Bytes per harmonic of a visible splat."""
 
 
 @dataclass(frozen=True)
 class Count:
-    """One line: what a frame takes, on average; the last line of a scene is the sum of the others."""
+    """One line of the table, averaged over frames; the last line of a scene is the sum of the others."""
 
     scene: str
     tolerance: float
@@ -64,18 +65,18 @@ class Count:
     bytes: float
 
 
-HEADER = ("scene", "tolerance, px", "loop", "times a warp comes by", "lanes at work", "instructions of a warp", "KB")
+HEADER = ("scene", "tolerance, px", "loop", "passes of a warp", "active lanes", "warp instructions", "KB")
 
 
 def row(line: Count) -> tuple[str, ...]:
-    """A row of the table."""
+    """Return a row of the table."""
     often = (f"{line.passes:,.0f}", f"{100 * line.busy:.0f} %") if line.passes else ("", "")
     sums = f"{line.instructions:,.0f}", f"{line.bytes / 1e3:,.0f}"
     return (line.scene, f"{line.tolerance:g}", line.loop, *often, *sums)
 
 
 def counts(subject: Subject, tolerance: float, views: int) -> list[Count]:
-    """What frames of a scene take."""
+    """Count the work of frames of a scene."""
     loaded: list[EmulatedKernels] = []
 
     def load(source: str, defines: Mapping[str, int]) -> EmulatedKernels:
@@ -83,7 +84,7 @@ def counts(subject: Subject, tolerance: float, views: int) -> list[Count]:
         return loaded[-1]
 
     renderer = CudaRenderer(subject.scene, tolerance=tolerance, load=load)
-    loaded[0].passes()  # those of another scene
+    loaded[0].passes()  # reset the counts
     candidates = float(renderer.efforts(subject.room.views(views, SIZE, SIZE))[:, 0].float().mean())
     harmonics = (subject.scene.gaussians.sh_degree + 1) ** 2
     lines = []
@@ -99,9 +100,9 @@ def counts(subject: Subject, tolerance: float, views: int) -> list[Count]:
 
 
 def main() -> None:
-    """Count and print."""
+    """Count, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scenes", nargs="*", default=list(NAMES), help=f"of {', '.join(NAMES)}, or paths")
+    parser.add_argument("scenes", nargs="*", default=list(NAMES), help=f"any of {', '.join(NAMES)}, or paths of scenes")
     parser.add_argument("--views", type=int, default=8)
     parser.add_argument("--tolerances", type=float, nargs="+", default=[0.5, 0.0])
     options = parser.parse_args()

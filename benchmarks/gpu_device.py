@@ -1,4 +1,4 @@
-"""The GPU that is measured: what it is, how fast it can be, and how long things take on it."""
+"""Describes the GPU that is measured, measures its peak rates, and times calls on it."""
 
 import math
 import re
@@ -16,7 +16,7 @@ from splatrl.native.cuda.kernels import CudaKernels, Kernels
 
 RATE = Path(__file__).with_name("gpu_rate.cu")
 CHAINS, STEPS = 8, 16
-"""Of the kernel: independent sums per thread, and steps that are unrolled."""
+"""Macros of the kernel: independent sums per thread, and unrolled steps."""
 THREADS = 256
 MOST_ROUNDS = 9
 
@@ -25,18 +25,18 @@ Key = TypeVar("Key", bound=Hashable)
 
 @dataclass(frozen=True)
 class Machine:
-    """A device, and the best that it achieved.
+    """A device and the best rates that it achieved.
 
     Attributes:
-        name: as its driver reports it.
-        architecture: sm_90 and so on; empty for a CPU.
-        multiprocessors: how many it has.
-        memory_bytes: how much memory it has.
-        driver: version of the kernel module.
-        cuda: version that PyTorch was built with.
-        torch: version.
-        flops: float32 operations per second of nothing but fused multiply-adds, each of which is two.
-        memory_bandwidth: bytes per second, read and written, of a copy that no cache holds.
+        name: name that its driver reports.
+        architecture: for example sm_90; empty for a CPU.
+        multiprocessors: number of multiprocessors.
+        memory_bytes: size of its memory.
+        driver: version of NVIDIA's kernel module.
+        cuda: CUDA version with which PyTorch was built.
+        torch: version of PyTorch.
+        flops: float32 operations per second of a kernel of nothing but fused multiply-adds, which count as two each.
+        memory_bandwidth: bytes per second, read and written, of a copy that fits into no cache.
     """
 
     name: str
@@ -51,7 +51,7 @@ class Machine:
 
     @property
     def slug(self) -> str:
-        """The name for files: h200 for ``NVIDIA H200``, rtx-4090 for ``NVIDIA GeForce RTX 4090``."""
+        """The name for use in file names: h200 for ``NVIDIA H200``, rtx-4090 for ``NVIDIA GeForce RTX 4090``."""
         words = re.sub(r"[^a-z0-9]+", " ", self.name.lower()).split()
         return "-".join(word for word in words if word not in ("nvidia", "geforce", "graphics", "device")) or "gpu"
 
@@ -62,7 +62,7 @@ class Machine:
 
 
 UNKNOWN = Machine("unknown GPU", "", 0, 0, "", torch.version.cuda or "", torch.__version__, math.nan, math.nan)
-"""The device, where it could not be measured."""
+"""Stands for the device if it could not be measured."""
 
 
 def measured_machine(device: torch.device, kernels: Kernels | None, copied: int) -> Machine:
@@ -70,8 +70,8 @@ def measured_machine(device: torch.device, kernels: Kernels | None, copied: int)
 
     Args:
         device: a GPU, or the CPU in a dry run.
-        kernels: of ``RATE``, compiled for the device if not given.
-        copied: bytes of a copy.
+        kernels: kernels of ``RATE``; None compiles them for the device.
+        copied: size of the copy that measures bandwidth, bytes.
     """
     on_gpu = device.type == "cuda"
     kernels = kernels or CudaKernels(RATE, device, {"CHAINS": CHAINS, "STEPS": STEPS})
@@ -90,7 +90,7 @@ def measured_machine(device: torch.device, kernels: Kernels | None, copied: int)
 
 
 def _multiply_adds(kernels: Kernels, device: torch.device) -> float:
-    """Operations per second of the kernel that does nothing but multiply and add."""
+    """Return the operations per second of the kernel that only multiplies and adds."""
     on_gpu = device.type == "cuda"
     blocks, rounds = (32 * kernels.multiprocessors, 4096) if on_gpu else (1, 4)
     out = torch.empty(blocks * THREADS, device=device)
@@ -110,14 +110,14 @@ def _copy_bandwidth(device: torch.device, size: int) -> float:
 
 
 def _driver() -> str:
-    """Version of NVIDIA's kernel module, as Linux reports it; empty where there is none."""
+    """Return the version of NVIDIA's kernel module as Linux reports it; empty if there is none."""
     path = Path("/proc/driver/nvidia/version")
     found = re.search(r"\d+\.\d+(\.\d+)?", path.read_text()) if path.is_file() else None
     return found.group() if found else ""
 
 
 def seconds(device: torch.device, call: Callable[[], object]) -> float:
-    """How long a device is busy with what a call queues, including gaps in which it waits for the host."""
+    """Time what a call queues on a device, including gaps in which the device waits for the host."""
     if device.type != "cuda":
         start = time.perf_counter()
         call()
@@ -132,12 +132,12 @@ def seconds(device: torch.device, call: Callable[[], object]) -> float:
 
 
 def in_turns(calls: Mapping[Key, Callable[[], object]], device: torch.device, budget: float) -> dict[Key, list[float]]:
-    """Seconds of every call in each round; all take turns, after one or two calls to warm up.
+    """Measure the seconds of every call in each round; the calls take turns, after one or two to warm up.
 
     Args:
-        calls: those that are compared.
-        device: the one that they run on.
-        budget: seconds that the rounds may take together; there is at least one round.
+        calls: calls to compare.
+        device: device on which they run.
+        budget: seconds for all rounds together; there is at least one round.
     """
     once = sum(seconds(device, call) for call in calls.values())
     if once < budget:  # the first call is slower than later ones
@@ -152,7 +152,7 @@ def in_turns(calls: Mapping[Key, Callable[[], object]], device: torch.device, bu
 
 @dataclass(frozen=True)
 class Rate:
-    """A rate per second: the median over the rounds, and the extremes."""
+    """A rate per second: its median over the rounds, and its extremes."""
 
     typical: float
     slowest: float
@@ -163,13 +163,13 @@ class Rate:
 
 
 def rate(count: int, times: list[float]) -> Rate:
-    """The rate of ``count`` things in each of these times."""
+    """Return the rate of a call that processes ``count`` items, by its seconds in each round."""
     return Rate(*(round(count / value, 1) for value in (median(times), max(times), min(times))))
 
 
 @contextmanager
 def peak_memory(device: torch.device) -> Iterator[list[int]]:
-    """A list that holds, after the block, PyTorch's peak memory in it, bytes; 0 on a CPU."""
+    """Yield a list that receives, after the block, PyTorch's peak memory during the block, bytes; 0 on a CPU."""
     found: list[int] = []
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)

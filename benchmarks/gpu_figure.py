@@ -1,4 +1,4 @@
-"""The picture of a run of gpu.py."""
+"""Figure of a run of gpu.py."""
 
 import math
 from collections.abc import Sequence
@@ -23,13 +23,13 @@ BODY_COLORS = {"box": INK, "sphere": BLUE, "capsule": PURPLE}
 
 
 def draw(bench: Bench, targets: Sequence[Target], title: str, path: Path) -> None:
-    """Draw speed by batch, quality by speed, collision queries, and how close the targets are.
+    """Draw speed by batch size, quality by speed, collision queries, and the results relative to the targets.
 
     Args:
-        bench: holds the results; what is missing leaves its panel empty.
-        targets: of ``gpu_reach``.
+        bench: holds the results; panels without results stay empty.
+        targets: the targets of ``gpu_reach``.
         title: what was measured.
-        path: of the picture; its suffix is the format.
+        path: file to write; its suffix selects the format.
     """
     figure = Figure(figsize=(15, 10), dpi=DPI, layout="constrained")
     figure.suptitle(title)
@@ -75,7 +75,7 @@ def _qualities(axes: Axes, bench: Bench) -> None:
             axes.plot([best, best], [row.worst_db, row.mean_db], ":", color=color, linewidth=1)
             axes.plot(best, row.mean_db, marker, color=color, label=f"{scene}, {tolerance_name(row.tolerance)}")
             axes.plot(best, row.worst_db, marker, color=color, markerfacecolor="white", markersize=5)
-    axes.plot([], [], "o", color="0.4", markerfacecolor="white", markersize=5, label="its worst view")
+    axes.plot([], [], "o", color="0.4", markerfacecolor="white", markersize=5, label="worst view")
     axes.axhline(MEAN_DB, color="0.6", linewidth=1, label="required mean")
     axes.axhline(WORST_DB, color="0.6", linewidth=1, linestyle="--", label="required worst view")
     axes.set(xscale="log", xlabel="frames/s at the best batch", ylabel="PSNR to exact (dB)", title="Level of detail")
@@ -110,7 +110,7 @@ def _reach(axes: Axes, targets: Sequence[Target]) -> None:
     axes.axvline(1, color="0.5", linewidth=1)
     axes.set_yticks(range(len(targets)), [target.name.replace(", ", ",\n", 1) for target in targets], fontsize=9)
     axes.set_ylim(len(targets) - 0.5, -0.5)
-    axes.set(xscale="log", xlabel="times the least that is required; the marks are the aims", title="Reach")
+    axes.set(xscale="log", xlabel="multiple of the required minimum; marks show the aims", title="Targets")
     scores = [1.0, *(target.score for target in targets if not math.isnan(target.found))]
     axes.set_xlim(0.7 * min(scores), 1.5 * max(6.0, *scores))
     _plain(axes.xaxis, "{x:g}")
@@ -122,7 +122,7 @@ def _scenes(rows: Sequence[Rendering] | Sequence[Likeness]) -> list[str]:
 
 
 def _plain(axis: Axis, form: str = "{x:,.0f}") -> None:
-    """Write the numbers along a logarithmic axis in full; one without data begins at 1."""
+    """Write the numbers along a logarithmic axis in full; an axis without data begins at 1."""
     if axis.get_view_interval()[0] <= 0.0:
         axis.set_view_interval(1.0, 10.0, ignore=True)
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

@@ -1,4 +1,4 @@
-"""How long the first use takes, while kernels are compiled, loaded and run; and how long the next one takes."""
+"""Times the first use, in which kernels are compiled, loaded and run."""
 
 import tempfile
 import time
@@ -21,7 +21,7 @@ SOURCES = {"render": render.kernel_defines(True, 0, False), "collide": collide.k
 
 @dataclass(frozen=True)
 class FirstUse:
-    """Seconds to the first answer: compiling in an empty cache, and loading and running what is in it."""
+    """Seconds until the first answer: to compile with an empty cache, and to load and run the compiled kernels."""
 
     what = "first use"
     kernels: str
@@ -30,9 +30,9 @@ class FirstUse:
 
 
 def first_use(bench: Bench) -> None:
-    """Measure renderer and checker, each as if it had never run here."""
+    """Measure renderer and checker, each as if it had never run on this machine."""
     if bench.device.type == "cuda":
-        torch.zeros(1, device=bench.device)  # so that PyTorch's own start is not counted
+        torch.zeros(1, device=bench.device)  # so that PyTorch's own initialisation is not counted
     answers = {"render": first_frame, "collide": first_query}
     with tempfile.TemporaryDirectory() as folder, cache_folder(Path(folder)):
         for name, defines in SOURCES.items():
@@ -46,7 +46,7 @@ def first_use(bench: Bench) -> None:
 
 
 def first_frame(bench: Bench) -> None:
-    """Draw a small image of one Gaussian, and read it on the host."""
+    """Draw a small image of one Gaussian, and read it back to the host."""
     scene = Gaussians(
         means=torch.tensor([[2.0, 0.0, 0.0]]),
         quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
@@ -62,6 +62,6 @@ def first_frame(bench: Bench) -> None:
 
 
 def first_query(bench: Bench) -> None:
-    """Test one pose in one voxel, and read the answer on the host."""
+    """Test one pose against one voxel, and read the answer back to the host."""
     occupancy = Occupancy.from_points(torch.zeros(1, 3).numpy(), 0.1, crop=((-1, -1, -1), (1, 1, 1)))
     assert bool(bench.checker(occupancy, BODIES["box"]).collides(torch.eye(4, device=bench.device).unsqueeze(0)))

@@ -1,4 +1,4 @@
-"""Views per second that Gaussians are fitted to, and whether their slopes are those of the CPU."""
+"""Views per second of the fit of Gaussians on a GPU, and the agreement of its gradients with the CPU's."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,14 +18,15 @@ DEGREE, NEAR = 1, 0.02
 SSIM_WEIGHT, DEPTH_WEIGHT = 0.2, 0.1
 BETAS, EPSILON = (0.9, 0.999), 1e-15
 STILL = 1e-12
-"""Noise of MCMC that is computed and moves nothing, so that every step does the same work; rates are 0 likewise."""
+"""Scale of the MCMC noise, which is computed but moves nothing, so that every step does the same work; the learning
+rates are 0 for the same reason."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A row: views per second of whole steps, drawn, compared, pulled back and followed by a step of Adam.
+    """A row of the table: views per second of whole steps, with rendering, loss, backward pass and a step of Adam.
 
-    The cosine is that of all slopes of one view with the CPU's.
+    ``cosine`` is the cosine similarity of all gradients of one view with the CPU's.
     """
 
     what = "fit"
@@ -40,7 +41,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Photos:
-    """What a fit is compared with, on its device: see ``CudaFitter.compare``."""
+    """Views and photos to which Gaussians are fitted, on the fit's device; see ``CudaFitter.compare``."""
 
     cameras: Cameras
     pixels: Tensor
@@ -49,7 +50,7 @@ class Photos:
 
 
 def fitting(bench: Bench) -> None:
-    """Measure finished Gaussians, as of a long fit, at each number of views a step."""
+    """Measure the step of a finished fit at each number of views per step."""
     fitter = bench.fitter()
     for number, (name, width, height) in enumerate(bench.sizes.fits):
         subject = bench.fitted(name)
@@ -67,7 +68,7 @@ def fitting(bench: Bench) -> None:
 
 
 def model_of(gaussians: Gaussians, device: torch.device) -> Model:
-    """The Gaussians as parameters, with colours that are a little off."""
+    """Return the Gaussians as parameters of a fit, with slightly wrong colours."""
     count, harmonics = len(gaussians.means), min(gaussians.sh.shape[1], (DEGREE + 1) ** 2)
     columns = torch.zeros(11 + 3 * (DEGREE + 1) ** 2, count)
     columns[0:3], columns[3:6], columns[6:10] = gaussians.means.T, gaussians.scales.log().T, gaussians.quats.T
@@ -80,7 +81,7 @@ def model_of(gaussians: Gaussians, device: torch.device) -> Model:
 
 
 def photos_of(bench: Bench, gaussians: Gaussians, views: Cameras) -> Photos:
-    """Views of the true Gaussians, and their depths where something solid is seen."""
+    """Render views of the true Gaussians as photos, with inverse depths where something solid is seen."""
     renderer = bench.renderer(gaussians)
     seen = renderer.render(on(views, bench.device))
     known = torch.where(seen.alpha > 0.9, 1.0 / seen.depth.clamp_min(NEAR), 0.0)
@@ -91,7 +92,7 @@ def photos_of(bench: Bench, gaussians: Gaussians, views: Cameras) -> Photos:
 def compare(
     fitter: CudaFitter | _core.Fitter, values: Tensor, count: int, photos: Photos, views: int, gradients: Tensor
 ) -> Tensor:
-    """Compare the first views with their photos; returns the losses."""
+    """Compute the losses and gradients of the first views against their photos, and return the losses."""
     cameras, losses = photos.cameras, torch.empty(views, 16)
     K = cameras.K.expand(len(cameras), 3, 3)[:views].contiguous()
     chosen = torch.arange(views)
@@ -103,7 +104,7 @@ def compare(
 
 
 def stepping(fitter: CudaFitter, model: Model, photos: Photos, views: int) -> Callable[[], None]:
-    """A step of the fit that leaves the Gaussians as they are."""
+    """Return a step of the fit that leaves the Gaussians unchanged."""
     rows, stride = model.values.shape
     gradients, rates = torch.zeros(views, rows, stride, device=model.values.device), torch.zeros(rows)
 
@@ -117,7 +118,7 @@ def stepping(fitter: CudaFitter, model: Model, photos: Photos, views: int) -> Ca
 
 
 def agreement(fitter: CudaFitter, model: Model, photos: Photos) -> float:
-    """Cosine of the slopes of one view with those of the CPU."""
+    """Return the cosine similarity of one view's gradients with those of the CPU."""
     there = Photos(photos.cameras, photos.pixels.cpu(), photos.known.cpu(), photos.exposure)
     found = torch.zeros(1, *model.values.shape, device=model.values.device)
     expected = torch.zeros(1, *model.values.shape)

@@ -1,9 +1,9 @@
-"""Compiles every kernel that splatrl has into the cache, without a GPU.
+"""Compiles all kernels of splatrl into the cache, without a GPU.
 
     python benchmarks/gpu_kernels.py --arch sm_90 --archive kernels.tar.gz    # for the cache of another machine
-    python benchmarks/gpu_kernels.py --arch sm_90 --count                     # how many are there, compiling none
+    python benchmarks/gpu_kernels.py --arch sm_90 --count                     # only counts those in the cache
 
-The file of a kernel is found again wherever its sources, its macros and the version of NVRTC are the same.
+Another machine finds a compiled kernel if its sources, its macros and the version of NVRTC are the same.
 """
 
 import argparse
@@ -25,7 +25,7 @@ DEGREES = range(4)
 
 
 def kernels() -> Iterator[tuple[str | Path, dict[str, int]]]:
-    """Every source with every choice of its macros."""
+    """Yield every source with every combination of its macros."""
     for antialiased, degree, levels, parts in product((True, False), DEGREES, (True, False), (False, True)):
         yield "render", render.kernel_defines(antialiased, degree, levels, parts)
     yield "place", {}
@@ -37,11 +37,11 @@ def kernels() -> Iterator[tuple[str | Path, dict[str, int]]]:
 
 
 def main() -> None:
-    """Compile, pack and count."""
+    """Compile, pack and count kernels."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--arch", default="sm_90", help="the architecture of the GPU; default sm_90")
-    parser.add_argument("--archive", type=Path, help="a .tar.gz for what is compiled")
-    parser.add_argument("--count", action="store_true", help="compile nothing")
+    parser.add_argument("--arch", default="sm_90", help="architecture of the GPU; default sm_90")
+    parser.add_argument("--archive", type=Path, help=".tar.gz file to write, with the compiled kernels")
+    parser.add_argument("--count", action="store_true", help="only count the kernels in the cache")
     options = parser.parse_args()
     paths = []
     for source, defines in kernels():

@@ -1,4 +1,4 @@
-"""What is to be reached on an H200, and what a run achieved."""
+"""Performance targets for an H200, and what a run achieved."""
 
 import math
 from dataclasses import dataclass
@@ -10,20 +10,20 @@ from gpu_render import Likeness, Rendering
 from gpu_training import Stepping, Training
 
 MEAN_DB, WORST_DB = 40.0, 34.0
-"""The least PSNR of level of detail against exact."""
+"""Minimum PSNR of images with level of detail against exact ones: of the mean and of the worst view, dB."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """One line of the table; ``found`` is NaN where nothing was measured.
+    """One line of the table.
 
     Attributes:
         name: what is measured.
-        unit: of the numbers.
-        least: the least that is required; for seconds, the most.
-        aim: likewise.
-        found: the measured value.
-        how: the setting that it was measured with, where there was a choice.
+        unit: unit of the numbers.
+        least: required minimum; for seconds, the maximum.
+        aim: value to aim for.
+        found: measured value; NaN if it was not measured.
+        how: setting with which it was measured, if there was a choice.
     """
 
     what = "target"
@@ -36,12 +36,12 @@ class Target:
 
     @property
     def score(self) -> float:
-        """``found`` as a multiple of ``least``; more is better."""
+        """``found`` relative to ``least``, inverted for seconds; more is better."""
         return self.least / self.found if self.unit == "s" else self.found / self.least
 
     @property
     def verdict(self) -> str:
-        """The verdict in a word."""
+        """The verdict in words."""
         if math.isnan(self.found):
             return "not measured"
         aimed = self.found <= self.aim if self.unit == "s" else self.found >= self.aim
@@ -49,7 +49,7 @@ class Target:
 
 
 def targets(bench: Bench) -> list[Target]:
-    """All lines of the table; a dry run fills them with its own sizes."""
+    """Return all lines of the table; a dry run fills them with its own sizes."""
     detailed, how = _with_detail(bench)
     exact = _frames(bench, "CudaRenderer", 0.0)
     ratio = _frames(bench, "CudaRenderer beside gsplat", 0.0) / _frames(bench, "gsplat", 0.0)
@@ -61,11 +61,11 @@ def targets(bench: Bench) -> list[Target]:
     return [
         Target("frames/s, 1M, B = 1024, level of detail", "/s", 100e3, 250e3, detailed, how),
         Target("frames/s, 1M, B = 1024, exact", "/s", 20e3, 100e3, exact),
-        Target("against gsplat in this run, exact, B = 1024", "×", 5, 25, ratio),
+        Target("speed relative to gsplat in this run, exact, B = 1024", "×", 5, 25, ratio),
         Target(
             "box queries/s, swept", "/s", 5e8, 2e9, _best([row.queries_per_second.typical for row in queries]), "near"
         ),
-        Target("env steps/s with rendering, B = 4096, of the bare renderer", "", 0.8, 0.95, share),
+        Target("env steps/s relative to the bare renderer, B = 4096", "", 0.8, 0.95, share),
         Target("PPO frames/s end to end, FPS task", "/s", 50e3, 150e3, _best(frames)),
         Target("first use: compile and start", "s", 20, 5, sum(seconds) if seconds else math.nan),
     ]
@@ -83,7 +83,7 @@ def _frames(bench: Bench, renderer: str, tolerance: float) -> float:
 
 
 def _with_detail(bench: Bench) -> tuple[float, str]:
-    """The fastest tolerance that keeps the required quality."""
+    """Return the frames/s and the name of the fastest tolerance that has the required quality."""
     good = [
         (_frames(bench, "CudaRenderer", row.tolerance), f"{row.tolerance:g} px")
         for row in bench.found(Likeness, scene=bench.sizes.scenes[0], against="exact")

@@ -1,4 +1,4 @@
-"""Frames per second, how close they are to the exact image, and how far the speed is from the GPU's bound."""
+"""Frames per second on a GPU, their quality compared with exact images, and the speed relative to the GPU's bound."""
 
 import importlib.util
 from collections.abc import Callable
@@ -19,12 +19,12 @@ from splatrl.renderers import NativeRenderer
 from splatrl.renderers.cuda import CudaRenderer
 
 MODULE = "gsplat_cuda"
-"""Name of gsplat's module of compiled kernels."""
+"""Name of the module with gsplat's compiled kernels."""
 
 
 @dataclass(frozen=True)
 class Rendering:
-    """A row: frames per second at one batch size."""
+    """A row of the table: frames per second at one batch size."""
 
     what = "rendering"
     renderer: str
@@ -39,7 +39,7 @@ class Rendering:
 
 @dataclass(frozen=True)
 class Effort:
-    """The work of a frame, averaged over some views, and the bound counted from it."""
+    """The work of a frame, averaged over views, and the bound computed from it."""
 
     what = "effort"
     scene: str
@@ -55,7 +55,7 @@ class Effort:
 
 @dataclass(frozen=True)
 class Likeness:
-    """How close images are to others, over some views: the share of 8-bit values within one step, and PSNR."""
+    """Agreement of two sets of images over some views: the fraction of 8-bit values within one step, and PSNR."""
 
     what = "likeness"
     renderer: str
@@ -69,7 +69,7 @@ class Likeness:
 
 
 def drawing(renderer: Any, cameras: Cameras, batch: int, frames: int) -> tuple[Callable[[], None], int]:
-    """A call that draws batch after batch, never the same one twice running; and how many frames that is."""
+    """Return a call that draws several batches in turn, and its number of frames."""
     starts = range(0, len(cameras) - batch + 1, batch)
     batches = cycle([cameras[start : start + batch] for start in starts])
     repeats = max(2, frames // batch)
@@ -101,7 +101,7 @@ def rendering(bench: Bench, machine: Machine) -> None:
 def measure(
     bench: Bench, subject: Subject, tolerance: float, renderer: CudaRenderer, cameras: Cameras, budget: float
 ) -> None:
-    """Frames per second at every batch size, starting with that of the comparisons."""
+    """Measure frames per second at every batch size, starting with that of the comparisons."""
     sizes, gaussians = bench.sizes, subject.scene.gaussians
     for batch in sorted(sizes.batches, key=lambda batch: batch != sizes.batches[sizes.base]):
         call, frames = drawing(renderer, cameras, batch, sizes.frames)
@@ -115,7 +115,7 @@ def measure(
 def count_effort(
     bench: Bench, machine: Machine, subject: Subject, tolerance: float, renderer: CudaRenderer, cameras: Cameras
 ) -> None:
-    """Count the work of a frame, and the bound."""
+    """Count the work of a frame, and compute its bound."""
     scene, batch = subject.scene, bench.sizes.batches[bench.sizes.base]
     counts = renderer.efforts(cameras[: bench.sizes.views]).double().mean(0).tolist()
     bound = bound_us(machine, *counts, scene.gaussians.sh_degree, bench.sizes.pixels**2)
@@ -135,7 +135,7 @@ def likeness(names: tuple[str, str, float, str], ours: Any, theirs: Any, mine: C
 def compare(
     bench: Bench, subject: Subject, tolerance: float, renderer: CudaRenderer, exact: CudaRenderer, cameras: Cameras
 ) -> None:
-    """Compare level of detail with exact, and everything with the CPU."""
+    """Compare level of detail with exact images, and both with the CPU's."""
     name, sizes = subject.scene.name, bench.sizes
     if tolerance:
         views = cameras[: sizes.views]
@@ -147,7 +147,7 @@ def compare(
 
 
 def gsplat_missing() -> str | None:
-    """Why gsplat cannot be measured; None where it can."""
+    """Return why gsplat cannot be measured; None if it can."""
     if importlib.util.find_spec("gsplat") is None:
         return "not installed"
     if importlib.util.find_spec("gsplat.csrc") is not None:
@@ -156,11 +156,11 @@ def gsplat_missing() -> str | None:
 
     if (Path(_get_build_directory(MODULE, verbose=False)) / f"{MODULE}.so").is_file():
         return None
-    return "installed, not compiled; do that once, in minutes: python -c 'import gsplat.cuda._backend'"
+    return "installed, but not compiled; compile it once, which takes minutes: python -c 'import gsplat.cuda._backend'"
 
 
 def gsplat(bench: Bench, missing: str | None) -> None:
-    """Let gsplat and CudaRenderer draw the same exact frames in turns."""
+    """Measure gsplat and CudaRenderer in turns on the same exact frames."""
     if missing:
         bench.note(f"gsplat: left out, {missing}")
         return
@@ -171,7 +171,7 @@ def gsplat(bench: Bench, missing: str | None) -> None:
 
 
 def against_gsplat(bench: Bench, subject: Subject, budget: float) -> None:
-    """One scene: speed in antialiased images, as both are used here; agreement in classic ones, where both agree."""
+    """Measure speed on antialiased images, which splatrl uses, and agreement on classic ones, which both draw alike."""
     sizes, scene = bench.sizes, subject.scene
     batch = sizes.batches[sizes.base]
     cameras = bench.views(subject, 4 * batch)

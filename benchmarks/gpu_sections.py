@@ -1,4 +1,4 @@
-"""A section of a benchmark in a process of its own, which ends in time whatever it does to itself or to the GPU."""
+"""Runs a section of a benchmark in its own process, which ends in time even if the section crashes or hangs."""
 
 import os
 import signal
@@ -13,19 +13,19 @@ from dataclasses import dataclass
 from typing import IO
 
 LAST_LINES = 40
-"""Number of lines of its output that are kept."""
+"""Number of lines of a section's output that are kept."""
 GRACE = 5.0
-"""Seconds that a killed process may take to disappear; one that waits for a broken driver may never do so."""
+"""Seconds to wait for a killed process to disappear; one that waits for a broken driver may never do so."""
 
 
 @dataclass(frozen=True)
 class Section:
-    """How a section ended: done, failed (a Python exception), ended by a signal, or killed because its time was over.
+    """The end of a section: done, failed (a Python exception), ended by a signal, or killed because its time was over.
 
     Attributes:
-        name: of the section.
-        ending: in words.
-        seconds: from its start to its end.
+        name: name of the section.
+        ending: how it ended, in words.
+        seconds: time from its start to its end.
     """
 
     what = "section"
@@ -35,7 +35,7 @@ class Section:
 
     @property
     def done(self) -> bool:
-        """Whether it reached its end."""
+        """Whether the section completed."""
         return self.ending == "done"
 
 
@@ -43,12 +43,12 @@ def run_section(name: str, command: Sequence[str], seconds: float) -> tuple[Sect
     """Run a command until it ends or its time is over, then kill whatever it has started.
 
     Args:
-        name: of the section.
-        command: what to run; its output is printed as it comes.
-        seconds: until it is killed.
+        name: name of the section.
+        command: command to run; its output is printed as it comes.
+        seconds: time after which it is killed.
 
     Returns:
-        How it ended, and the last lines of its output.
+        The section, and the last lines of its output.
     """
     begun, last = time.monotonic(), deque[str](maxlen=LAST_LINES)
     process = subprocess.Popen(
@@ -59,7 +59,7 @@ def run_section(name: str, command: Sequence[str], seconds: float) -> tuple[Sect
         encoding="utf-8",
         errors="replace",
         env={**os.environ, "PYTHONUNBUFFERED": "1"},
-        start_new_session=True,  # a group of its own, to be killed as a whole
+        start_new_session=True,  # its own process group, which can be killed as a whole
     )
     reader = threading.Thread(target=_pass_on, args=(process.stdout, last), daemon=True)
     reader.start()
@@ -77,14 +77,14 @@ def run_section(name: str, command: Sequence[str], seconds: float) -> tuple[Sect
 
 
 def _ending(status: int) -> str:
-    """The ending in words, by the exit status of a process."""
+    """Describe the end of a process by its exit status."""
     if status == 0:
         return "done"
     return "failed" if status > 0 else f"ended by {signal.Signals(-status).name}"
 
 
 def _pass_on(stream: IO[str], last: deque[str]) -> None:
-    """Print lines as they come, and keep the last."""
+    """Print lines as they come, and keep the last ones."""
     for line in stream:
         sys.stdout.write(line)
         sys.stdout.flush()

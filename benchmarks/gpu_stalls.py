@@ -1,9 +1,9 @@
-"""Where warps wait, by line of the kernels' source, from a report of the profiler ncu.
+"""Shows where warps wait, by line of the kernels' source, from a report of the profiler ncu.
 
     ncu --set full --kernel-name regex:^draw --launch-skip 1 --launch-count 1 --export draw \\
         python benchmarks/gpu_steps.py launch --tolerance 0
     ncu --import draw.ncu-rep --page source --csv --print-source cuda,sass > draw.csv
-    python benchmarks/gpu_stalls.py draw.csv       # the lines with the most samples, and why warps waited there
+    python benchmarks/gpu_stalls.py draw.csv       # the lines with the most samples, and why warps waited
 """
 
 import argparse
@@ -19,19 +19,19 @@ from record import print_markdown
 NATIVE = Path(__file__).parents[1] / "splatrl" / "native"
 SAMPLES, INSTRUCTIONS, STALL = "# Samples", "Instructions Executed", "stall_"
 SHOWN = 80
-"""Characters of a line of the source."""
+"""Number of characters shown of a source line."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """What was sampled on one line of the source.
+    """Samples on one line of the source.
 
     Attributes:
-        file: its name, without a folder.
-        number: of the line, from 1.
-        samples: of warps that were there, whatever they did.
-        instructions: of warps.
-        stalls: samples by the reason for which a warp waited.
+        file: name of the file, without its folder.
+        number: number of the line, from 1.
+        samples: samples in which a warp was at this line, waiting or not.
+        instructions: instructions that warps executed.
+        stalls: samples by the reason for which the warp waited.
     """
 
     file: str
@@ -42,10 +42,10 @@ class Line:
 
 
 def lines_of(path: Path) -> list[Line]:
-    """All lines of a report's source page.
+    """Read all lines of a report's source page.
 
     Raises:
-        SystemExit: for a file that is no such page.
+        SystemExit: if the file is no such page.
     """
     with open(path, newline="", encoding="utf-8") as stream:
         found = list(_lines(csv.reader(stream)))
@@ -61,7 +61,7 @@ def _lines(rows: Iterator[list[str]]) -> Iterator[Line]:
             file = Path(row[1]).name
         elif row[:1] == ["Line No"]:
             columns = {name: column for column, name in enumerate(row)}
-        elif columns and row and row[0].isdigit():  # others are the instructions of a line
+        elif columns and row and row[0].isdigit():  # the other rows are the instructions of a line
             values = {name: _number(row[column]) for name, column in columns.items()}
             stalls = {name: value for name, value in values.items() if name.startswith(STALL) and "(" not in name}
             reasons = Counter({name.removeprefix(STALL): value for name, value in stalls.items()})
@@ -76,15 +76,15 @@ def _number(text: str) -> float:
 
 
 def reasons(stalls: Counter[str], samples: float, most: int) -> str:
-    """The most frequent reasons, each with its share of all samples."""
+    """Format the most frequent reasons, each with its fraction of all samples."""
     return ", ".join(f"{name} {value / samples:.1%}" for name, value in stalls.most_common(most) if value > 0)
 
 
 def main() -> None:
-    """Print."""
+    """Print a table of the lines with the most samples."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("page", type=Path)
-    parser.add_argument("--lines", type=int, default=30)
+    parser.add_argument("page", type=Path, help="CSV file written by ncu --page source")
+    parser.add_argument("--lines", type=int, default=30, help="number of lines to print")
     options = parser.parse_args()
     lines = lines_of(options.page)
     samples, instructions = sum(line.samples for line in lines), sum(line.instructions for line in lines)

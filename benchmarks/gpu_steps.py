@@ -1,13 +1,13 @@
-"""The first things to try on a GPU, from the smallest to the largest, each in a process of its own.
+"""First checks on a GPU, from the smallest to the largest; run each in its own process.
 
-    python benchmarks/gpu_steps.py load      # kernels of the renderer are loaded and draw
-    python benchmarks/gpu_steps.py thread    # the same of the checker, in threads in which PyTorch has done nothing
-    python benchmarks/gpu_steps.py tiny      # one frame and one batch of queries, small enough for compute-sanitizer
-    python benchmarks/gpu_steps.py frames    # 64 frames of the backyard, as the CPU draws them
-    python benchmarks/gpu_steps.py twice     # 4,096 frames have the same bytes again, and in smaller batches
-    python benchmarks/gpu_steps.py launch    # 1,024 frames of a million Gaussians, three times, for a profiler
+    python benchmarks/gpu_steps.py load      # load the renderer's kernels and draw a frame
+    python benchmarks/gpu_steps.py thread    # the same for the checker, in threads in which PyTorch has done nothing
+    python benchmarks/gpu_steps.py tiny      # a frame and a batch of queries, small enough for compute-sanitizer
+    python benchmarks/gpu_steps.py frames    # compare 64 frames of the backyard with the CPU's
+    python benchmarks/gpu_steps.py twice     # 4,096 frames must have the same bytes again, and in smaller batches
+    python benchmarks/gpu_steps.py launch    # draw 1,024 frames of a million Gaussians three times, for a profiler
 
-A step that finds a fault ends with exit status 1. ``--dry-run`` emulates a GPU, at tiny sizes.
+A step that finds a fault ends with exit status 1. ``--dry-run`` emulates a GPU at tiny sizes.
 """
 
 import argparse
@@ -26,20 +26,20 @@ from splatrl.collision import NativeChecker
 from splatrl.renderers import NativeRenderer
 
 EXACT, DETAILED = (0.9999, 60.0), (0.999, 50.0)
-"""The least share of bytes within one grey level of the CPU's, and the least PSNR of a frame, dB; with level of detail
-the CPU alone draws what is behind a veil more coarsely."""
+"""Minimum fraction of bytes within one grey level of the CPU's, and minimum PSNR of a frame in dB. With level of detail
+they are lower, since only the CPU draws what is behind a veil more coarsely."""
 FRAMES, QUERIES = 64, 64
 ROUNDS = 3
 
 
 def load(bench: Bench, tolerance: float) -> None:
-    """Load kernels in the main thread."""
+    """Load kernels and draw in the main thread."""
     first_frame(bench)
     print("a frame was drawn")
 
 
 def thread(bench: Bench, tolerance: float) -> None:
-    """Load kernels in threads in which PyTorch has done nothing: before it has begun anywhere, and after."""
+    """Load kernels in threads in which PyTorch has done nothing: before its first use in the main thread, and after."""
     for _ in range(2):
         with ThreadPoolExecutor(1) as fresh:
             fresh.submit(first_query, bench).result()
@@ -48,7 +48,7 @@ def thread(bench: Bench, tolerance: float) -> None:
 
 
 def tiny(bench: Bench, tolerance: float) -> None:
-    """Draw one frame, with and without levels of detail, and answer a few queries."""
+    """Draw one frame, exact and with level of detail, and answer a few queries."""
     first_frame(bench)
     subject = bench.fitted("backyard")
     for detail in (0.0, tolerance):
@@ -64,7 +64,7 @@ def tiny(bench: Bench, tolerance: float) -> None:
 
 
 def frames(bench: Bench, tolerance: float) -> None:
-    """Draw frames as the CPU does."""
+    """Draw frames, exact and with level of detail, and compare them with the CPU's."""
     for detail in (0.0, tolerance):
         compare(bench, bench.fitted("backyard"), detail, FRAMES)
 
@@ -84,7 +84,7 @@ def compare(bench: Bench, subject: Subject, tolerance: float, count: int) -> Non
 
 
 def twice(bench: Bench, tolerance: float) -> None:
-    """Draw the same frames again, and in batches that no tile count divides."""
+    """Draw the same frames again, and in batches of 999."""
     subject = bench.fitted("backyard")
     views = bench.views(subject, max(bench.sizes.batches))
     for detail in (0.0, tolerance):
@@ -92,13 +92,15 @@ def twice(bench: Bench, tolerance: float) -> None:
         once, again = renderer.pixels(views), renderer.pixels(views)
         parts = torch.cat([renderer.pixels(views[start : start + 999]) for start in range(0, len(views), 999)])
         different = [int((once != other).flatten(1).any(1).sum()) for other in (again, parts)]
-        print(f"{len(views)} frames at {detail:g} px: {different[0]} differ again, {different[1]} in other batches")
+        print(
+            f"{len(views)} frames at {detail:g} px: {different[0]} differ when redrawn, {different[1]} in other batches"
+        )
         if any(different):
             sys.exit("expected the same bytes")
 
 
 def launch(bench: Bench, tolerance: float) -> None:
-    """Draw the frames of the benchmark, nothing compared."""
+    """Draw the frames of the benchmark without comparing anything."""
     subject = next(iter(bench.subjects().values()))
     renderer = bench.renderer(subject.scene, tolerance)
     views = bench.views(subject, bench.sizes.batches[bench.sizes.base])
@@ -113,11 +115,11 @@ STEPS: dict[str, Callable[[Bench, float], None]] = {
 
 
 def main() -> None:
-    """Make a step."""
+    """Run the chosen step."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("step", choices=list(STEPS))
-    parser.add_argument("--tolerance", type=float, default=0.5, help="of the level of detail, pixels; default 0.5")
-    parser.add_argument("--dry-run", action="store_true", help="on the CPU, by the tests' emulator, at tiny sizes")
+    parser.add_argument("--tolerance", type=float, default=0.5, help="level of detail, pixels; default 0.5")
+    parser.add_argument("--dry-run", action="store_true", help="run on the CPU at tiny sizes, with the tests' emulator")
     options = parser.parse_args()
     if not (options.dry_run or torch.cuda.is_available()):
         sys.exit("no CUDA device: nothing was tried; --dry-run shows that everything runs")

@@ -1,4 +1,4 @@
-"""The results of a run as Markdown tables."""
+"""Prints the results of a run as Markdown tables."""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,7 +18,7 @@ from record import print_markdown
 GIB = 2**30
 
 Columns = dict[str, Callable[[Any], str]]
-"""Column titles, and the cell that each result has below them."""
+"""Functions that make the cells of a result, by the titles of their columns."""
 
 TABLES: dict[type, Columns] = {
     FirstUse: {
@@ -49,7 +49,7 @@ TABLES: dict[type, Columns] = {
         "renderer": lambda r: r.renderer,
         "scene": lambda r: r.scene,
         "detail": lambda r: tolerance_name(r.tolerance),
-        "against": lambda r: r.against,
+        "compared with": lambda r: r.against,
         "views": lambda r: str(r.views),
         "bytes within 1": lambda r: f"{r.within_one:.4%}",
         "dB, mean / worst": lambda r: f"{r.mean_db:.1f} / {r.worst_db:.1f}",
@@ -70,21 +70,21 @@ TABLES: dict[type, Columns] = {
         "CUDA graph": lambda r: "yes" if r.cuda_graph else "no",
         "steps/s (slowest to fastest)": lambda r: str(r.steps_per_second),
         "bare renderer, frames/s": lambda r: str(r.bare_frames_per_second),
-        "share": lambda r: f"{r.share:.0%}",
+        "steps/s of bare frames/s": lambda r: f"{r.share:.0%}",
     },
     Training: {
         "scene": lambda r: r.scene,
         "robots": lambda r: f"{r.robots:,}",
         "batch": lambda r: f"{r.frames_per_batch:,} in {r.mini_batch_size:,}, {r.epochs} epochs",
         "frames/s of PPO (slowest to fastest)": lambda r: str(r.frames_per_second),
-        "collected alone": lambda r: str(r.collected_per_second),
+        "collection alone, frames/s": lambda r: str(r.collected_per_second),
     },
     Fit: {
         "Gaussians": lambda r: f"{r.gaussians:,}",
         "photos": lambda r: f"{r.width}×{r.height}",
-        "views a step": lambda r: str(r.views_a_step),
+        "views per step": lambda r: str(r.views_a_step),
         "views/s of the fit (slowest to fastest)": lambda r: str(r.views_per_second),
-        "slopes, cosine with the CPU's": lambda r: f"{r.cosine:.6f}",
+        "gradients, cosine with the CPU's": lambda r: f"{r.cosine:.6f}",
         "GiB": lambda r: f"{r.memory_bytes / GIB:.1f}",
     },
     Town: {
@@ -92,7 +92,7 @@ TABLES: dict[type, Columns] = {
         "detail": lambda r: tolerance_name(r.tolerance),
         "cameras": lambda r: f"{r.batch:,}",
         "frames/s (slowest to fastest)": lambda r: str(r.frames_per_second),
-        "with one block": lambda r: str(r.block_frames_per_second),
+        "with one block, frames/s": lambda r: str(r.block_frames_per_second),
         "GiB": lambda r: f"{r.memory_bytes / GIB:.1f}",
     },
     Section: {
@@ -111,12 +111,12 @@ TABLES: dict[type, Columns] = {
 
 
 def millions(rate: Any) -> str:
-    """A rate in millions."""
+    """Format a rate in millions."""
     return f"{rate.typical / 1e6:,.4g} ({rate.slowest / 1e6:,.4g} to {rate.fastest / 1e6:,.4g})"
 
 
 def number(value: float, unit: str) -> str:
-    """The number of a target, as text."""
+    """Format the number of a target; a dash for NaN."""
     if value != value:
         return "–"
     if unit == "":
@@ -127,7 +127,7 @@ def number(value: float, unit: str) -> str:
 
 
 def print_tables(bench: Bench, targets: list[Target]) -> None:
-    """Print every result, and the targets last."""
+    """Print all results, the targets last."""
     for kind, columns in TABLES.items():
         rows = targets if kind is Target else bench.found(kind)
         if rows:

@@ -1,4 +1,4 @@
-"""Frames per second in a scene in blocks, beside one of its blocks alone."""
+"""Frames per second in a scene in blocks, compared with one of its blocks alone."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from gpu_render import drawing
 
 @dataclass(frozen=True)
 class Town:
-    """A row: frames per second of views into a block, with all blocks and with that one."""
+    """A row of the table: frames per second of views into a block, with all blocks and with that one alone."""
 
     what = "town"
     blocks: int
@@ -22,7 +22,7 @@ class Town:
 
 
 def in_town(bench: Bench) -> None:
-    """Let a renderer of all blocks and one of a block draw the same views in turns."""
+    """Draw the same views with a renderer of all blocks and one of a single block, in turns."""
     sizes, tolerance = bench.sizes, bench.sizes.tolerances[0]
     batch = sizes.batches[sizes.base]
     town, block, cameras = bench.town(2 * batch)

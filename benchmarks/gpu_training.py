@@ -1,4 +1,4 @@
-"""Steps per second of rendered envs, beside the bare renderer; and frames per second of PPO, end to end."""
+"""Steps per second of rendered envs, compared with the bare renderer; and frames per second of PPO, end to end."""
 
 import tempfile
 import time
@@ -26,7 +26,7 @@ from splatrl.training.cuda_graph import CudaGraph
 
 @dataclass(frozen=True)
 class Stepping:
-    """A row: steps per second of the FPS task with rewards, collisions and automatic resets, under random actions."""
+    """A row of the table: steps per second of ``task=fps`` with random actions, collisions and automatic resets."""
 
     what = "stepping"
     scene: str
@@ -34,13 +34,13 @@ class Stepping:
     robots: int
     cuda_graph: bool
     steps_per_second: Rate
-    bare_frames_per_second: Rate  # of the renderer, for cameras that the same env asked for
+    bare_frames_per_second: Rate  # of the renderer alone, with the cameras that the env rendered
     share: float
 
 
 @dataclass(frozen=True)
 class Training:
-    """A row: frames per second of PPO, collected and learned from; and collected alone."""
+    """A row of the table: frames per second of whole PPO iterations, and of collection alone."""
 
     what = "training"
     scene: str
@@ -55,7 +55,7 @@ class Training:
 
 @dataclass
 class Recording:
-    """Passes cameras on and keeps them."""
+    """Wraps a renderer and records the cameras of every step."""
 
     renderer: Renderer
     cameras: list[Cameras] = field(default_factory=list)
@@ -64,14 +64,14 @@ class Recording:
         return self.renderer.render(cameras, parts, only)
 
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
-        if only is None:  # a step; a reset draws only some
+        if only is None:  # a step; resets draw only some rows
             pose, K = cameras.camera_to_world.clone(), cameras.K.clone()
             self.cameras.append(Cameras(pose, K, cameras.width, cameras.height))
         return self.renderer.pixels(cameras, parts, only)
 
 
 def stepper(env: EnvBase) -> Callable[[], None]:
-    """A step with random actions and an automatic reset, in place, as rollouts on a device do it."""
+    """Return a step with random actions and automatic resets that works in place, as rollouts on a GPU do."""
     now = env.reset().clone()
     spec = env.full_action_spec["action"]
 
@@ -84,7 +84,7 @@ def stepper(env: EnvBase) -> Callable[[], None]:
 
 
 def repeated(call: Callable[[], object], times: int) -> Callable[[], None]:
-    """A call that repeats another this many times."""
+    """Return a call that repeats another ``times`` times."""
 
     def calls() -> None:
         for _ in range(times):
@@ -94,7 +94,7 @@ def repeated(call: Callable[[], object], times: int) -> Callable[[], None]:
 
 
 def recorded(env: EnvBase, step: Callable[[], None], steps: int) -> list[Cameras]:
-    """The cameras that an env renders in some steps."""
+    """Record the cameras that an env renders in some steps."""
     base = layers(env)[0]
     recording = Recording(base.drawing.renderer)
     base.drawing.renderer = recording
@@ -104,7 +104,7 @@ def recorded(env: EnvBase, step: Callable[[], None], steps: int) -> list[Cameras
 
 
 def redrawing(renderer: Renderer, cameras: list[Cameras]) -> Callable[[], object]:
-    """A call that draws the cameras of an env again, one step at a time."""
+    """Return a call that renders recorded cameras again, those of one step at a time."""
     views = cycle(cameras)
     return lambda: renderer.pixels(next(views))
 
@@ -124,14 +124,14 @@ def stepping(bench: Bench) -> None:
 
 
 def step_rates(bench: Bench, world: World, robots: int, budget: float) -> dict[str, Rate]:
-    """Steps per second, ``plain`` and in a ``graph``, and frames per second of the ``bare`` renderer."""
+    """Measure steps per second, ``plain`` and as a CUDA ``graph``, and frames per second of the ``bare`` renderer."""
     steps = bench.sizes.steps
     calls, envs = {}, {}
     for name in ("plain", "graph"):
         env = world.env(robots, Curriculum(world.plan, first=None), 0)
         base = layers(env)[0]
         step = stepper(env)
-        repeated(step, steps)()  # robots move away from where they started
+        repeated(step, steps)()  # so that robots are no longer at their starts
         if name == "plain":
             calls["bare"] = repeated(redrawing(base.drawing.renderer, recorded(env, step, steps)), steps)
         elif not (base.capturable and bench.device.type == "cuda"):
@@ -145,7 +145,7 @@ def step_rates(bench: Bench, world: World, robots: int, budget: float) -> dict[s
 
 
 def training(bench: Bench) -> None:
-    """Measure PPO on the FPS task, built from the parts of splatrl-train."""
+    """Measure PPO on ``task=fps``, built as splatrl-train builds it."""
     with tempfile.TemporaryDirectory() as name:
         folder, sizes = Path(name), bench.sizes
         overrides = [*bench.overrides(folder), *sizes.training]
@@ -153,7 +153,7 @@ def training(bench: Bench) -> None:
         world, tolerance = bench.world(folder, overrides)
         ppo = build_trainer(cfg, world, folder).ppo
         frames = ppo.frames_per_batch
-        ppo.iterate()  # compiles, captures and takes memory
+        ppo.iterate()  # warm-up: compiles, captures and allocates
         collected = timed(bench, ppo.collect, 0.3 * bench.left)
         taken = timed(bench, ppo.iterate, 0.8 * bench.left)
     facts = (world.scene.name, tolerance, cfg.env.num_envs, frames, cfg.loss.mini_batch_size, cfg.loss.ppo_epochs)
@@ -161,7 +161,7 @@ def training(bench: Bench) -> None:
 
 
 def timed(bench: Bench, call: Callable[[], object], budget: float) -> list[float]:
-    """Wall-clock seconds until a device has finished what a call queues, for at least two calls."""
+    """Measure the wall-clock seconds until the device has finished what a call queues, for at least two calls."""
     found: list[float] = []
     ends = time.perf_counter() + budget
     while len(found) < 2 or (len(found) < bench.sizes.iterations and time.perf_counter() < ends):

@@ -1,9 +1,9 @@
-"""Measures what a lidar's beam costs: ray casts against the voxels of a place, on one core.
+"""Measures the cost of a lidar beam: ray casts against the voxels of a scene, on one core.
 
     python benchmarks/lidar.py                    # half a minute
     python benchmarks/lidar.py --rounds 3 --json
 
-Seconds are those of the processor that the process itself used, so that other work on the machine counts less.
+Times are CPU time of this process, which other work on the machine disturbs less.
 """
 
 import argparse
@@ -29,7 +29,7 @@ REACH = 10.0
 BEAMS, RINGS = 64, 16
 BODIES = 4096
 OVER_GROUND = 0.5
-"""Metres of a lidar in the yard; its ground is uneven."""
+"""Height of the lidar above the yard's uneven ground, metres."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Result:
 
 
 def scan(rings: int = 1) -> Tensor:
-    """Beams all around, at elevations between -15 and 15 degrees, or level: [rings · BEAMS, 3]."""
+    """Return beams all around, in rings at elevations from -15 to 15 degrees, or one level ring: [rings · BEAMS, 3]."""
     azimuth = torch.arange(BEAMS) * math.tau / BEAMS
     elevations = torch.linspace(-15.0, 15.0, rings).deg2rad() if rings > 1 else torch.zeros(1)
     rows = [
@@ -57,12 +57,12 @@ def scan(rings: int = 1) -> Tensor:
 
 
 def level_poses(places: Tensor, generator: torch.Generator) -> Tensor:
-    """Robots at places, with any heading."""
+    """Return upright poses at the given places with random headings."""
     return rigid(axis_rotations(2, torch.rand(len(places), generator=generator) * math.tau), places).contiguous()
 
 
 def cases() -> dict[tuple[str, str], tuple[NativeChecker, Tensor, Tensor]]:
-    """Checker, poses and beams by place and by kind of scan."""
+    """Return checker, poses and beams by place and kind of scan."""
     generator = torch.Generator().manual_seed(0)
     wide, garden = yard(0.05), Occupancy.from_scene(backyard(), resolution=0.05)
     lower, upper = (torch.from_numpy(corner).float() for corner in wide.bounds)
@@ -113,7 +113,7 @@ def main() -> None:
     for row, (_, rays, seen) in plan.items():
         ns = [1e9 * second / rays for second in seconds[row]]
         results.append(Result(*row, rays, seen, median(ns), max(ns), min(ns)))
-    header = ["place", "beams", "robots a call", "that meet something", "ns/ray (fastest to slowest)", "million rays/s"]
+    header = ["place", "beams", "robots per call", "beams that hit", "ns/ray (fastest to slowest)", "million rays/s"]
     rows = [
         [r.place, r.beams, f"{r.batch:,}", f"{r.seen:.0%}", f"{r.ns:.0f} ({r.fastest:.0f} to {r.slowest:.0f})",
          f"{1e3 / r.ns:.1f}"]

@@ -1,4 +1,4 @@
-"""What one core of this machine can do, measured without the renderer."""
+"""Peak rates of one core of this machine, measured without the renderer."""
 
 import os
 import platform
@@ -13,22 +13,22 @@ from splatrl.native import _core
 
 MEBIBYTE = 2**20
 LARGE, SMALL = 256 * MEBIBYTE, 4 * MEBIBYTE
-"""Bytes of a tensor that no cache holds, and of one that the last cache holds."""
+"""Bytes of a tensor that fits into no cache, and of one that fits into the last-level cache."""
 REPEATS = 12
 
 
 @dataclass(frozen=True)
 class Machine:
-    """A processor, and the best that one core achieved.
+    """A processor, and the best rates that one of its cores achieved.
 
     Attributes:
-        processor: its name.
-        cores: how many this process may use.
-        isa: the instruction set that the renderer uses.
-        flops: float32 operations per second of a matrix product; a fused multiply-add is two.
+        processor: name of the processor.
+        cores: number of cores that this process may use.
+        isa: instruction set that the renderer uses.
+        flops: float32 operations per second of a matrix product; a fused multiply-add counts as two.
         memory_bandwidth: bytes per second, read and written, of a copy in main memory.
-        cache_bandwidth: the same in the last cache.
-        cache_bytes: of the last cache; 0 where it is not known.
+        cache_bandwidth: the same in the last-level cache.
+        cache_bytes: size of the last-level cache; 0 if unknown.
     """
 
     processor: str
@@ -46,7 +46,7 @@ class Machine:
 
 
 def measured_machine() -> Machine:
-    """Measure this machine; takes about two seconds. PyTorch is set to one thread."""
+    """Measure this machine, which takes about two seconds; sets PyTorch to one thread."""
     torch.set_num_threads(1)
     size = 1024
     a, b, product = torch.randn(size, size), torch.randn(size, size), torch.empty(size, size)
@@ -68,7 +68,7 @@ def _copy_bandwidth(size: int) -> float:
 
 
 def _fastest(call: Callable[[], object]) -> float:
-    """Seconds of the fastest of a few calls: a bound is what the machine can do, not what it does on average."""
+    """Return the seconds of the fastest of a few calls, since a bound is what the machine can do, not its average."""
     call()
     seconds = []
     for _ in range(REPEATS):
@@ -79,7 +79,7 @@ def _fastest(call: Callable[[], object]) -> float:
 
 
 def _processor() -> str:
-    """The name that the processor gives itself."""
+    """Return the name that the processor reports."""
     info = Path("/proc/cpuinfo")
     if info.is_file():
         names = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if "model name" in line]
@@ -89,7 +89,7 @@ def _processor() -> str:
 
 
 def _cache_bytes() -> int:
-    """Size of the last cache, as Linux reports it."""
+    """Return the size of the last-level cache as Linux reports it."""
     levels = Path("/sys/devices/system/cpu/cpu0/cache").glob("index*/size")
     units = {"K": 2**10, "M": 2**20, "G": 2**30}
     sizes = [path.read_text().strip() for path in levels]

@@ -1,7 +1,8 @@
-"""Rendered steps of robots spread over many yards, against as many in one of them: python benchmarks/many_scenes.py
+"""Compares rendered steps of robots in many yards with as many robots in one yard: python benchmarks/many_scenes.py
 
-Each of ``--yards`` yards has one robot in the mixed batch; alone, each yard has all of them, and the mean over yards
-counts. Also: time to build them from a warm cache, and the memory of the process. Medians of interleaved rounds.
+In the mixed batch, each of the ``--yards`` yards has one robot. For comparison, all robots are placed in each yard in
+turn, and the times are averaged over the yards. Also prints the time to build the yards from a warm cache and the
+memory of the process. Values are medians over interleaved rounds.
 """
 
 import argparse
@@ -19,14 +20,14 @@ from splatrl.curriculum import Curriculum
 
 
 def resident() -> float:
-    """Memory that the process holds now, GB."""
+    """Return the resident memory of this process, GiB."""
     with open("/proc/self/status") as status:
         line = next(line for line in status if line.startswith("VmRSS"))
     return int(line.split()[1]) / 2**20
 
 
 def begun(env: EnvBase, scenes: torch.Tensor, curriculum: Curriculum) -> TensorDictBase:
-    """Robots in given scenes, anywhere in the start set, with random actions."""
+    """Reset robots in given scenes to states from the whole start set, with random actions."""
     states = curriculum.anywhere(len(scenes), torch.Generator().manual_seed(0), scenes)
     given = TensorDict({"state": states, "scene": scenes.unsqueeze(1)}, batch_size=env.batch_size)
     return env.rand_action(env.reset(given, set_state=True))
@@ -35,7 +36,7 @@ def begun(env: EnvBase, scenes: torch.Tensor, curriculum: Curriculum) -> TensorD
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--yards", type=int, default=64)
+    parser.add_argument("--yards", type=int, default=64, help="number of yards, and of robots")
     parser.add_argument("--rounds", type=int, default=9)
     options = parser.parse_args()
     count = options.yards
@@ -63,8 +64,8 @@ def main() -> None:
         ratios.append(sum(times) / count / together)
         rates.append(count / together)
     print(measured_machine())
-    print(f"{count} yards from a warm cache: {built:.1f} s; memory {held:.2f} GB")
-    print(f"mixed batch of {count}: {median(rates):,.0f} rendered steps/s, {median(ratios):.2f} of one yard's")
+    print(f"{count} yards from a warm cache: {built:.1f} s; memory {held:.2f} GiB")
+    print(f"mixed batch of {count}: {median(rates):,.0f} rendered steps/s, {median(ratios):.2f} times one yard's")
     print(f"ratios of {options.rounds} rounds: {min(ratios):.2f} to {max(ratios):.2f}")
 
 

@@ -1,13 +1,13 @@
-"""What makes a map of a film torn, and whether it is known without the truth: two ways of mapping generated yards.
+"""Compares two ways of mapping films of generated yards, and whether jerks reveal a torn map without ground truth.
 
     python benchmarks/mappers.py                        # 8 yards, about six CPU minutes each
     python benchmarks/mappers.py --yards 100 101 --seconds 60 --size 1280 720
-    python benchmarks/mappers.py --films kitchen_m.mp4  # any video with its truth in a .npz beside it
+    python benchmarks/mappers.py --films kitchen_m.mp4  # any video with ground truth in a .npz beside it
 
-Each yard is filmed as by ``benchmarks/capture.py``, its images are matched, and the cameras found by both of COLMAP's
-mappers: image after image, and all at once. A row tells for each how many images it joined, the jerks of the camera's
-path (what ``splatrl.capture.mapping`` chooses by), and how far the cameras are from the truth in the mean (root of
-squares) and at most, metres, once a similarity has brought them closest. ``--keep FOLDER`` keeps films and matches.
+Each yard is filmed as in ``benchmarks/capture.py``, its images are matched, and the cameras are found by both of
+COLMAP's mappers: incremental and global. Each row gives the number of registered images, the jerks of the camera's path
+(by which ``splatrl.capture.mapping`` chooses), and the root-mean-square and maximum camera error in metres, after
+alignment by the closest similarity. ``--keep FOLDER`` keeps films and matches.
 """
 
 import argparse
@@ -36,7 +36,7 @@ from splatrl.capture.truth import Truth, distances, poses_at, read_truth
 
 @dataclass(frozen=True)
 class Map:
-    """One way of mapping a film, against the truth."""
+    """The map of a film by one mapper, compared with the truth."""
 
     film: str
     way: str
@@ -49,29 +49,29 @@ class Map:
 
 
 def parsed() -> argparse.Namespace:
-    """The options."""
+    """Parse the options."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--yards", type=int, nargs="*", default=[*range(40, 48)], help="their seeds")
-    parser.add_argument("--films", type=Path, nargs="*", help="in place of yards, each with its truth beside it")
-    parser.add_argument("--seconds", type=float, default=45.0, help="of a yard's film")
-    parser.add_argument("--size", type=int, nargs=2, default=(960, 540), help="of a yard's film, pixels")
-    parser.add_argument("--height", type=float, default=1.5, help="of the camera of a yard's film, metres")
-    parser.add_argument("--turn", type=float, default=24.0, help="seconds in which the view goes once around")
-    parser.add_argument("--people", type=int, default=0, help="who walk through the yard while it is filmed")
-    parser.add_argument("--seed", type=int, default=0, help="of the way through a yard, and of every random sample")
-    parser.add_argument("--keep", type=Path, help="folder for films and matches; none forgets them")
+    parser.add_argument("--yards", type=int, nargs="*", default=[*range(40, 48)], help="seeds of the yards")
+    parser.add_argument("--films", type=Path, nargs="*", help="videos instead of yards, each with its truth beside it")
+    parser.add_argument("--seconds", type=float, default=45.0, help="length of a yard's film, seconds")
+    parser.add_argument("--size", type=int, nargs=2, default=(960, 540), help="size of a yard's film, pixels")
+    parser.add_argument("--height", type=float, default=1.5, help="height of the camera in a yard, metres")
+    parser.add_argument("--turn", type=float, default=24.0, help="seconds per full turn of the view")
+    parser.add_argument("--people", type=int, default=0, help="number of people who walk through the film")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the walk and of all random sampling")
+    parser.add_argument("--keep", type=Path, help="folder in which to keep films and matches")
     parser.add_argument("--json", action="store_true", help="write benchmarks/results/<date>-cpu-mappers.json")
     return parser.parse_args()
 
 
 def filmed_yard(yard: int, folder: Path, options: argparse.Namespace) -> Path:
-    """The film of a yard, in a folder of its own."""
+    """Film a yard into its own folder, unless the film exists already."""
     folder.mkdir(parents=True, exist_ok=True)
     return filmed(folder / "walk.mp4", argparse.Namespace(**{**vars(options), "yard": yard}))
 
 
 def against(truth: Truth, job: Job, model: Any) -> tuple[int, float, float, float]:
-    """Images joined, jerks, and how far cameras are from the truth, metres: in the mean, and at most."""
+    """Return the number of registered images, the jerks, and the RMS and maximum camera error, metres."""
     images, places = camera_places(model, job)
     if len(images) < 3:
         return len(images), 0.0, float("nan"), float("nan")
@@ -81,7 +81,7 @@ def against(truth: Truth, job: Job, model: Any) -> tuple[int, float, float, floa
 
 
 def mapped(name: str, film: Path, folder: Path, seed: int) -> list[Map]:
-    """A film's maps: image after image, all at once, and the one that a capture takes."""
+    """Map a film with the incremental and the global mapper, and as a capture does, which chooses between them."""
     folder.mkdir(parents=True, exist_ok=True)
     photos = read_photos(film, folder, CaptureSettings.count, CaptureSettings.longest, lambda *_: None)
     job, truth, rows = job_of(photos, seed), read_truth(film), []
@@ -95,8 +95,8 @@ def mapped(name: str, film: Path, folder: Path, seed: int) -> list[Map]:
 
 
 def print_maps(maps: list[Map]) -> None:
-    """A table, a row for each."""
-    header = ["film", "way", "images", "jerks", "mean off, m", "most off, m", "CPU s"]
+    """Print a table with one row per map."""
+    header = ["film", "mapper", "images", "jerks", "RMS error, m", "max error, m", "CPU s"]
     rows = []
     for one in maps:
         figures = [f"{one.jerks:.1f}", f"{one.ate_metres:.3f}", f"{one.worst_metres:.2f}", f"{one.cpu:.0f}"]
@@ -108,7 +108,7 @@ def main() -> None:
     """Film, map, compare and print."""
     options, machine, found = parsed(), measured_machine(), []
     print(machine)
-    pycolmap.logging.minloglevel = 2  # its errors
+    pycolmap.logging.minloglevel = 2  # only errors
     with tempfile.TemporaryDirectory() as spare:
         folder = options.keep or Path(spare)
         for source in options.films or options.yards:

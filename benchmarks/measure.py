@@ -1,4 +1,4 @@
-"""The speed of every row: frames per second, the stages of a frame, and what is counted against the bound."""
+"""Measures the speed of every row: frames per second, the stages of a frame, and the ratio to the bound."""
 
 from collections.abc import Callable, Sequence
 from statistics import median
@@ -14,13 +14,13 @@ from splatrl.cameras import Cameras
 from splatrl.renderers import NativeRenderer
 
 FRAMES = 64
-"""The fewest that are timed at once: small batches are called again, on other views."""
+"""Minimum number of frames per timing; small batches are repeated on other views."""
 
 
 def call_of(
     setup: Setup, cameras: Cameras, draw_batch: Callable[[Cameras], Any], renderer: NativeRenderer
 ) -> Callable[[], list[Any]]:
-    """A call that draws all views, a batch at a time, and returns the result of each batch."""
+    """Return a call that draws all views batch by batch and returns the result of each batch."""
     batches = [cameras[start : start + setup.batch] for start in range(0, len(cameras), setup.batch)]
 
     def call() -> list[Any]:
@@ -33,7 +33,7 @@ def call_of(
 def timed(
     setups: Sequence[Setup], renderers: Renderers, views: dict[str, Cameras], machine: Machine, rounds: int
 ) -> dict[Setup, dict[str, float]]:
-    """Speed, stages and bound of every row."""
+    """Measure the speed, stages and bound of every row."""
     counts = {setup: max(setup.batch, FRAMES // setup.batch * setup.batch) for setup in setups}
     efforts: dict[Setup, list[list[Any]]] = {setup: [] for setup in setups}
     calls: dict[tuple[Setup, str], Callable[[], Any]] = {}

@@ -1,10 +1,10 @@
-"""How well the occupancy of a captured and of a generated scene agrees with what is known to be solid there.
+"""Measures how well the occupancy of a captured and a generated scene agrees with what is known to be solid there.
 
     python benchmarks/occupancy.py [--poses 20000]
 
-Prints a table of recipes for each scene and writes results/<date>-occupancy.json and -occupancy-gaps.png. For each
-recipe: false hits of a 0.1 m cube in free space; recall of a 0.2 m cube centred on known surfaces; and the share of
-0.2 m cubes, free at first, that are caught when they are swept through the floor and outward through a wall.
+Prints a table of recipes for each scene, and writes results/<date>-occupancy.json and -occupancy-gaps-<scene>.png. The
+columns are the false hits of a 0.1 m cube in free space, the recall of a 0.2 m cube centred on known surfaces, and
+the fractions of 0.2 m cubes, free at first, that are stopped when swept through the floor and outwards through a wall.
 """
 
 import argparse
@@ -31,25 +31,25 @@ VARIED: list[dict[str, Any]] = [
     *({"cutoff": value} for value in (0.1, 0.3, 0.7, 0.9)),
     *({"min_volume": value} for value in (0.0, 0.001, 0.03, 0.1)),
     *({"max_scale": value} for value in (0.1, 0.3, 3.0)),
-    {"min_opacity": 0.05, "cutoff": 0.1, "min_volume": 0.0},  # splat-transform's
+    {"min_opacity": 0.05, "cutoff": 0.1, "min_volume": 0.0},  # as in splat-transform
 ]
-"""Recipes: what differs from the defaults, one thing at a time."""
+"""Recipes, each as the settings that differ from the defaults: one at a time, and those of splat-transform."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """Shares of the poses or moves of each kind.
+    """Results of one recipe, as fractions of the poses or moves of each kind.
 
     Attributes:
-        scene: its name.
+        scene: name of the scene.
         resolution: edge of a voxel, metres.
-        recipe: what differs from the defaults.
+        recipe: settings that differ from the defaults.
         seconds: time to build the occupancy.
-        voxels: how many are solid.
-        false_hits: in free space.
-        recall: on known surfaces.
-        floor: caught on the way through the floor.
-        wall: caught on the way out through a wall where it is whole.
+        voxels: number of solid voxels.
+        false_hits: hits in free space.
+        recall: hits on known surfaces.
+        floor: moves through the floor that are stopped.
+        wall: moves outwards through a closed part of a wall that are stopped.
         low_wall: the same where the captured wall has gaps.
     """
 
@@ -66,7 +66,7 @@ class Result:
 
 
 def measured(truth: Truth, resolution: float, recipe: dict[str, Any], count: int) -> Result:
-    """Build the occupancy by one recipe and compare it with the truth."""
+    """Build the occupancy by one recipe, and compare it with the truth."""
     start = time.perf_counter()
     lower, upper = torch.tensor(truth.scene.bounds, dtype=torch.float64)
     margin = 0.1 * (upper - lower).max()
@@ -110,7 +110,7 @@ def _row(result: Result) -> list[str]:
 def main() -> None:
     """Measure, print and save."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--poses", type=int, default=20_000, help="of each kind")
+    parser.add_argument("--poses", type=int, default=20_000, help="number of poses of each kind")
     arguments = parser.parse_args()
     truths = [truth for truth in (kitchen_truth(), yard_truth()) if truth is not None]
     results = []

@@ -1,4 +1,4 @@
-"""Where the walls of an occupancy have gaps: each wall seen from the middle of the scene."""
+"""Draws the gaps in the walls of an occupancy, each wall as seen from the middle of the scene."""
 
 from pathlib import Path
 
@@ -11,11 +11,11 @@ from splatrl.collision import Occupancy
 from splatrl.files import replacing
 
 HEIGHT = 2.2
-"""Metres above the floor up to which walls are drawn."""
+"""Height above the floor up to which walls are drawn, metres."""
 
 
 def draw_gaps(truth: Truth, path: Path) -> None:
-    """Draw for each wall whether anything solid lies on the path of the moves through it."""
+    """Draw for each wall where solid voxels lie on the paths of the moves through it."""
     voxels = Occupancy.from_scene(truth.scene)
     (left, front, bottom), _ = voxels.bounds
     figure = Figure(figsize=(4.2 * len(truth.walls), 3.0), dpi=110, layout="constrained")
@@ -39,6 +39,6 @@ def draw_gaps(truth: Truth, path: Path) -> None:
         open_ = ~wall[slice(*along), low:top]
         axes.set_title(f"towards {'+' if side > 0 else '−'}{'xyz'[axis]}: {100 * open_.mean():.1f} % open")
         axes.set_xlabel(f"{'yx'[axis]}, m")
-    figure.suptitle(f"{truth.scene.name}: red is open; the share is for z from {truth.gappy[0]} to {truth.gappy[1]} m")
+    figure.suptitle(f"{truth.scene.name}: red is open; per cent for z from {truth.gappy[0]} to {truth.gappy[1]} m")
     with replacing(path) as stream:
         canvas.print_png(stream)

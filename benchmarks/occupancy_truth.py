@@ -1,4 +1,4 @@
-"""What is known to be solid and free in two scenes, and where cubes are placed to test it."""
+"""Ground truth of solid and free space in two scenes, and the places at which cubes test it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,19 +13,19 @@ from splatrl.scenes.yard import backyard_obstacles
 
 Box = tuple[Sequence[float], Sequence[float]]
 MARGIN = 0.12
-"""How far the centre of a small cube stays from what is solid to count as free, metres."""
+"""Minimum distance of a small cube's centre from solid boxes to count as free, metres."""
 BEFORE, BEHIND = 0.3, 0.6
-"""How far before and behind the wall's inner face a move through it begins and ends, metres."""
+"""Distances from a wall's inner face at which a move through it begins, inside, and ends, outside; metres."""
 
 
 @dataclass(frozen=True)
 class Wall:
-    """An upright wall along an axis.
+    """An upright wall perpendicular to a horizontal axis.
 
     Attributes:
-        side: the signed axis that points outward through it: 1 is +x, −2 is −y.
+        side: signed axis that points outwards through the wall: 1 is +x, −2 is −y.
         plane: coordinate of its inner face on that axis, metres.
-        span: its extent along the other horizontal axis, metres.
+        span: extent along the other horizontal axis, metres.
     """
 
     side: int
@@ -35,17 +35,17 @@ class Wall:
 
 @dataclass(frozen=True)
 class Truth:
-    """A scene and what is known about it; lengths in metres.
+    """A scene with its ground truth; lengths in metres.
 
     Attributes:
         scene: the Gaussians.
-        open: a box in which cubes should be free, except for ``solids``.
+        open: box in which cubes should be free, except for ``solids``.
         solids: boxes around everything solid near ``open``.
         faces: flat boxes on known surfaces.
-        walls: those around ``open``.
-        whole: lowest and highest place where the walls are closed.
-        gappy: the same where the captured walls have gaps, or another part of them.
-        seed: a place that is free and reached.
+        walls: walls around ``open``.
+        whole: range of heights at which the walls are closed.
+        gappy: range of heights at which the captured walls have gaps, or another range if they have none.
+        seed: a free, reachable place.
     """
 
     scene: Scene
@@ -58,7 +58,7 @@ class Truth:
     seed: tuple[float, float, float]
 
     def free(self, count: int) -> Tensor:
-        """Places [M, 3], M ≤ count, in the open and clear of the solids."""
+        """Draw places [M, 3], M ≤ count, in the open box and clear of the solids."""
         places = _uniform(self.open, count, 0)
         for lower, upper in self.solids:
             outside = (places < torch.tensor(lower) - MARGIN) | (places > torch.tensor(upper) + MARGIN)
@@ -66,19 +66,19 @@ class Truth:
         return places
 
     def surface(self, count: int) -> Tensor:
-        """Places [M, 3] on the faces, equally many per square metre."""
+        """Draw places [M, 3] on the faces, equally many per square metre; M is about ``count``."""
         areas = torch.tensor([_area(face) for face in self.faces])
         counts = (count * areas / areas.sum()).ceil().long().tolist()
         return torch.cat([_uniform(face, n, i) for i, (face, n) in enumerate(zip(self.faces, counts, strict=True))])
 
     def through_floor(self, count: int) -> tuple[Tensor, Tensor]:
-        """Moves from a little above the floor to as much below it."""
+        """Return the ends of moves from a little above the floor to as much below it."""
         start = self.free(count)
         start[:, 2] = 0.3
         return start, start * torch.tensor([1.0, 1.0, -1.0])
 
     def through_wall(self, count: int, heights: tuple[float, float]) -> tuple[Tensor, Tensor]:
-        """Moves that begin ``BEFORE`` metres before a wall and end ``BEHIND`` metres behind its inner face."""
+        """Return the ends of moves from ``BEFORE`` metres inside a wall's inner face to ``BEHIND`` metres beyond it."""
         generator = torch.Generator().manual_seed(9)
         rows, picks = torch.arange(count), torch.randint(len(self.walls), (count,), generator=generator)
         start = _uniform(((0.0, 0.0, heights[0]), (1.0, 1.0, heights[1])), count, 1)
@@ -94,7 +94,7 @@ class Truth:
 
 
 def kitchen_truth() -> Truth | None:
-    """The kitchen and its hand-made boxes; None where it is not found."""
+    """Return the kitchen and its hand-made boxes; None if it is not found."""
     subject = kitchen()
     if subject is None:
         return None
@@ -120,7 +120,7 @@ def kitchen_truth() -> Truth | None:
 
 
 def yard_truth() -> Truth:
-    """The generated yard and what its generator knows."""
+    """Return the built-in backyard and what its generator knows."""
     solids: list[Box] = [(low, high) for _, low, high in backyard_obstacles()]
     flat = ("garden wall", "table", "wood pile", "bench seat")
     faces = [side for name, low, high in backyard_obstacles() if name in flat for side in _sides(low, high)]
@@ -137,7 +137,7 @@ def yard_truth() -> Truth:
 
 
 def _sides(low: Sequence[float], high: Sequence[float]) -> list[Box]:
-    """The four upright faces of a box and its top."""
+    """Return the four upright faces of a box and its top."""
     (x0, y0, z0), (x1, y1, z1) = low, high
     upright = [((x, y0, z0), (x, y1, z1)) for x in (x0, x1)] + [((x0, y, z0), (x1, y, z1)) for y in (y0, y1)]
     return [*upright, ((x0, y0, z1), (x1, y1, z1))]

@@ -1,13 +1,13 @@
-"""Measures what a call of the env costs where every view is remembered: the work around renderer and checker.
+"""Measures the overhead of an env's calls around renderer and checker, with every view in the cache.
 
     python benchmarks/overhead.py             # the grid task in the backyard, one thread
     python benchmarks/overhead.py --batches 1 64
 
-``step`` is a step without resets, ``automatic`` one with TorchRL's automatic resets, ``reset one`` a reset of a single
-row to a given state. ``alone`` is what renderer and checker take for the moves and views of that step; with automatic
-resets, for the views of the rows that begin anew as well. ``TorchRL`` is the step of an env with the same specs that
-does nothing. Ratios are those of a round, in time of the thread: of the call to renderer and checker alone, with the
-quarter and three quarters of the rounds. All rows take turns, round by round. To compare two versions, use
+``step`` is a step without resets, ``automatic`` a step with TorchRL's automatic resets, and ``reset one`` a reset of a
+single row to a given state. ``alone`` is the time that renderer and checker take for the moves and views of that step;
+``alone, with resets`` adds the views of the rows that are reset. ``TorchRL`` is the step of an env with the same specs
+that does nothing. Times are CPU time of the thread. Ratios of a call to renderer and checker alone are computed per
+round; their median and quartiles are printed. All rows take turns, round by round. To compare two versions, use
 ``against.py``.
 """
 
@@ -26,20 +26,20 @@ import splatrl
 from splatrl.envs.nesting import layers
 
 CALLS = 20
-"""Of a turn: a single call is too short to time."""
+"""Calls per turn; a single call is too short to time."""
 WARM_UP = 60
-"""Steps, after which episodes are of all lengths."""
+"""Number of steps before measuring, after which episodes have all lengths."""
 AT_ONCE = 256
-"""Views that are drawn in one call to be remembered."""
+"""Views per call that fills the cache."""
 ALONE = {"step": "alone", "automatic": "alone, with resets"}
-"""What a call is compared with."""
+"""The row with which each call is compared."""
 
 
 class Idle(EnvBase):
-    """TorchRL's own part of a step: an env that answers with what it was given.
+    """An env whose steps return a fixed result, to measure TorchRL's own part of a step.
 
     Args:
-        env: whose specs it has.
+        env: env whose specs it copies.
         after: what every step returns.
     """
 
@@ -62,7 +62,7 @@ class Idle(EnvBase):
 
 
 def calls_of(batch: int) -> dict[str, Callable[[], object]]:
-    """The calls of one batch size, each always with the same input, so that its views are remembered."""
+    """Return the calls for one batch size, each with a fixed input, so that its views are in the cache."""
     env = splatrl.make_env(["device=cpu", "curriculum=none"], batch_size=[batch])
     base = layers(env)[0]
     motion = base.task.motion
@@ -101,7 +101,7 @@ def calls_of(batch: int) -> dict[str, Callable[[], object]]:
 
 
 def repeated(call: Callable[[], object]) -> Callable[[], None]:
-    """A turn."""
+    """Return a turn, which repeats a call."""
 
     def turn() -> None:
         for _ in range(CALLS):
@@ -111,7 +111,7 @@ def repeated(call: Callable[[], object]) -> Callable[[], None]:
 
 
 def main() -> None:
-    """Measure and print a table."""
+    """Measure, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--batches", type=int, nargs="+", default=[1, 64, 1024])
     parser.add_argument("--rounds", type=int, default=30)

@@ -1,10 +1,11 @@
-"""Measures what placed models cost the native renderer.
+"""Measures the cost of models placed in scenes in the native renderer.
 
     python benchmarks/parts.py                          # a minute
     python benchmarks/parts.py --scene backyard --tolerance 0 1
 
-Balls that stand elsewhere in each row, against the scene alone; and rows that each draw a different model of as many
-Gaussians, against rows that all draw the same one. All take turns, round by round, and see the same views.
+Two comparisons: a scene with balls, placed differently in each row, against the scene alone; and rows that each draw a
+different model of the same size against rows that all draw the same one. All take turns, round by round, and draw the
+same views.
 """
 
 import argparse
@@ -27,14 +28,14 @@ from splatrl.scenes import Gaussians
 from splatrl.spherical_harmonics import C0
 
 SIZE = 64
-"""Width and height, pixels."""
+"""Width and height of the images, pixels."""
 THICKNESS = 0.001
-"""Standard deviation of a ball's discs along the normal of its surface, metres."""
+"""Standard deviation of a ball's discs along the surface normal, metres."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """One row: the median time per frame of one core, and the row that it is compared with."""
+    """One row of the table: time per frame of one core, and its ratio to the row with which it is compared."""
 
     scene: str
     tolerance: float
@@ -43,12 +44,12 @@ class Result:
     threads: int
     frame_ms: float
     fastest_ms: float
-    ratio: float  # of medians
-    bytes_shown: float  # share of the bytes in which the two differ: whether there was anything to see
+    ratio: float  # ratio of the medians
+    bytes_shown: float  # fraction of bytes that differ between the two, which shows whether the parts are visible
 
 
 def ball(count: int = 800, radius: float = 0.1) -> Gaussians:
-    """A ball of two colours made of flat discs, evenly spread by the golden angle."""
+    """Make a ball of two colours from flat discs, spread evenly by the golden angle."""
     height = 1 - (2 * torch.arange(count) + 1) / count
     turn = math.pi * (3 - math.sqrt(5)) * torch.arange(count)
     across = (1 - height.square()).sqrt()
@@ -68,7 +69,7 @@ def ball(count: int = 800, radius: float = 0.1) -> Gaussians:
 
 
 def with_balls(room: Room, batch: int, balls: int) -> Parts:
-    """In each row, model 0 at the origin and balls, model 1, anywhere in the room from floor to eye height."""
+    """Return parts with model 0 at the origin and balls, model 1, at random places in the room, up to eye height."""
     g = torch.Generator().manual_seed(2)
     low, high = torch.tensor([*room.lower[:2], 0.1]), torch.tensor(room.upper)
     places = low + (high - low) * torch.rand(batch, balls, 3, generator=g)
@@ -78,7 +79,7 @@ def with_balls(room: Room, batch: int, balls: int) -> Parts:
 
 
 def each_its_own(model: Tensor) -> Parts:
-    """One part in each row, at the origin: [B] models."""
+    """Return parts with one model at the origin of each row: [B] models."""
     return Parts(model.unsqueeze(1), torch.eye(4).repeat(len(model), 1, 1, 1))
 
 
@@ -92,8 +93,8 @@ def measure(subject: Subject, tolerance: float, options: argparse.Namespace) -> 
     calls: dict[str, tuple[NativeRenderer, Parts | None]] = {
         "the scene": (moving, None),
         f"the scene and {options.balls} balls": (moving, with_balls(subject.room, batch, options.balls)),
-        "one model in all rows": (copies, each_its_own(torch.zeros(batch, dtype=torch.long))),
-        "another model in each": (copies, each_its_own(torch.arange(batch))),
+        "the same model in all rows": (copies, each_its_own(torch.zeros(batch, dtype=torch.long))),
+        "a different model in each row": (copies, each_its_own(torch.arange(batch))),
     }
 
     def call(renderer: NativeRenderer, parts: Parts | None) -> Callable[[], Tensor]:
@@ -122,7 +123,7 @@ def measure(subject: Subject, tolerance: float, options: argparse.Namespace) -> 
 
 
 def print_table(results: Sequence[Result]) -> None:
-    """The results as Markdown."""
+    """Print the results as Markdown."""
     header = ["scene", "detail", "drawn", "rows", "threads", "ms per frame (fastest)", "ratio", "bytes that differ"]
     rows = [
         [
@@ -135,12 +136,12 @@ def print_table(results: Sequence[Result]) -> None:
 
 
 def main() -> None:
-    """Parse the command line, measure, show."""
+    """Parse the command line, measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scene", help="a name, or a splat file (z up); the kitchen where it is found")
+    parser.add_argument("--scene", help="a name, or a splat file (z up); default: kitchen if found, else backyard")
     parser.add_argument("--tolerance", nargs="+", type=float, default=[0.0, 1.0], help="pixels; 0 is exact")
-    parser.add_argument("--balls", type=int, default=8, help="in each row")
-    parser.add_argument("--batch", type=int, default=64, help="rows per call, and models")
+    parser.add_argument("--balls", type=int, default=8, help="balls per row")
+    parser.add_argument("--batch", type=int, default=64, help="rows per call, and number of models")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--json", action="store_true", help="write benchmarks/results/<date>-cpu-parts.json")

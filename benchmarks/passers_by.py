@@ -1,4 +1,4 @@
-"""People who walk through a place while it is filmed, and keep out of the camera's way: bodies of coloured discs."""
+"""People who walk through a place during a film and keep out of the camera's way, made of coloured Gaussians."""
 
 import math
 
@@ -19,17 +19,17 @@ LIMBS = {
     "left leg": (1_400, (0.08, 0.1, 0.42), (0.09, 0.09, 0.44)),
     "right leg": (1_400, (-0.08, -0.1, 0.42), (0.09, 0.09, 0.44)),
 }
-"""Discs, middle and half axes of each, metres."""
+"""Number of Gaussians, centre and half axes of each body part, metres."""
 PATCH, DISC = 0.1, 0.018
-"""Metres: side of a patch of one colour, and standard deviation of a disc."""
+"""Side of a patch of one colour, and standard deviation of a Gaussian, metres."""
 INSIDE, AWAY, ASIDE = 0.6, 1.6, 0.8
-"""Metres to the scene's bounds, to the camera, and between those who walk the same way."""
+"""Distances to the scene's bounds, to the camera, and between people who walk along the same axis, metres."""
 LAP = 20.0
 """Seconds to walk through the place and back."""
 
 
 def person(seed: int) -> Gaussians:
-    """Somebody who stands at the origin, looks along x, and wears what nobody else does."""
+    """Make a person who stands at the origin, looks along x, and wears colours drawn by the seed."""
     generator = torch.Generator().manual_seed(seed)
     means, colours = [], []
     for discs, middle, half_axes in LIMBS.values():
@@ -51,13 +51,13 @@ def person(seed: int) -> Gaussians:
 
 
 class PassersBy:
-    """Draws a place with people in it, who are further on each time that it is asked.
+    """A renderer of a place with people, who walk on with each frame.
 
     Args:
         scene: the place.
-        count: people.
-        fps: how often it is asked, a second of theirs.
-        tolerance: of the level of detail, pixels.
+        count: number of people.
+        fps: frames per second of film.
+        tolerance: tolerance of the level of detail, pixels.
     """
 
     def __init__(self, scene: Scene, count: int, fps: float, tolerance: float) -> None:
@@ -67,7 +67,7 @@ class PassersBy:
         self._count, self._fps, self._asked = count, fps, 0
 
     def pixels(self, cameras: Cameras) -> Tensor:
-        """The next frame, by as many cameras: [B, H, W, 3] uint8."""
+        """Draw the next frame by each of B cameras: [B, H, W, 3] uint8."""
         seconds, eye = self._asked / self._fps, cameras.camera_to_world[0, :2, 3]
         self._asked += 1
         poses = torch.stack([torch.eye(4), *(self.pose(number, seconds, eye) for number in range(self._count))])
@@ -75,7 +75,7 @@ class PassersBy:
         return self._renderer.pixels(cameras, Parts(*(each.contiguous() for each in parts)))
 
     def pose(self, number: int, seconds: float, eye: Tensor) -> Tensor:
-        """Where somebody is: [4, 4]. Every second one crosses the place along x, the others along y."""
+        """Return the pose of a person: [4, 4]. Every other person crosses the place along x, the rest along y."""
         lap = seconds / LAP * (1 + 0.2 * number) + 0.37 * number
         along, axis = 2 * abs(lap % 1 - 0.5), 1 - number % 2
         place = (self._lower + self._upper) / 2 + ASIDE * (number % 3 - 1)

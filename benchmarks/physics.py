@@ -1,10 +1,9 @@
-"""Measures what robots with physics cost: the physics alone, with the picture, and their links in the picture.
+"""Measures the cost of robots with physics: the physics alone, with images, and with their links in the images.
 
     python benchmarks/physics.py                                        # the backyard, a minute
     python benchmarks/physics.py --scene kitchen=kitchen.spz --rounds 9
 
-Seconds are those of the processor, on one thread. What is compared takes turns, round by round, in one process: trust
-ratios.
+Times are CPU time of one thread. All calls take turns, round by round, in one process, so the ratios are reliable.
 """
 
 import argparse
@@ -29,19 +28,19 @@ from splatrl.renderers import Parts
 
 BATCH = 64
 LINKS, GAUSSIANS = 13, 800
-"""Of the robot whose picture is measured, and of each link."""
+"""Number of links of the robot in the images, and of Gaussians per link."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One figure: medians over the rounds.
+    """One measurement: the median over the rounds.
 
     Attributes:
-        scene: where.
+        scene: name of the scene.
         what: what was measured.
-        value: the figure.
-        unit: of the figure.
-        fastest: the best round, as the same figure.
+        value: median over the rounds.
+        unit: unit of the value.
+        fastest: value in the best round.
     """
 
     scene: str
@@ -52,23 +51,23 @@ class Row:
 
 
 def drawn(world: World, state: Tensor, memory: dict[str, Tensor], motion: PhysicsMotion) -> Tensor:
-    """The picture of some states, with all that moves in it."""
+    """Draw the views of some states with everything that moves in them."""
     cameras = world.robot.cameras(motion.body_to_world(state))
     return world.drawing.draw(cameras, memory, world.task.parts(state, memory)).pixels
 
 
 def alone(world: World, state: Tensor, motion: PhysicsMotion) -> Tensor:
-    """The picture of the scene alone from the same places."""
+    """Draw the scene alone from the same places."""
     return world.drawing.draw(world.robot.cameras(motion.body_to_world(state))).pixels
 
 
 def with_links(world: World, cameras: Any, parts: Parts | None) -> Tensor:
-    """The picture of links that hang in the view."""
+    """Draw the scene with links in view, or with None the scene alone."""
     return world.drawing.renderer.pixels(cameras, parts)
 
 
 def links_ahead(world: World, motion: PhysicsMotion, state: Tensor) -> Parts:
-    """Thirteen links of a robot half a metre ahead of each camera, beside and above one another."""
+    """Place the links of a robot 0.6 m ahead of each camera, beside and above one another."""
     poses = motion.body_to_world(state)
     model = torch.cat([torch.zeros(len(state), 1), torch.ones(len(state), LINKS)], 1).long()
     stands = torch.eye(4).repeat(len(state), 1 + LINKS, 1, 1)
@@ -80,7 +79,7 @@ def links_ahead(world: World, motion: PhysicsMotion, state: Tensor) -> Parts:
 
 
 def measure(name: str, overrides: list[str], rounds: int) -> list[Row]:
-    """All rows of one scene."""
+    """Measure all rows of one scene."""
     settings = ["task=push", "device=cpu", "renderer.threads=1", "task.motion.threads=1", *overrides]
     timing = ["task.motion.time_step=0.1", "task.motion.substep=0.005"]
     world = build_world(load_config([*settings, *timing]))
@@ -122,18 +121,18 @@ def measure(name: str, overrides: list[str], rounds: int) -> list[Row]:
 
     physics = measured["physics"]
     return [
-        Row(name, "env steps of physics, 10 Hz in 5 ms", BATCH / median(physics), "1/s", BATCH / min(physics)),
-        Row(name, "a substep", 1e6 * median(physics) / steps, "µs", 1e6 * min(physics) / steps),
-        ratio("physics", "plane", "a step here against a plane alone"),
-        ratio("physics and picture", "picture", "physics and picture against the picture"),
-        ratio("picture", "scene", "robot, ball and mark in the picture against the scene"),
-        ratio("links", "no links", f"{LINKS} links × {GAUSSIANS} in view against the scene"),
-        ratio("exact links", "exact scene", "the same in exact images"),
+        Row(name, "env steps of physics, 10 Hz, 5 ms substeps", BATCH / median(physics), "1/s", BATCH / min(physics)),
+        Row(name, "one substep", 1e6 * median(physics) / steps, "µs", 1e6 * min(physics) / steps),
+        ratio("physics", "plane", "a step here / on a plane alone"),
+        ratio("physics and picture", "picture", "physics and image / image alone"),
+        ratio("picture", "scene", "image with robot, ball and mark / scene alone"),
+        ratio("links", "no links", f"image with {LINKS} links of {GAUSSIANS} Gaussians / scene alone"),
+        ratio("exact links", "exact scene", "the same, exact images"),
     ]
 
 
 def main() -> None:
-    """Measure and write the results."""
+    """Measure, print and save."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", nargs="*", default=["backyard"], help="backyard, or kitchen=<path of kitchen.spz>")
     parser.add_argument("--rounds", type=int, default=7)
@@ -146,13 +145,13 @@ def main() -> None:
         place = [f"scene={name}", f"scene.path={path}", *KITCHEN] if path else [f"scene={name}"]
         rows += measure(name, place, chosen.rounds)
     figures = [(row.scene, row.what, f"{row.value:.3g} {row.unit}", f"{row.fastest:.3g} {row.unit}") for row in rows]
-    print_markdown(["scene", "what", "median", "best round"], figures)
+    print_markdown(["scene", "measurement", "median", "best round"], figures)
     if chosen.json:
         print(write_json("physics", measured_machine(), rows))
 
 
 KITCHEN = ["task.motion.lower=[-0.95,-0.25]", "task.motion.upper=[0.95,1.3]", "task.clearance=0.3"]
-"""Where the kitchen's floor is."""
+"""Overrides with the free floor of the kitchen."""
 
 if __name__ == "__main__":
     main()

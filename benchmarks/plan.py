@@ -1,4 +1,4 @@
-"""Which rows render.py measures, and the renderers that they need."""
+"""The rows that render.py measures, and the renderers that they need."""
 
 import argparse
 import itertools
@@ -12,7 +12,7 @@ Mode = Literal["antialiased", "classic"]
 
 
 class Look(NamedTuple):
-    """Everything that decides an image."""
+    """All settings that determine an image."""
 
     scene: str
     sh_degree: int
@@ -21,7 +21,7 @@ class Look(NamedTuple):
 
 
 class Setup(NamedTuple):
-    """Everything that decides the time of a call; a row of the table."""
+    """A row of the table: all settings that determine the time of a call."""
 
     look: Look
     batch: int
@@ -29,7 +29,7 @@ class Setup(NamedTuple):
 
 
 class Renderers(dict[Look, NativeRenderer]):
-    """Renderers of looks, each built when it is first asked for."""
+    """Renderers by look, each built on first use."""
 
     def __init__(self, subjects: dict[str, Subject]):
         self.subjects = subjects
@@ -41,7 +41,7 @@ class Renderers(dict[Look, NativeRenderer]):
 
 
 def planned(subjects: dict[str, Subject], options: argparse.Namespace) -> list[Setup]:
-    """The rows: with ``full`` every combination, otherwise each option varied alone; both at each tolerance."""
+    """List the rows, exact and at each tolerance: with ``full`` every combination, else one option varied at a time."""
     axes = (options.mode, options.batch, options.threads)
     own = {name: subject.scene.gaussians.sh_degree for name, subject in subjects.items()}
     points: list[tuple[str, int, tuple[Mode, int, int]]] = []

@@ -1,12 +1,15 @@
-"""How much pixels jump where level of detail changes from one frame to the next, on smooth paths.
+"""Measures popping: by how much pixels jump when level of detail changes between frames, on smooth paths.
 
-    python benchmarks/popping.py        # the built-in backyard, a generated yard, and the kitchen where it is
+    python benchmarks/popping.py        # the built-in backyard, a generated yard, and the kitchen if it is found
 
-Cameras of 64×64 pixels walk straight on in 5 mm steps and turn slowly. ``path`` is by how much the difference between
-an image and the exact one changes from frame to frame, which counts edges that level of detail displaced, too. ``cut``
-is by how much a frame changes where its tolerance grows by 0.25 %, as much as a step of 5 mm changes what is 2 m away:
-what jumps alone. ``exact`` is by how much exact images change from frame to frame. All in grey levels of the channel
-that changes most, over all pixels.
+Cameras of 64×64 pixels move straight ahead in steps of 5 mm and turn slowly. All values are grey levels of the channel
+that changes most, over all pixels:
+
+- ``cut``: change of a frame when its tolerance grows by 0.25 %, by which a step of 5 mm changes what is 2 m away; this
+  isolates the jumps.
+- ``path``: change from frame to frame of the difference to the exact image, which includes edges displaced by level of
+  detail.
+- ``exact``: change of the exact image from frame to frame.
 """
 
 import math
@@ -25,17 +28,17 @@ from splatrl.scenes import Gaussians
 
 SIDE = 64
 WALKS, STEPS, STEP = 12, 120, 0.005
-"""Paths, frames of each, and metres from one to the next."""
+"""Number of paths, frames per path, and metres between frames."""
 TURN = 0.3
-"""Radians by which a path looks to either side."""
+"""Amplitude of the view's turn to either side, radians."""
 GROWTH = 1.0025
 TOLERANCES = (0.5, 1.0)
 LARGE = 10
-"""Grey levels that people notice."""
+"""Change that people notice, grey levels."""
 
 
 def places() -> Iterator[tuple[str, Gaussians, Room]]:
-    """Scenes and where cameras walk in them."""
+    """Yield the names of scenes, their Gaussians, and the rooms in which cameras move."""
     yield "backyard", splatrl.backyard().gaussians, YARD
     yield "scene=yard scene.seed=3", splatrl.yard(3).gaussians, YARD
     if (found := kitchen()) is not None:
@@ -43,7 +46,7 @@ def places() -> Iterator[tuple[str, Gaussians, Room]]:
 
 
 def walk(room: Room, seed: int) -> Cameras:
-    """A smooth path: [STEPS] cameras."""
+    """Return the cameras of a smooth path: [STEPS]."""
     begin = room.poses(1, torch.Generator().manual_seed(seed))[0]
     way = STEP * torch.arange(STEPS)
     ahead = begin[:3, 2]
@@ -54,19 +57,19 @@ def walk(room: Room, seed: int) -> Cameras:
 
 
 def summary(changes: Tensor) -> list[str]:
-    """The most, the 99.99th percentile, and the share of large ones."""
+    """Format the maximum, the 99.99th percentile, and the number of large changes per million."""
     rank = math.ceil(0.9999 * changes.numel())
     large = float((changes > LARGE).float().mean())
     return [f"{changes.max():.0f}", f"{changes.flatten().kthvalue(rank).values:.0f}", f"{1e6 * large:.0f}"]
 
 
 def most(difference: Tensor) -> Tensor:
-    """Of the channel that differs most."""
+    """Return the absolute difference of the channel that differs most."""
     return difference.abs().amax(-1)
 
 
 def main() -> None:
-    """Measure and print a table."""
+    """Measure, and print a table."""
     rows = []
     for name, gaussians, room in places():
         exact = NativeRenderer(gaussians, tolerance=0.0)
@@ -81,7 +84,7 @@ def main() -> None:
                 cut.append(most(coarser.pixels(cameras).float() - shown))
             columns = [summary(torch.cat(each)) for each in (cut, path, alone)]
             rows.append([name, f"{tolerance}", *(", ".join(each) for each in columns)])
-    figures = f"most, 99.99 % within, of a million above {LARGE}"
+    figures = f"max, 99.99th percentile, per million above {LARGE}"
     print_markdown(["scene", "tolerance, px", f"cut: {figures}", "path", "exact"], rows)
 
 

@@ -1,4 +1,4 @@
-"""How close an image is to the exact one, and to what a camera with 64 times the pixels would average."""
+"""Quality of images: PSNR to the exact image, and to the average over an image with 64 times the pixels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from splatrl.renderers import NativeRenderer
 
 SUPERSAMPLING = 8
 MOST_DB = 100.0
-"""PSNR of equal images, where the logarithm would be infinite."""
+"""PSNR assigned to equal images, where the logarithm would be infinite, dB."""
 
 
 @dataclass(frozen=True)
 class Quality:
-    """Peak signal-to-noise ratios over some views, dB."""
+    """PSNR over some views: the mean and the worst in dB, and the row of the worst view."""
 
     mean_db: float
     worst_db: float
@@ -27,24 +27,24 @@ class Quality:
 
 
 def psnr(images: Tensor, truth: Tensor) -> Tensor:
-    """PSNR of each view, for colours in [0, 1]: [B, H, W, 3] twice -> [B] dB."""
+    """Return the PSNR of each view, for colours in [0, 1]: [B, H, W, 3] each -> [B] dB."""
     error = (images.double() - truth.double()).square().flatten(1).mean(1)
     return -10 * error.clamp_min(10 ** (-MOST_DB / 10)).log10()
 
 
 def quality(images: Tensor, truth: Tensor) -> Quality:
-    """Mean and worst view."""
+    """Return the mean PSNR and that of the worst view."""
     ratios = psnr(images, truth)
     return Quality(round(float(ratios.mean()), 2), round(float(ratios.min()), 2), int(ratios.argmin()))
 
 
 def shown(renderer: NativeRenderer, cameras: Cameras) -> Tensor:
-    """What a screen shows, before it is rounded to bytes: [B, H, W, 3] float32 in [0, 1]."""
+    """Render images as a screen shows them, before rounding to bytes: [B, H, W, 3] float32 in [0, 1]."""
     return renderer.render(cameras).rgb.clamp(0, 1)
 
 
 def supersampled(renderer: NativeRenderer, cameras: Cameras) -> Tensor:
-    """The mean over ``SUPERSAMPLING``² pixels for each pixel: [B, H, W, 3] float32."""
+    """Render each pixel as the mean of ``SUPERSAMPLING``² finer pixels: [B, H, W, 3] float32."""
     n = SUPERSAMPLING
     K = cameras.K * torch.tensor([[n], [n], [1.0]])
     fine = Cameras(cameras.camera_to_world, K, n * cameras.width, n * cameras.height)
@@ -55,7 +55,7 @@ def supersampled(renderer: NativeRenderer, cameras: Cameras) -> Tensor:
 def judged(
     looks: Sequence[Look], renderers: Renderers, views: dict[str, Cameras], fine_views: int
 ) -> tuple[dict[Look, tuple[Quality, Quality]], list[Comparison]]:
-    """For every look, its quality against exact and against supersampled; and a comparison for each scene."""
+    """Return the quality of each look against exact and supersampled images, and a comparison of images per scene."""
     found: dict[Look, tuple[Quality, Quality]] = {}
     comparisons: dict[str, Comparison] = {}
     truths: dict[Look, Tensor] = {}

@@ -1,4 +1,4 @@
-"""The results of a run, with the commit, the machine and the day that they belong to."""
+"""Records the results of a run together with its commit, machine and date."""
 
 import datetime
 import json
@@ -16,12 +16,12 @@ RESULTS = ROOT / "benchmarks" / "results"
 
 
 def today() -> str:
-    """The date in ISO form."""
+    """Return the date in ISO format."""
     return datetime.date.today().isoformat()
 
 
 def print_markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A Markdown table whose columns also line up as plain text."""
+    """Print a Markdown table whose columns also line up as plain text."""
     widths = [max(len(row[column]) for row in [header, *rows]) for column in range(len(header))]
     lines = [" | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in [header, *rows]]
     lines.insert(1, " | ".join("-" * width for width in widths))
@@ -37,22 +37,22 @@ def write_json(
     commit: str | None = None,
     notes: Sequence[str] = (),
 ) -> Path:
-    """Keep results as ``<date>-<device>-<kind>.json``.
+    """Save results as ``<date>-<device>-<kind>.json``.
 
     Args:
-        kind: of benchmark.
-        machine: a dataclass.
-        results: dataclasses; those that have ``what`` are told apart by it.
-        device: the one that was measured.
-        folder: where to write the file.
-        commit: the one that was measured; None asks git.
+        kind: name of the benchmark.
+        machine: dataclass that describes the machine.
+        results: dataclasses; ``what``, where a class has it, is saved as well and names the kind of result.
+        device: device that was measured.
+        folder: folder of the file.
+        commit: commit that was measured; None asks git.
         notes: lines for readers.
     """
     path = folder / f"{today()}-{device}-{kind}.json"
     record = {
         "date": today(),
         "commit": commit or _git("rev-parse", "HEAD"),
-        "changed": bool(_git("status", "--porcelain", "--", "splatrl")),  # then the commit alone is not what ran
+        "changed": bool(_git("status", "--porcelain", "--", "splatrl")),  # if so, more than the commit was run
         "machine": asdict(machine),
         "results": [_described(result) for result in results],
         **({"notes": list(notes)} if notes else {}),
@@ -68,7 +68,7 @@ def _described(result: Any) -> dict[str, Any]:
 
 
 def _git(*arguments: str) -> str:
-    """The output of git; empty without git or a checkout, so that no result is lost because of it."""
+    """Return the output of git; empty without git or a checkout, so that no result is lost for lack of it."""
     if shutil.which("git") is None:
         return ""
     return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()

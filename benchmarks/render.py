@@ -1,12 +1,12 @@
-"""Measures how fast the native renderer makes frames, how far that is from the machine's bound, and how good they are.
+"""Measures the native renderer's speed, its ratio to the machine's bound, and the quality of the images.
 
-    python benchmarks/render.py                                # a few minutes: every question once
+    python benchmarks/render.py                                # a few minutes: one option varied at a time
     python benchmarks/render.py --scene kitchen --batch 128    # one scene, another batch
     python benchmarks/render.py --full                         # every combination
     python benchmarks/render.py --against benchmarks/results/FILE.json
 
-The first value of an option is the one at which the other options are varied, one at a time, on the first scene; every
-row comes exact and at each tolerance. Scenes that are not found are left out. All rows take turns, round by round.
+Options are varied one at a time on the first scene, while the others keep their first value. Every row is measured
+exact and at each tolerance. Scenes that are not found are left out. All rows take turns, round by round.
 """
 
 import argparse
@@ -28,7 +28,7 @@ from tqdm import tqdm
 
 @dataclass(frozen=True)
 class Result:
-    """One row. Times are per core and frame, counts are means over frames, qualities over views."""
+    """One row of the table. Times are per core and frame; counts are means over frames, and qualities over views."""
 
     scene: str
     sh_degree: int
@@ -59,11 +59,11 @@ class Result:
 
 
 ROW = ("scene", "sh_degree", "mode", "tolerance", "width", "height", "batch", "threads")
-"""The fields in which rows of two runs must agree to be compared."""
+"""Fields in which rows of two runs must agree to be compared."""
 
 
 def print_table(results: Sequence[Result], before: dict[tuple[Any, ...], float] | None) -> None:
-    """The results as Markdown; ``before`` holds the frames/s of an earlier run by the fields of ``ROW``."""
+    """Print the results as Markdown; ``before`` holds the frames/s of an earlier run by the fields of ``ROW``."""
     header = ["scene", "SH", "mode", "detail", "batch", "threads", "frames/s (slowest to fastest)"]
     header += ["ms: project + sort + blend + other", "projected", "visible", "blended", "bound ms", "× bound"]
     header += ["dB to exact, mean / worst", "dB to 8×, mean / worst"]
@@ -85,30 +85,30 @@ def print_table(results: Sequence[Result], before: dict[tuple[Any, ...], float] 
 
 
 def earlier(path: Path, machine: Machine) -> dict[tuple[Any, ...], float]:
-    """Frames/s of an earlier run by the fields of ``ROW``; rows of old files that lack a field are left out."""
+    """Read the frames/s of an earlier run by the fields of ``ROW``; rows of old files without them are left out."""
     record = json.loads(path.read_text())
     theirs = record["machine"].get("processor")
     if theirs != machine.processor:
-        print(f"{path.name} is from another processor ({theirs}): ratios compare machines too")
+        print(f"{path.name} is from another processor ({theirs}), so ratios also compare the machines")
     rows = [row for row in record["results"] if all(name in row for name in ROW)]
     return {tuple(row[name] for name in ROW): row["frames_per_second"] for row in rows}
 
 
 def parsed() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", nargs="+", default=list(NAMES), help=f"{', '.join(NAMES)}, or a splat file (z up)")
     parser.add_argument("--mode", nargs="+", default=list(get_args(Mode)), choices=get_args(Mode))
-    parser.add_argument("--tolerance", nargs="*", type=float, default=[0.5, 1.0], help="pixels; exact comes by itself")
-    parser.add_argument("--sh", nargs="+", type=int, default=[3, 0], help="degrees, as far as a scene has them")
+    parser.add_argument("--tolerance", nargs="*", type=float, default=[0.5, 1.0], help="pixels; exact is included")
+    parser.add_argument("--sh", nargs="+", type=int, default=[3, 0], help="SH degrees, up to that of the scene")
     parser.add_argument("--batch", nargs="+", type=int, default=[64, 1, 16, 256], help="cameras per call")
     parser.add_argument("--threads", nargs="+", type=int, default=[1, 2])
     parser.add_argument("--size", nargs=2, type=int, default=[64, 64], metavar=("WIDTH", "HEIGHT"))
     parser.add_argument("--rounds", type=int, default=9)
-    parser.add_argument("--views", type=int, default=256, help="views that are compared with the exact ones")
-    parser.add_argument("--fine-views", type=int, default=32, help="of these, views compared with supersampled ones")
-    parser.add_argument("--full", action="store_true", help="every combination of the options")
-    parser.add_argument("--against", type=Path, help="a JSON file of an earlier run")
+    parser.add_argument("--views", type=int, default=256, help="number of views compared with exact ones")
+    parser.add_argument("--fine-views", type=int, default=32, help="number of these compared with supersampled ones")
+    parser.add_argument("--full", action="store_true", help="measure every combination of the options")
+    parser.add_argument("--against", type=Path, help="JSON file of an earlier run to compare with")
     parser.add_argument("--json", action="store_true", help="write benchmarks/results/<date>-cpu-render.json")
     parser.add_argument("--png", type=Path, default=RESULTS / f"{today()}-cpu-render.png")
     return parser.parse_args()

@@ -1,4 +1,4 @@
-"""The scenes that the benchmarks use, and random views inside them."""
+"""Scenes of the benchmarks, and random views inside them."""
 
 import math
 import os
@@ -22,12 +22,12 @@ NAMES = ("kitchen", "backyard", "dense")
 
 @dataclass(frozen=True)
 class Room:
-    """Where eyes can be: a box, and how far they look up and down.
+    """Possible viewpoints: a box of positions, and how far views look up and down.
 
     Attributes:
-        lower: corner, world, metres.
-        upper: corner, world, metres.
-        pitch: the most that a view is tilted, radians.
+        lower: lower corner, world frame, metres.
+        upper: upper corner, world frame, metres.
+        pitch: maximum tilt of a view, radians.
     """
 
     lower: tuple[float, float, float]
@@ -35,7 +35,7 @@ class Room:
     pitch: float = 0.0
 
     def poses(self, count: int, generator: torch.Generator) -> Tensor:
-        """camera_to_world [count, 4, 4] of eyes anywhere in the room that look in any direction."""
+        """Draw camera_to_world [count, 4, 4] anywhere in the room, with any heading."""
         low, high = torch.tensor(self.lower), torch.tensor(self.upper)
         positions = low + (high - low) * torch.rand(count, 3, generator=generator)
         yaw = math.tau * torch.rand(count, generator=generator)
@@ -44,7 +44,7 @@ class Room:
         return look_at(positions, positions + forward)
 
     def views(self, count: int, width: int, height: int, seed: int = 1) -> Cameras:
-        """Random views, 90 degrees wide; the first ones are the same for every count."""
+        """Draw random views, 90 degrees wide; a larger count begins with the same views."""
         g = torch.Generator().manual_seed(seed)
         poses = torch.cat([self.poses(1, g) for _ in range(count)])
         return Cameras(poses, intrinsics(FOV, width, height), width, height)
@@ -56,27 +56,27 @@ YARD = Room((-2.5, -2.5, 0.2), (2.5, 2.5, 0.8), pitch=0.2)
 
 @dataclass(frozen=True)
 class Subject:
-    """A scene and the room in it where the views are."""
+    """A scene and the room in it from which it is viewed."""
 
     scene: Scene
     room: Room
 
 
 def dense_backyard(count: int = DENSE_COUNT, degree: int = 3, seed: int = 0) -> Scene:
-    """The backyard in which every Gaussian has become many small ones, with noise in their colours.
+    """Build the backyard with every Gaussian replaced by many small ones with noisy colours.
 
-    The small ones are drawn from the shape of the large one, shrunk so that they cover it about as densely as before.
+    The small ones are sampled from the large one's distribution and shrunk so that they cover it about as densely.
 
     Args:
-        count: of Gaussians, more than twice those of the backyard.
-        degree: of the spherical harmonics.
-        seed: of the noise.
+        count: number of Gaussians, more than twice that of the backyard.
+        degree: degree of the spherical harmonics.
+        seed: seed of the noise.
     """
     g = torch.Generator().manual_seed(seed)
     yard = backyard()
     base = yard.gaussians
     parents = torch.arange(count) * len(base.means) // count
-    shrunk = math.sqrt(1.5 * len(base.means) / count)  # Gaussians are flat, so their area goes with the square
+    shrunk = math.sqrt(1.5 * len(base.means) / count)  # they are flat: their area goes with the square
     spread = math.sqrt(1 - shrunk**2) * torch.randn(count, 3, generator=g).clamp(-2, 2)
     offsets = quats_to_rotations(base.quats)[parents] @ (base.scales[parents] * spread).unsqueeze(-1)
     sh = 0.06 * torch.randn(count, (degree + 1) ** 2, 3, generator=g)
@@ -93,7 +93,7 @@ def dense_backyard(count: int = DENSE_COUNT, degree: int = 3, seed: int = 0) -> 
 
 
 def truncated(scene: Scene, degree: int) -> Scene:
-    """The scene with spherical harmonics of a lower degree: higher degrees are cut off."""
+    """Return the scene with its spherical harmonics truncated to a lower degree."""
     g = scene.gaussians
     assert degree <= g.sh_degree, (degree, g.sh_degree)
     if degree == g.sh_degree:
@@ -104,7 +104,7 @@ def truncated(scene: Scene, degree: int) -> Scene:
 
 
 def kitchen() -> Subject | None:
-    """The captured kitchen; None, and a line that says so, where its file is not found."""
+    """Read the captured kitchen; print a line and return None if its file is not found."""
     path = SCENES / "kitchen" / "kitchen.spz"
     if not path.is_file():
         print(f"kitchen: skipped, no {path}; SPLATRL_SCENES names the folder of scenes")
@@ -113,7 +113,7 @@ def kitchen() -> Subject | None:
 
 
 def from_file(path: str) -> Subject:
-    """A splat file or a scene folder, seen from the middle half of its bounds."""
+    """Read a splat file or a scene folder, to be viewed from the middle half of its bounds."""
     scene = read_scene(path)
     corners = torch.tensor(scene.bounds)
     middle, quarter = corners.mean(0), (corners[1] - corners[0]) / 4
@@ -129,10 +129,10 @@ BUILT: dict[str, Callable[[], Subject | None]] = {
 
 
 def chosen(names: list[str]) -> dict[str, Subject]:
-    """Scenes by name or path, without those that are not found.
+    """Return scenes by name or path, without those that are not found.
 
     Raises:
-        SystemExit: where none is left.
+        SystemExit: if none is left.
     """
     subjects = {}
     for name in names:

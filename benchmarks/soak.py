@@ -1,10 +1,10 @@
-"""Steps and environments without end: memory, descriptors and threads of the process must stay where they are.
+"""Soak test: over many steps and envs, the process must not accumulate memory, descriptors or threads.
 
-    python benchmarks/soak.py                          # 10⁷ steps with resets, 1,000 envs made and closed
-    python benchmarks/soak.py --steps 1e5 --envs 20    # a try
+    python benchmarks/soak.py                          # 10⁷ steps with resets, then 1,000 envs built and closed
+    python benchmarks/soak.py --steps 1e5 --envs 20    # a quick trial
 
-Each part is done in ten rounds. The figures of the first tell what the process needs; the last must not exceed them by
-more than the bytes that are allowed. Exits with status 1 where they do.
+Each part runs in ten rounds. After the last round, the process may hold no more descriptors and threads than after the
+first, and only ``ALLOWED`` bytes more memory; otherwise the exit status is 1.
 """
 
 import argparse
@@ -25,12 +25,12 @@ import splatrl
 ROUNDS = 10
 BATCH = 512
 ALLOWED = 32 * MEBIBYTE
-"""Bytes by which the last round may exceed the first: what the allocator keeps differs from round to round."""
+"""Bytes by which the memory may exceed that of the first round, since the allocator keeps a varying amount."""
 SETTINGS = ["device=cpu", "task.max_steps=40", "robot.image_width=16", "robot.image_height=16"]
 
 
 class Held(NamedTuple):
-    """What the process holds: bytes of memory, open descriptors, threads of Python and of the system."""
+    """Resources of the process: resident bytes, open descriptors, threads of Python, and threads of the system."""
 
     memory: int
     descriptors: int
@@ -39,7 +39,7 @@ class Held(NamedTuple):
 
     @staticmethod
     def now() -> "Held":
-        """As Linux tells it."""
+        """Read the current values from Linux."""
         gc.collect()
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         counts = (len(os.listdir(f"/proc/self/{kind}")) for kind in ("fd", "task"))
@@ -48,11 +48,11 @@ class Held(NamedTuple):
 
     def __str__(self) -> str:
         memory = f"{self.memory / MEBIBYTE:8.1f} MiB"
-        return f"{memory}, {self.descriptors} descriptors, {self.threads} threads of Python, {self.tasks} of the system"
+        return f"{memory}, {self.descriptors} descriptors, {self.threads} Python threads, {self.tasks} system threads"
 
 
 def stepping() -> Callable[[int], None]:
-    """So many steps of single robots, at random, with TorchRL's automatic resets."""
+    """Return a function that makes a number of random steps of single robots, with TorchRL's automatic resets."""
     env = splatrl.make_env(SETTINGS, batch_size=[BATCH])
     torch.manual_seed(0)
     state = [env.reset()]
@@ -65,7 +65,7 @@ def stepping() -> Callable[[int], None]:
 
 
 def making() -> Callable[[int], None]:
-    """So many envs, each reset, stepped and closed."""
+    """Return a function that builds a number of envs, each of which is reset, stepped and closed."""
 
     def make(count: int) -> None:
         for _ in range(count):
@@ -77,7 +77,7 @@ def making() -> Callable[[int], None]:
 
 
 def soak(name: str, work: Callable[[int], None], total: int) -> bool:
-    """Work in rounds and print what the process holds after each; whether it stayed the same."""
+    """Work in rounds, print the resources after each, and return whether they stayed within the limits."""
     held = []
     for number in tqdm(range(ROUNDS), desc=name, unit="round"):
         work(total // ROUNDS)
@@ -89,10 +89,10 @@ def soak(name: str, work: Callable[[int], None], total: int) -> bool:
 
 
 def main() -> int:
-    """Both parts; returns the exit status."""
+    """Run both parts, and return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=float, default=1e7, help="of single robots")
-    parser.add_argument("--envs", type=float, default=1e3)
+    parser.add_argument("--steps", type=float, default=1e7, help="total number of steps of single robots")
+    parser.add_argument("--envs", type=float, default=1e3, help="number of envs to build and close")
     options = parser.parse_args()
     torch.set_num_threads(1)
     results = [soak("steps", stepping(), int(options.steps)), soak("envs", making(), int(options.envs))]

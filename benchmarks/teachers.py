@@ -1,4 +1,4 @@
-"""How often the teachers of tasks succeed in episodes of tests.
+"""Measures how often the teachers of tasks succeed in test episodes.
 
 Usage: python benchmarks/teachers.py [episodes] [override ...]
     python benchmarks/teachers.py 160 task=gates
@@ -13,11 +13,11 @@ from splatrl.configuration import load_config
 from splatrl.evaluation.rollouts import knowing, run_episodes
 
 SMALL = ["robot.image_width=8", "robot.image_height=8", "device=cpu"]
-"""Teachers do not look."""
+"""Overrides that keep images small, since teachers do not look at them."""
 
 
 def main() -> None:
-    """Let the teacher of one task act in test episodes, all side by side, to their ends."""
+    """Let the teacher of a task act in a batch of test episodes until all have ended."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 160
     world = build_one_world(load_config([*(sys.argv[2:] or ["task=gates"]), *SMALL]))
     begun, env = world.task.episodes(world.plan.starts, count, 0), world.env(count)  # type: ignore[attr-defined]

@@ -1,10 +1,11 @@
-"""Measures what a scene's terrain costs physics, how well its ground is found, and how deep a robot gets into a wall.
+"""Measures the cost of a scene's terrain in physics, the accuracy of its ground, and how deep robots penetrate walls.
 
-    python benchmarks/terrain.py                  # a minute, with the backyard and, where it is there, the kitchen
+    python benchmarks/terrain.py                  # a minute, with the backyard and, if it is found, the kitchen
     python benchmarks/terrain.py --rounds 3 --json
 
-Microseconds are of one core, for the robot wheels with a ball beside it that drive about; plane and terrain are stepped
-in turn, so trust the ratio. The wall is the first that a robot meets that drives ahead for five seconds.
+Times are microseconds of one core, for the robot ``wheels`` driving around with a ball ahead of it. Plane and terrain
+are stepped in turns, so their ratio is reliable. Penetration is measured after robots have driven straight ahead for
+five seconds, into whatever wall they meet.
 """
 
 import argparse
@@ -31,11 +32,11 @@ from splatrl.renderers import NativeRenderer
 from splatrl.scenes import Scene, backyard, read_scene
 
 HALF = 1.0
-"""Robots go to ±HALF metres along x and y."""
+"""Half the side of the robots' area, metres: ±HALF along x and y."""
 REACH = 0.3
 ROBOTS, STEPS = 64, 10
 WALL = 5.0
-"""Seconds of driving into a wall."""
+"""Seconds of driving straight ahead into a wall."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class Result:
 
 
 def places() -> dict[str, tuple[Scene, list[list[float]]]]:
-    """The scenes and a place in each that robots reach."""
+    """Return the scenes, each with a place that robots can reach."""
     found = {"backyard": (backyard(), [[0.6, 0.4, 0.4]])}
     kitchen = SCENES / "kitchen" / "kitchen.spz"
     if kitchen.is_file():
@@ -64,13 +65,13 @@ def places() -> dict[str, tuple[Scene, list[list[float]]]]:
 
 
 def robot() -> PhysicsMotion:
-    """The robot wheels and a ball ahead of it, on one core."""
+    """Make the motion of the robot ``wheels`` with a ball, on one core."""
     lower, upper = (-HALF, -HALF), (HALF, HALF)
     return PhysicsMotion("wheels", "eye", {"ball": "ball"}, ["ball"], lower=lower, upper=upper, threads=1)
 
 
 def standing(motion: PhysicsMotion, count: int) -> torch.Tensor:
-    """States in which robot and ball are free in a motion's terrain."""
+    """Draw states in which robot and ball do not touch the terrain of a motion."""
     draw = np.random.default_rng(0)
     at = torch.from_numpy(draw.uniform((-HALF, -HALF, 0.0), (HALF, HALF, math.tau), (100 * count, 3)))
     states, ball = motion.placed(at), motion.thing("ball")
@@ -84,7 +85,7 @@ def standing(motion: PhysicsMotion, count: int) -> torch.Tensor:
 
 
 def spent(motion: PhysicsMotion, states: torch.Tensor) -> float:
-    """Microseconds of a substep while robots drive about."""
+    """Measure the microseconds of a substep while robots drive around at random."""
     generator = torch.Generator().manual_seed(0)
     low, high = motion.limits
     begin = process_time()
@@ -95,7 +96,7 @@ def spent(motion: PhysicsMotion, states: torch.Tensor) -> float:
 
 
 def deepest(motion: PhysicsMotion, states: torch.Tensor) -> float:
-    """Deepest penetration between robot and boxes after robots have driven ahead for some seconds, millimetres."""
+    """Return the deepest penetration of robots into boxes after ``WALL`` seconds of driving ahead, millimetres."""
     model = motion.physics.model
     for _ in range(round(WALL / motion.time_step)):
         states = motion.physics.step(states, motion.limits[1] * torch.tensor([1.0, 0.0]).expand(len(states), 2)).state
@@ -108,7 +109,7 @@ def deepest(motion: PhysicsMotion, states: torch.Tensor) -> float:
 
 
 def measure(name: str, scene: Scene, seeds: list[list[float]], rounds: int) -> list[Result]:
-    """The rows of a scene: boxes below the robot, all boxes below 0.6 m, all boxes."""
+    """Measure the rows of a scene, which differ in the boxes that the terrain keeps, from few to all."""
     around = ([-HALF - REACH] * 2 + [0.0], [HALF + REACH] * 2 + [1.2])
     occupancy = Occupancy.from_scene(scene, seeds, around, fill=0.2)
     lower, upper = (-HALF, -HALF), (HALF, HALF)
@@ -148,7 +149,7 @@ def measure(name: str, scene: Scene, seeds: list[list[float]], rounds: int) -> l
 
 
 def row(r: Result) -> list[str]:
-    """A result as the cells of a table."""
+    """Format a result as the cells of a table."""
     cost = [f"{r.micros:.1f}", f"{r.plane:.1f}", f"{r.ratio:.2f}"]
     return [r.scene, r.boxes, str(r.count), f"{r.made:.2f}", *cost, f"{r.penetration_mm:.2f}"]
 
@@ -165,7 +166,7 @@ def main() -> None:
     for name in dict.fromkeys(result.scene for result in results):
         first = next(result for result in results if result.scene == name)
         print(f"{name}: ground within {first.height_mm:.1f} mm and {first.tilt_deg:.2f}° of the truth")
-    header = ["scene", "boxes", "number", "made, s", "µs a substep", "plane alone", "ratio", "into a wall, mm"]
+    header = ["scene", "boxes", "number", "built, s", "µs per substep", "plane alone", "ratio", "into a wall, mm"]
     print_markdown(header, [row(result) for result in results])
     if options.json:
         print(f"written to {write_json('terrain', machine, results)}")

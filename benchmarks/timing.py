@@ -12,10 +12,9 @@ Key = TypeVar("Key", bound=Hashable)
 def take_turns(
     calls: dict[Key, Callable[[], object]], rounds: int, clock: Callable[[], float] = time.perf_counter
 ) -> dict[Key, list[float]]:
-    """Seconds of every call in each round, after one round to warm up, by the wall or another clock.
+    """Measure the seconds of every call in each round, after a round to warm up, by wall-clock time or another clock.
 
-    A shared machine drifts by tens of percent within seconds: only figures of the same run are comparable, and only
-    medians.
+    A shared machine drifts by tens of per cent within seconds: compare only medians, and only of the same run.
     """
     seconds: dict[Key, list[float]] = {key: [] for key in calls}
     with tqdm(total=(rounds + 1) * len(calls), desc="warming up") as bar:

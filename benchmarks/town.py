@@ -1,9 +1,9 @@
-"""What a town in blocks costs: python benchmarks/town.py
+"""Measures the cost of rendering a town in blocks: python benchmarks/town.py
 
-Three figures at 64 × 64 pixels, with level of detail (0.5 pixels): a frame of the whole town against one of a single
-block; a frame of the town cut to the 10,000 … 10,000,000 Gaussians nearest to its cameras; and the memory of a process
-that draws cameras all over the town with a bounded budget. Frames are counted in processor time of one core, and turns
-are taken, so that other work on the machine does not count. The town is generated and packed first: minutes, once.
+Three measurements at 64 × 64 pixels with level of detail (0.5 pixels): a frame of the whole town compared with one of a
+single block; a frame of the town reduced to the 10,000 … 10,000,000 Gaussians nearest to its cameras; and the memory of
+a process that draws from all over the town within a budget. Frames are measured in CPU time of one core, in turns, so
+that other work on the machine matters little. The town is generated and packed first, which takes minutes, once.
 """
 
 import argparse
@@ -30,24 +30,24 @@ SIZE, FOV, TOLERANCE = 64, math.radians(80.0), 0.5
 CUTS = (10_000, 100_000, 1_000_000, 10_000_000)
 BATCH = 64
 STREET = 2.0
-"""Metres to both sides of the middle of a street on which cameras stand."""
+"""Maximum distance of cameras from the middle of a street, metres."""
 BLOCK = 20.0
 
 
 def cameras_at(eyes: torch.Tensor, yaws: torch.Tensor) -> Cameras:
-    """Cameras that look along the ground, a little down."""
+    """Return cameras at the given positions and headings that look slightly downwards."""
     away = torch.stack([yaws.cos(), yaws.sin(), torch.full_like(yaws, -0.08)], 1)
     poses = [look_at(eye.tolist(), (eye + way).tolist()) for eye, way in zip(eyes, away, strict=True)]
     return Cameras(torch.stack(poses), intrinsics(FOV, SIZE, SIZE), SIZE, SIZE)
 
 
 def heights(g: torch.Generator) -> torch.Tensor:
-    """Between those of a small robot and of a person, metres."""
+    """Draw camera heights between those of a small robot and of a person, metres."""
     return 0.4 + 1.2 * torch.rand(BATCH, generator=g)
 
 
 def into_one_block(seed: int) -> Cameras:
-    """Cameras on the streets around the block at the origin, which look into it: within 45° of its middle."""
+    """Draw cameras on the streets around the block at the origin that look into it, within 45° of its middle."""
     g = torch.Generator().manual_seed(seed)
     along, off = BLOCK * torch.rand(BATCH, generator=g), STREET * torch.rand(BATCH, generator=g)
     side = torch.randint(0, 4, (BATCH,), generator=g)
@@ -59,14 +59,14 @@ def into_one_block(seed: int) -> Cameras:
 
 
 def at_the_crossing(seed: int) -> Cameras:
-    """Cameras within 2 m of the crossing in the middle, which look anywhere."""
+    """Draw cameras within 2 m of the crossing in the middle, along x and y, with any heading."""
     g = torch.Generator().manual_seed(seed)
     places = STREET * (2 * torch.rand(BATCH, 2, generator=g) - 1)
     return cameras_at(torch.cat([places, heights(g)[:, None]], 1), 2 * math.pi * torch.rand(BATCH, generator=g))
 
 
 def all_over(scene: BlockScene, seed: int) -> Cameras:
-    """Cameras on any street of the town, which look anywhere."""
+    """Draw cameras on any street of the town, with any heading."""
     g = torch.Generator().manual_seed(seed)
     low = min(block.bounds[0][0] for block in scene.blocks)
     high = max(block.bounds[1][0] for block in scene.blocks)
@@ -79,7 +79,7 @@ def all_over(scene: BlockScene, seed: int) -> Cameras:
 
 
 def nearest_first(scene: BlockScene) -> list[Block]:
-    """Blocks by the distance of their place from the origin; what is around the town comes first."""
+    """Sort the blocks by their distance from the origin, after the surroundings of the town."""
 
     def away(block: Block) -> float:
         (x0, y0, _), (x1, y1, _) = block.bounds
@@ -89,7 +89,7 @@ def nearest_first(scene: BlockScene) -> list[Block]:
 
 
 def cut_to(scene: BlockScene, count: int, sizes: dict[Path, int], folder: Path) -> BlockScene:
-    """The town cut to about so many Gaussians: whole blocks, or the nearest of the four in the middle."""
+    """Reduce the town to about ``count`` Gaussians: the nearest blocks, or the nearest Gaussians of the middle four."""
     around, *blocks = nearest_first(scene)
     if count < sizes[blocks[0].splat]:
         middle = joined([block.read() for block in blocks[:4]])
@@ -105,7 +105,7 @@ def cut_to(scene: BlockScene, count: int, sizes: dict[Path, int], folder: Path) 
 
 
 def frame_ms(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
-    """Milliseconds of processor time a frame, medians of rounds in which all take turns."""
+    """Measure the milliseconds of CPU time per frame: medians over rounds in which all calls take turns."""
     times: dict[str, list[float]] = {name: [] for name in calls}
     for turn in range(rounds + 1):
         for name, call in calls.items():
@@ -117,13 +117,13 @@ def frame_ms(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, f
 
 
 def resident(field: str) -> float:
-    """Memory of this process, bytes: VmRSS now, VmHWM at its peak."""
+    """Return the memory of this process in bytes: VmRSS is the current value, VmHWM the peak."""
     with open("/proc/self/status") as status:
         return 1024.0 * int(next(line for line in status if line.startswith(field)).split()[1])
 
 
 def measure_memory(scene: BlockScene, budget: float, batches: int) -> None:
-    """Draw all over the town, and print what that added to the memory of the process."""
+    """Draw from all over the town, and print how much memory that added to the process."""
     warm = BlockRenderer(BlockScene("warm", nearest_first(scene)[:2]), tolerance=TOLERANCE)
     warm.pixels(into_one_block(0))
     del warm
@@ -132,15 +132,15 @@ def measure_memory(scene: BlockScene, budget: float, batches: int) -> None:
     for seed in range(batches):
         renderer.pixels(all_over(scene, seed))
     peak, held = (resident("VmHWM") - before) / 1e6, renderer.bytes_held / 1e6
-    print(f"memory: {peak:,.0f} MB at the peak, {1e6 * peak / budget:.2f} of the budget; blocks hold {held:,.0f} MB")
+    print(f"memory: {peak:,.0f} MB at the peak, {1e6 * peak / budget:.2f} times the budget; blocks hold {held:,.0f} MB")
 
 
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--blocks", type=int, default=10, help="along each side of the town")
+    parser.add_argument("--blocks", type=int, default=10, help="blocks along each side of the town")
     parser.add_argument("--rounds", type=int, default=9)
-    parser.add_argument("--budget", type=float, default=6e8, help="bytes, where memory is measured")
+    parser.add_argument("--budget", type=float, default=6e8, help="budget for measuring memory, bytes")
     parser.add_argument("--memory", action="store_true", help="only measure memory, in this process")
     options = parser.parse_args()
     scene = town(blocks=options.blocks)
@@ -158,7 +158,7 @@ def main() -> None:
     views = into_one_block(0)
     taken = frame_ms({"town": partial(renderer.pixels, views), "block": partial(block.pixels, views)}, options.rounds)
     in_town, in_block = taken["town"], taken["block"]
-    print(f"frame: {in_town:.3f} ms in the town, {in_block:.3f} in one block: {in_town / in_block:.2f}")
+    print(f"frame: {in_town:.3f} ms in the town, {in_block:.3f} in one block: ratio {in_town / in_block:.2f}")
     with tempfile.TemporaryDirectory() as folder:
         cuts = [count for count in CUTS if count < sum(sizes.values())]
         scenes = {count: cut_to(scene, count, sizes, Path(folder)) for count in cuts}
@@ -168,8 +168,8 @@ def main() -> None:
         street = at_the_crossing(1)
         taken = frame_ms({name: partial(one.pixels, street) for name, one in renderers.items()}, options.rounds)
     least = min(taken.values())
-    print("cut to: " + ", ".join(f"{name} {value:.3f} ms" for name, value in taken.items()))
-    print(f"the whole town against the smallest cut: {max(taken.values()) / least:.2f}")
+    print("reduced to: " + ", ".join(f"{name} {value:.3f} ms" for name, value in taken.items()))
+    print(f"slowest relative to fastest: {max(taken.values()) / least:.2f}")
     words = ["--memory", f"--blocks={options.blocks}", f"--budget={options.budget}", f"--rounds={options.rounds}"]
     subprocess.run([sys.executable, __file__, *words], check=True)
 

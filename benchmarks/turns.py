@@ -1,7 +1,8 @@
-"""The measurements of ``against.py``, in the checkout whose Python runs it.
+"""Runs the measurements of ``against.py`` in the checkout whose Python runs it.
 
-It says the name of each measurement as a line of JSON, then reads numbers of turns and answers with seconds, until it
-reads 0; at last it says null. Measurements must run in older checkouts as well, so they use what users use.
+It prints the name of each measurement as a line of JSON, then reads numbers of turns and answers each with seconds,
+until it reads 0; at the end it prints null. Measurements must run in older checkouts as well, so they keep to the
+interfaces that users have.
 """
 
 import json
@@ -27,12 +28,12 @@ from splatrl.renderers import NativeRenderer
 Turn = Callable[[], object]
 VIEWS = 64
 STEPS = 20
-"""Of an env in a turn."""
+"""Steps of an env per turn."""
 QUERIES = 16_384
 
 
 def training(task: str) -> Iterator[tuple[str, Turn]]:
-    """Collecting a batch and a test with the first policy, and learning from a batch once it knows a little."""
+    """Make measurements of collecting and testing with the initial policy, and of learning after a few iterations."""
     cfg = load_config([f"task={task}", "device=cpu", "curriculum=none", "logger.num_test_episodes=64"])
     torch.manual_seed(0)
     trainer = build_trainer(cfg, build_world(cfg), Path(tempfile.mkdtemp()))
@@ -46,7 +47,7 @@ def training(task: str) -> Iterator[tuple[str, Turn]]:
 
 
 def steps(batch: int) -> Iterator[tuple[str, Turn]]:
-    """Steps of the grid task whose views are remembered, and the renderer and the checker alone."""
+    """Make measurements of steps of the grid task with all views in the cache, and of renderer and checker alone."""
     env = splatrl.make_env(["device=cpu", "curriculum=none"], batch_size=[batch])
     base = getattr(env, "base_env", env)
     motion = base.task.motion
@@ -61,7 +62,7 @@ def steps(batch: int) -> Iterator[tuple[str, Turn]]:
     def repeated(call: Turn) -> Turn:
         def turn() -> None:
             for _ in range(STEPS):
-                call()  # keeps nothing, or memory would be fetched from the system anew
+                call()  # drops the result, so that its memory is reused
 
         return turn
 
@@ -78,7 +79,7 @@ def steps(batch: int) -> Iterator[tuple[str, Turn]]:
 
 
 def frames(scene: str, tolerance: float, size: int) -> Iterator[tuple[str, Turn]]:
-    """Views of a scene on one core."""
+    """Make the measurement of drawing views of a scene on one core."""
     subject = BUILT[scene]()
     if subject is None:
         return
@@ -89,7 +90,7 @@ def frames(scene: str, tolerance: float, size: int) -> Iterator[tuple[str, Turn]
 
 
 def queries() -> Iterator[tuple[str, Turn]]:
-    """Collision queries on one core: the bodies and yards of ``collision.py``, and moves of the grid task."""
+    """Make measurements of queries on one core: bodies and yards of ``collision.py``, and moves of the grid task."""
     for (voxels, resolution), near in product(RESOLUTIONS.items(), (False, True)):
         occupancy = yard(resolution)
         start, end = queries_in(occupancy, near, QUERIES)
@@ -125,11 +126,11 @@ GROUPS: dict[str, Callable[[], Iterator[tuple[str, Turn]]]] = {
     },
     "query": queries,
 }
-"""Makers of measurements; the words of a key are all that measurements of the group begin with."""
+"""Makers of groups of measurements; each key lists the first words of all names in its group."""
 
 
 def wanted(words: list[str]) -> Iterator[tuple[str, Turn]]:
-    """The measurements whose names begin with one of some words."""
+    """Yield the measurements whose names begin with one of the words; all without words."""
     for key, make in GROUPS.items():
         if words and not any(word.split()[0] in key.split() for word in words):
             continue
@@ -139,7 +140,7 @@ def wanted(words: list[str]) -> Iterator[tuple[str, Turn]]:
 
 
 def main() -> None:
-    """Answer."""
+    """Run the protocol described above."""
     torch.set_num_threads(1)
     said = sys.stdout
     sys.stdout = sys.stderr

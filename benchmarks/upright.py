@@ -1,9 +1,10 @@
-"""How well up is found where a camera looks one way: python benchmarks/upright.py
+"""Measures how well up is found in films that look one way: python benchmarks/upright.py
 
-Made-up films of generated yards and of the backyard: a camera goes straight ahead or sideways, looks one way within
-some degrees, and up or down; what it sees of the place's Gaussians, hidden or not, are the points of a reconstruction
-that lies anyhow. ``--floor 0.06`` keeps so many of the points on the ground, as structure from motion does of a lawn.
-Prints how far up is off, and the camera's height, of all places and both ways.
+The films are synthetic, in generated yards and the backyard: a camera moves straight ahead or sideways, looks in one
+direction within some degrees, and up or down. The points of the reconstruction are the places' Gaussians in view,
+hidden or not, and the whole is rotated at random. ``--floor 0.06`` keeps this fraction of the points on the ground, as
+structure from motion does on a lawn. Prints the errors of up and of the camera's height over all places and both
+directions of movement.
 """
 
 import argparse
@@ -24,32 +25,33 @@ Floats = NDArray[np.float64]
 
 YARDS = range(300, 312)
 CAMERAS, HEIGHT, LENGTH = 150, 1.5, 3.5
-"""Images of a film; metres above the ground, and to go."""
+"""Number of images in a film, height of the camera above the ground and length of the path, metres."""
 WOBBLE, ROLL = math.radians(3.0), math.radians(1.0)
-"""Up and down, and about the view."""
+"""Standard deviations of the pitch and of the roll, radians."""
 HALF = math.tan(math.radians(34.5)), math.tan(math.radians(21.1))
-"""Of the image, at a depth of 1."""
+"""Half width and half height of the image at a depth of 1."""
 NEAREST, FARTHEST, SIGHTINGS, POINTS, NOISE = 0.3, 15.0, 3, 7000, 0.004
-"""Metres; images of every fifth that see a point; how many points, and their noise as a share of the distance."""
+"""Range of depths, metres; minimum number of sightings in every fifth image; maximum number of points, and their noise
+relative to the distance."""
 GROUND = 0.05
-"""Metres below which a point lies on the ground."""
+"""Height below which a point counts as ground, metres."""
 
 
 def points_of(scene: Scene, floor: float) -> Floats:
-    """Every seventh of its opaque Gaussians' middles, and of those on the ground a share: [P, 3]."""
+    """Return the centres of every seventh opaque Gaussian, of those on the ground only a fraction ``floor``: [P, 3]."""
     gaussians = scene.gaussians
     middles = gaussians.means[gaussians.opacities > 0.5][::7].double().numpy()
     return middles[(middles[:, 2] > GROUND) | (np.random.default_rng(1).random(len(middles)) < floor)]
 
 
 def drift(random: np.random.Generator, most: float) -> Floats:
-    """A slow sway about 0, [CAMERAS]."""
+    """Draw a slow sway about 0 with standard deviation ``most``: [CAMERAS]."""
     sway = ndimage.gaussian_filter1d(random.normal(size=CAMERAS), 6)
     return np.asarray(most * sway / sway.std())
 
 
 def film(middle: Floats, spread_deg: float, pitch_deg: float, sideways: bool, random: np.random.Generator) -> Floats:
-    """Poses [CAMERAS, 4, 4] of a straight walk past the middle of a place."""
+    """Return the poses [CAMERAS, 4, 4] of a straight walk past the middle of a place."""
     ahead = random.uniform(0.0, math.tau)
     way, look = (np.array([math.cos(yaw), math.sin(yaw)]) for yaw in (ahead + 0.5 * math.pi * sideways, ahead))
     along = np.linspace(-0.5, 0.5, CAMERAS)[:, None] * LENGTH
@@ -62,7 +64,7 @@ def film(middle: Floats, spread_deg: float, pitch_deg: float, sideways: bool, ra
 
 
 def seen(points: Floats, poses: Floats, random: np.random.Generator) -> Floats:
-    """What several images see of a place, with noise: [P, 3]."""
+    """Return the points that several images see, with noise: [P, 3]."""
     count = np.zeros(len(points), int)
     for pose in poses[::5]:
         local = (points - pose[:3, 3]) @ pose[:3, :3]
@@ -76,7 +78,7 @@ def seen(points: Floats, poses: Floats, random: np.random.Generator) -> Floats:
 
 
 def errors(points: Floats, poses: Floats, random: np.random.Generator) -> tuple[float, float, Ground]:
-    """How far up is off, degrees, and the height of the camera, as a share, in a frame of its own."""
+    """Find the ground in a random frame: the error of up in degrees, the camera's relative height error, the ground."""
     turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     lying = poses.copy()
@@ -87,11 +89,15 @@ def errors(points: Floats, poses: Floats, random: np.random.Generator) -> tuple[
 
 
 def main() -> None:
-    """Measure and print a table."""
+    """Measure, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--spreads", type=float, nargs="+", default=[0.5, 5.0, 25.0], help="degrees of the view")
-    parser.add_argument("--pitches", type=float, nargs="+", default=[-10.0, 0.0, 10.0, 20.0, 30.0], help="degrees down")
-    parser.add_argument("--floor", type=float, default=1.0, help="share of the points on the ground")
+    parser.add_argument(
+        "--spreads", type=float, nargs="+", default=[0.5, 5.0, 25.0], help="sway of the heading, degrees"
+    )
+    parser.add_argument(
+        "--pitches", type=float, nargs="+", default=[-10.0, 0.0, 10.0, 20.0, 30.0], help="downwards, degrees"
+    )
+    parser.add_argument("--floor", type=float, default=1.0, help="fraction of the ground's points to keep")
     options = parser.parse_args()
     scenes = [splatrl.backyard(), *map(splatrl.yard, YARDS)]
     places = [(points_of(scene, options.floor), np.mean(scene.bounds, 0)[:2]) for scene in scenes]
@@ -117,7 +123,14 @@ def main() -> None:
                     ", ".join(map(str, by)),
                 ]
             )
-    heads = ["views within", "down", "up: median, 90 %, worst", "worse than said", "height", "by floor, walls, cameras"]
+    heads = [
+        "sway",
+        "down",
+        "up: median, 90 %, max",
+        "above error_deg",
+        "height: median, max",
+        "by floor, walls, cameras",
+    ]
     print_markdown(heads, rows)
 
 

@@ -1,10 +1,10 @@
-"""How long it takes until the page shows a scene, and to draw it from elsewhere: in a Chromium that draws in software.
+"""Measures how long the viewer's page takes to show a scene and to redraw it, in Chromium with software rendering.
 
     pip install playwright && python benchmarks/viewer.py kitchen.spz
     python benchmarks/viewer.py --gaussians 1000000
 
-Times are on the clock; CPU time is of all of the browser's processes. Only a machine with nothing else to do gives
-times on the clock that mean something; on a busy one, root can go before everyone else by ``chrt -r 1``.
+Times are wall-clock times; CPU times are those of all of the browser's processes. Wall-clock times are only meaningful
+on an idle machine; on a busy one, root can give the benchmark priority with ``chrt -r 1``.
 """
 
 import argparse
@@ -37,19 +37,19 @@ for (const name of ["drawElementsInstanced", "drawArraysInstanced"]) {
   };
 }
 """
-"""Notes in the page when splats have been drawn, milliseconds, and how many."""
+"""Script that records in the page when splats have been drawn, in milliseconds, and how many."""
 
 
 TURNS = 3
-"""Pictures of each number of splats, of which the median is told."""
+"""Number of redraws per number of splats; their median is printed."""
 
 
 STILL = 20.0
-"""Seconds after which no more parts are expected."""
+"""Seconds without a new part after which no more are expected."""
 
 
 def room(count: int) -> Scene:
-    """Gaussians anywhere in a room of 8 × 6 × 2.5 m."""
+    """Make random Gaussians in a room of 8 × 6 × 2.5 m."""
     generator = torch.Generator().manual_seed(0)
     gaussians = Gaussians(
         means=torch.rand(count, 3, generator=generator) * torch.tensor([8.0, 6.0, 2.5]),
@@ -63,12 +63,12 @@ def room(count: int) -> Scene:
 
 
 def browser_seconds() -> float:
-    """CPU time of the browser's processes, which descend from this one."""
+    """Return the CPU seconds of the browser's processes, which descend from this one."""
     parents, spent = {}, {}
     for path in Path("/proc").glob("[0-9]*/stat"):
         try:
             fields = path.read_text().rpartition(")")[2].split()
-        except OSError:  # it has just ended
+        except OSError:  # the process has just ended
             continue
         pid = int(path.parent.name)
         parents[pid], spent[pid] = int(fields[1]), int(fields[11]) + int(fields[12])
@@ -79,7 +79,7 @@ def browser_seconds() -> float:
 
 
 def turned(tab: Tab, width: int, height: int) -> float:
-    """Seconds from a drag of the pointer to the next picture, the median of ``TURNS``."""
+    """Return the seconds from a drag of the pointer until the next frame is drawn, the median of ``TURNS``."""
     spent = []
     tab.mouse.move(width // 2, height // 2)
     tab.mouse.down()
@@ -95,12 +95,12 @@ def turned(tab: Tab, width: int, height: int) -> float:
 
 
 def main() -> None:
-    """Open a page and measure."""
+    """Open a page, and measure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scene", nargs="?", help="a splat file or a folder")
-    parser.add_argument("--gaussians", type=int, default=1_000_000, help="of a made-up room, without a scene")
-    parser.add_argument("--size", type=int, nargs=2, default=[1000, 640], help="of the window, pixels")
-    parser.add_argument("--most", type=int, default=250_000, help="Gaussians of which further pictures are drawn")
+    parser.add_argument("--gaussians", type=int, default=1_000_000, help="random Gaussians if no scene is given")
+    parser.add_argument("--size", type=int, nargs=2, default=[1000, 640], help="size of the window, pixels")
+    parser.add_argument("--most", type=int, default=250_000, help="largest number of Gaussians to redraw")
     options = parser.parse_args()
     scene = room(options.gaussians) if options.scene is None else read_scene(options.scene)
     began = time.perf_counter()
@@ -120,14 +120,14 @@ def main() -> None:
         settled = time.monotonic()
         while max(known, default=0) < len(scene.gaussians) and (not known or time.monotonic() < settled + STILL):
             tab.wait_for_timeout(50)
-            found = tab.evaluate("window.splats")  # waits while the page draws
+            found = tab.evaluate("window.splats")  # blocks while the page draws
             spent = browser_seconds() - before
             for at, count in found:
                 if count not in known:
-                    print(f"{count:,} Gaussians drawn after {at / 1e3:.1f} s, of CPU {spent:.1f} s", flush=True)
+                    print(f"{count:,} Gaussians drawn after {at / 1e3:.1f} s, {spent:.1f} CPU s", flush=True)
                     settled = time.monotonic()
                 known.add(count)
-        print(f"as many as are quick: {max(known):,}", flush=True)
+        print(f"drawn automatically: {max(known):,}", flush=True)
         for parts, count in enumerate(counts, 1):
             if count > max(options.most, counts[0]):
                 break
@@ -135,7 +135,7 @@ def main() -> None:
             while tab.evaluate("window.splats.at(-1)[1]") != count:
                 tab.wait_for_timeout(50)
             seconds = turned(tab, width, height)
-            print(f"{count:,} Gaussians seen from elsewhere: a picture in {seconds:.2f} s", flush=True)
+            print(f"{count:,} Gaussians: redrawn in {seconds:.2f} s", flush=True)
         browser.close()
     page.close()
 

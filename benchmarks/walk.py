@@ -1,13 +1,13 @@
-"""How well the quadruped follows commanded velocities without looking: a trot alone, and with the policy of a gait.
+"""Measures how well the blind quadruped follows commanded velocities: with the trot alone, and with a gait's policy.
 
 Usage: python benchmarks/walk.py [episodes] [gait] [override ...]
     python benchmarks/walk.py 256 quadruped
     python benchmarks/walk.py 256 outputs/2026-01-31/12-00-00/gait.npz task.motion.variation.models=64 \
         'task.motion.variation.friction=[0.6,1.2]'
 
-Each episode stands, shaken, on a level plane, and follows four commands of 0.3 to 0.8 m/s and up to 0.8 rad/s, for
-2.5 s each. The error is the distance between the commanded velocity along the ground and that of the torso, in each
-20 ms, and their mean.
+In each episode the robot starts in a perturbed stance on a level plane and follows four commands of 0.3 to 0.8 m/s and
+up to 0.8 rad/s, for 2.5 s each. The error is the distance between the commanded velocity along the ground and that of
+the torso, averaged over steps of 20 ms.
 """
 
 import sys
@@ -28,7 +28,7 @@ COMMANDS = ["task=strides", "task.forward=[0.3,0.8]", "device=cpu"]
 
 
 def main() -> None:
-    """Walk the same episodes with and without a gait, and print how that went."""
+    """Run the same episodes with and without a gait, and print the results."""
     episodes = int(sys.argv[1]) if len(sys.argv) > 1 else 256
     gait = Dense.load(gait_path(sys.argv[2] if len(sys.argv) > 2 else "quadruped"), FELT, JOINTS)
     world = build_one_world(load_config([*COMMANDS, *sys.argv[3:]]))
@@ -40,7 +40,7 @@ def main() -> None:
 
 
 def walked(name: str, env, begun: TensorDict, policy: Callable[[Tensor], Tensor], most: int) -> None:
-    """Walk episodes to their ends, side by side, and print falls, success, errors and the reward of a step."""
+    """Run a batch of episodes to their ends, and print falls, successes, errors and the reward per step."""
     now, motion = env.reset(begun, set_state=True), env.task.motion
     ended, won = (torch.zeros(len(now), dtype=torch.bool) for _ in range(2))
     fell, reward, astray, frames = torch.zeros(len(now), dtype=torch.bool), 0.0, 0.0, 0
@@ -62,7 +62,7 @@ def walked(name: str, env, begun: TensorDict, policy: Callable[[Tensor], Tensor]
     print(
         f"{name}: {int(fell.sum())} of {len(now)} fell within {most * 0.02:g} s, error {error.mean():.3f} m/s on "
         f"average and {error.max():.3f} at most, {astray / frames:.3f} rad/s; {int(won.sum())} succeeded; "
-        f"reward {reward / frames:.3f} a step"
+        f"reward {reward / frames:.3f} per step"
     )
 
 

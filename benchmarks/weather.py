@@ -1,9 +1,9 @@
-"""Measures what weather, and another camera and light, cost a frame of the env, beside what drawing it costs.
+"""Measures the cost per frame of weather and of varied appearance, compared with that of drawing the frame.
 
     python benchmarks/weather.py            # half a minute
     python benchmarks/weather.py --batch 16 --size 128
 
-Views in the backyard are drawn, drawn with their depth, put into weather and varied; all take turns.
+Views of the backyard are drawn, drawn with depth, put into weather, and varied; all calls take turns.
 """
 
 import argparse
@@ -25,17 +25,17 @@ NAMES = ("fog", "dusk", "sun", "rain", "snow", "wet")
 
 
 def put(weather: Weather, shown: View, count: int) -> object:
-    """Images in weather."""
+    """Put images into weather."""
     return weather(TensorDict({"pixels": shown.pixels, **shown.shown}, [count]))
 
 
 def vary(appearance: Appearance, shown: View, count: int) -> object:
-    """Images of other cameras."""
+    """Vary the appearance of images."""
     return appearance(TensorDict({"pixels": shown.pixels}, [count]))
 
 
 def main() -> None:
-    """Take turns and print."""
+    """Measure in turns, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--batch", type=int, default=64)
     parser.add_argument("--size", type=int, default=64)
@@ -55,7 +55,7 @@ def main() -> None:
         calls[f"put into {name}"] = partial(put, Weather(**off), shown, options.batch)
     calls["varied (appearance=varied)"] = partial(vary, Appearance(), shown, options.batch)
     seconds = take_turns(calls, options.rounds)
-    print(f"| {options.size} × {options.size}, {options.batch} views, one core | ms a frame |")
+    print(f"| {options.size} × {options.size}, {options.batch} views, one core | ms per frame |")
     print("|---|---|")
     for name, times in seconds.items():
         print(f"| {name} | {1000 * median(times) / options.batch:.3f} |")

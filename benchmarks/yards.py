@@ -1,9 +1,9 @@
-"""Measures what a generated yard costs: seconds to make and to read again, and bytes on disk.
+"""Measures the cost of generated yards: seconds to generate them and to read them from the cache, and bytes on disk.
 
     python benchmarks/yards.py            # 16 yards, half a minute
     python benchmarks/yards.py --count 64
 
-Yards are made one after the other in one process, in a cache that begins empty.
+Yards are generated one after the other in one process, with an empty cache at first.
 """
 
 import argparse
@@ -18,7 +18,7 @@ from splatrl.scenes.yards import Yard
 
 
 def timed(seeds: list[int]) -> tuple[list[float], list[Yard]]:
-    """Seconds that each yard took."""
+    """Return the seconds that each yard took, and the yards."""
     seconds, made = [], []
     for seed in seeds:
         start = time.perf_counter()
@@ -28,9 +28,9 @@ def timed(seeds: list[int]) -> tuple[list[float], list[Yard]]:
 
 
 def main() -> None:
-    """Make, read and print."""
+    """Generate, read and print."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=16)
+    parser.add_argument("--count", type=int, default=16, help="number of yards")
     seeds = list(range(parser.parse_args().count))
     with tempfile.TemporaryDirectory() as folder:
         os.environ["SPLATRL_CACHE"] = folder
@@ -38,7 +38,7 @@ def main() -> None:
         warm, _ = timed(seeds)
         sizes = [path.stat().st_size / 1e6 for path in Path(folder).iterdir()]
     counts = [len(one.scene.gaussians.means) for one in made]
-    print("| yards | made, s: median, most | read, s: all | MB: median, most | Gaussians: least, most |")
+    print("| yards | generated, s: median, max | read, s: all | MB: median, max | Gaussians: min, max |")
     print("|---|---|---|---|---|")
     print(
         f"| {len(seeds)} | {median(cold):.2f}, {max(cold):.2f} | {sum(warm):.2f} "

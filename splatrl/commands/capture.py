@@ -25,7 +25,7 @@ def run(options: argparse.Namespace) -> None:
     side = MARKER_SIDE if options.marker_side is None else options.marker_side
     if options.marker is not None:
         write_marker_page(options.marker, side=side)
-        print(f"{options.marker}: print it at its true size, and lay it where the camera sees it")
+        print(f"{options.marker}: print it at actual size (100 %) and place it where the camera will see it")
         return
     source = options.source.expanduser()
     folder, splat = scene_folder((options.out or _beside(source)).expanduser())
@@ -37,9 +37,9 @@ def run(options: argparse.Namespace) -> None:
     except (ImportError, OSError, ValueError) as error:
         sys.exit(f"splatrl-capture: {error}")
     except KeyboardInterrupt:
-        print("\nstopped; the same command continues", file=sys.stderr)
+        print("\nstopped; finished work is kept; run the same command again to continue", file=sys.stderr)
         sys.exit(INTERRUPTED)
-    print(f"report in {folder / 'report.html'}\ntrain in it: splatrl-train scene={folder}/")
+    print(f"report: {folder / 'report.html'}\ntrain in it: splatrl-train scene={folder}/")
 
 
 def _beside(source: Path) -> Path:

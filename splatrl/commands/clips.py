@@ -23,10 +23,10 @@ def run(cfg: DictConfig) -> None:
     runs = [str(one) for one in cfg.run] if isinstance(cfg.run, ListConfig) else [str(cfg.run)]
     if cfg.record is None and cfg.clips is None and cfg.film is None:
         raise ValueError(
-            "clips: expected a folder of clips, or film: a video, or record: a folder to record into, got none"
+            "clips: expected at least one of clips=<a folder>, film=<a video> and record=<a new folder>, got none"
         )
     if len(set(runs)) < len(runs) or not runs:
-        raise ValueError(f"run: expected different run folders, got {', '.join(runs) or 'none'}")
+        raise ValueError(f"run: expected distinct run folders, got {', '.join(runs) or 'none'}")
     if cfg.film is not None:
         film = Path(cfg.film).expanduser()
         folder = Path(cfg.output or film.parent)

@@ -34,7 +34,7 @@ def run(cfg: DictConfig) -> None:
         experiment(cfg)
     except KeyboardInterrupt:
         command = shlex.join(["splatrl-experiment", *sys.argv[1:]])
-        print(f"\nstopped, and what was trained is kept; {command} goes on", file=sys.stderr)
+        print(f"\nstopped; finished work is kept; continue with: {command}", file=sys.stderr)
         sys.exit(INTERRUPTED)
 
 
@@ -70,7 +70,7 @@ def experiment(cfg: DictConfig) -> None:
     scored = [score(each, get_method(methods[each.name])) for each in experiments if methods.get(each.name)]
     if any(scored):
         reports = report_all(experiments, folder, machine(jobs))
-    print("\n".join(f"report in {path}" for path in reports))
+    print("\n".join(f"report: {path}" for path in reports))
     if failed:
         sys.exit("\n".join(["failed:", *(f"{each.folder}: see log.txt there" for each in failed)]))
 
@@ -85,7 +85,7 @@ def _check(cfg: DictConfig) -> None:
         raise ValueError(f"seeds: expected whole numbers in brackets such as [0,1], got {seeds}")
     given = not OmegaConf.is_missing(cfg, "kitchen") and not cfg.report_only
     if given and not Path(cfg.kitchen).expanduser().exists():
-        raise ValueError(f"kitchen: expected the path of kitchen.spz, got {cfg.kitchen}")
+        raise ValueError(f"kitchen: expected the path of an existing kitchen.spz, got {cfg.kitchen}")
 
 
 def _names(cfg: DictConfig) -> list[str]:
@@ -129,21 +129,21 @@ def _scenes(cfg: DictConfig) -> dict[str, list[str]]:
     for scene in map(str, cfg.scenes or known):
         if scene not in known:
             if not Path(scene).expanduser().exists():
-                raise ValueError(f"scenes: expected some of {', '.join(known)}, or a path that exists, got {scene}")
+                raise ValueError(f"scenes: expected names from {', '.join(known)}, or existing paths, got {scene}")
             name = _scene_name(scene)
             if name in known or name in result:
-                raise ValueError(f"scenes={scene}: expected a name of its own, got {name} again; rename its folder")
+                raise ValueError(f"scenes={scene}: expected a unique name, got {name} twice; rename the folder")
             path = str(Path(scene).expanduser().absolute())
             result[name] = ["scene=file", f"scene.path={quoted(path)}", f"device={cfg.device}"]
             continue
         overrides = _overrides(cfg, scene)
-        fault = f"{scene}=<its file>" if overrides is None else _absent(overrides)
+        fault = f"{scene}=<path of its file>" if overrides is None else _absent(overrides)
         if fault is None and overrides is not None:
             result[scene] = overrides
         elif cfg.scenes is not None:
-            raise ValueError(f"scenes={scene}: expected {fault} as well, got none")
+            raise ValueError(f"scenes={scene}: expected {fault} as well, found none")
         else:
-            print(f"{scene} is left out; to include it, give {fault}", file=sys.stderr)
+            print(f"{scene} is left out; to include it, type {fault}", file=sys.stderr)
     return result
 
 

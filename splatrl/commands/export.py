@@ -28,8 +28,8 @@ def run(cfg: DictConfig) -> None:
     output = Path(cfg.output or folder / "export")
     facts = {"task": own.task._target_, "scene": trained.world.name, "run": folder.absolute().name}
     found = export_policy(trained.model, trained.world, output, cfg.frames, facts)
-    print(f"{output / POLICY}: within {found:.1e} of PyTorch on {cfg.frames:,} views")
-    print(f"{output / RUNNER}: runs it on a video or a camera")
+    print(f"{output / POLICY}: outputs differ from PyTorch by at most {found:.1e} on {cfg.frames:,} views")
+    print(f"{output / RUNNER}: runs the policy on a video or a camera")
 
 
 if __name__ == "__main__":

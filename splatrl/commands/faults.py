@@ -84,7 +84,7 @@ def line(error: BaseException) -> str:
         error = error.__cause__ or error
     text = " ".join(str(error).split()) or type(error).__name__
     if isinstance(error, TypeError) and (unknown := UNKNOWN.fullmatch(text)):
-        return f"{key.strip()}.{unknown[2]}: no such key of {unknown[1]}"
+        return f"{key.strip()}.{unknown[2]}: no such key in {unknown[1]}"
     if not isinstance(error, USERS):
         text = f"{type(error).__name__}: {text}"
     key = key.strip()

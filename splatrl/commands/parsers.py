@@ -21,54 +21,57 @@ splatrl-train task=walk task.motion.gait=gait.npz
 def capture(arguments: Sequence[str]) -> argparse.Namespace:
     """Parse the options of ``splatrl-capture``; None stands for an option that was not typed and has a default."""
     result = Parser(
-        prog="splatrl-capture", description="Make a scene to train in of a phone video or a folder of photos."
+        prog="splatrl-capture", description="Turn a phone video or a folder of photos into a scene to train in."
     )
     result.add_argument(
         "source",
         type=Path,
         nargs="?",
-        help="a video, a folder of photos, or a recording: Polycam's raw data, Stray Scanner's, Record3D's, "
-        "transforms.json, a COLMAP model",
+        help="a video, a folder of photos, or a recording: raw data of Polycam, Stray Scanner or Record3D, "
+        "a transforms.json or a COLMAP model",
     )
     result.add_argument(
         "--out",
         type=Path,
-        help="folder of the scene; by default the source's name without its ending, and -scene after it where that is "
-        "the source itself; garden.spz makes a folder garden with a small splat",
+        help="folder for the scene; by default the source's name without its suffix, plus -scene if that is the source "
+        "itself; garden.spz makes a folder garden that holds the splat as a small file",
     )
     result.add_argument(
         "--force",
         action="store_true",
-        help="go on where a first look says no, or without images that cannot be joined; replace a scene",
+        help="continue even if the first look refuses the images, or without images that cannot be registered; "
+        "replace an existing scene",
     )
     result.add_argument(
         "--camera-height",
         type=float,
         metavar="M",
-        help="of the camera above the floor, on average over the film, metres; above grass, count from its tips",
+        help="mean height of the camera above the floor over the film, metres; on grass, measured from its tips",
     )
     result.add_argument(
         "--distance",
         type=_distance,
         metavar="IMAGE X Y [IMAGE] X Y M",
-        help="two points, each by the number of an image in stages/undistorted and pixels in it (the second in the "
-        "same where no other is named), and the metres between them",
+        help="two points and the distance between them in metres; each point is the number of an image in "
+        "stages/undistorted and a pixel in it (the second point may omit the number if its image is the same)",
     )
-    result.add_argument("--marker-side", type=float, metavar="M", help="of a printed marker, metres")
-    result.add_argument("--marker", type=Path, metavar="PDF", help="write a page with a marker to print, and stop")
+    result.add_argument("--marker-side", type=float, metavar="M", help="side length of the printed marker, metres")
+    result.add_argument("--marker", type=Path, metavar="PDF", help="write a page with a marker to print, and exit")
     result.add_argument(
-        "--robot-width", type=int, help="of the images that robots will see, pixels; as usual in trainings by default"
+        "--robot-width", type=int, help="width of the robots' images, pixels; by default the usual width in training"
     )
     result.add_argument(
-        "--width", type=int, help="of the images that are fitted, pixels; follows the robots by default"
+        "--width", type=int, help="width of the images for the fit, pixels; by default set from the robots' images"
     )
-    result.add_argument("--gaussians", type=int, help="at most; follows the number of pixels by default")
-    result.add_argument("--views", type=int, help="drawn in the fit: more takes longer")
     result.add_argument(
-        "--still", action="store_true", help="nothing moved while it was filmed: do not look for people to leave out"
+        "--gaussians", type=int, help="maximum number of Gaussians; by default set from the number of pixels"
+    )
+    result.add_argument("--views", type=int, help="number of views rendered during the fit; more takes longer")
+    result.add_argument(
+        "--still", action="store_true", help="nothing moved during filming: do not search for people to mask out"
     )
     result.add_argument("--seed", type=int, default=0)
-    result.add_argument("--device", default="auto", help="of the fit: auto, cpu, cuda or cuda:<number>")
+    result.add_argument("--device", default="auto", help="device for the fit: auto, cpu, cuda or cuda:<number>")
     options = result.parse_args(joined(arguments, {"--distance": 7}, is_numbers))
     if options.marker is None and options.source is None:
         result.error("expected a video or a folder of photos, or --marker")
@@ -105,35 +108,44 @@ def scene(arguments: Sequence[str]) -> argparse.Namespace:
     result.add_argument(
         "--up",
         metavar="AXIS",
-        help="the file's axis that is up, to about 15°: -y, or 3 numbers; the floor and the walls nearby refine it",
+        help="up direction in the file, to within about 15°: an axis such as -y, or 3 numbers; it is refined to fit "
+        "the floor and the walls",
     )
-    result.add_argument("--axes", metavar="X Y Z", help="signed file axes that become world x, y and z: x -z y")
+    result.add_argument("--axes", metavar="X Y Z", help="signed file axes that become world x, y and z, such as x -z y")
     result.add_argument("--scale", type=float, help="metres per unit of the file")
-    result.add_argument("--translation", metavar="X Y Z", help="metres, added last")
-    result.add_argument("--matrix", metavar="M", help="16 numbers, row by row: from the file to world metres")
+    result.add_argument("--translation", metavar="X Y Z", help="translation in metres, added last")
+    result.add_argument("--matrix", metavar="M", help="transform from the file to world metres: 16 numbers, row by row")
     result.add_argument(
         "--nerfstudio",
         type=Path,
         metavar="JSON",
-        help="dataparser_transforms.json to undo; by default the one beside the file",
+        help="dataparser_transforms.json whose transform is undone; by default the one next to the file",
     )
-    result.add_argument("--distance", metavar="P Q D", help="two points of the file and the metres between: 7 numbers")
+    result.add_argument(
+        "--distance", metavar="P Q D", help="two points in the file and the metres between them: 7 numbers"
+    )
     result.add_argument(
         "--out",
         type=Path,
         help="folder for scene.yaml and pictures; by default the file's folder; garden.spz makes a folder garden that "
-        "holds the splat too, as a small file",
+        "also holds the splat as a small file",
     )
     result.add_argument("--force", action="store_true", help="replace an existing scene.yaml")
     result.add_argument(
         "--split",
         type=float,
         metavar="METRES",
-        help="write blocks of this size and blocks.yaml in place of one splat and scene.yaml, for scenes larger than "
-        "memory; with --out town.spz as small files",
+        help="write blocks of this size and blocks.yaml instead of one splat and scene.yaml, for scenes that do not "
+        "fit in memory; --out town.spz writes them as small files",
     )
-    result.add_argument("--height", type=float, default=0.4, help="of the robot, metres, where free space is drawn")
-    result.add_argument("--resolution", type=float, help="of the occupancy, metres; by default 0.05, or what fits")
+    result.add_argument(
+        "--height", type=float, default=0.4, help="height of the robot, metres, at which free space is drawn"
+    )
+    result.add_argument(
+        "--resolution",
+        type=float,
+        help="voxel size of the occupancy, metres; by default 0.05, but between 1/256 and 1/50 of the scene's diagonal",
+    )
     words = joined(joined(arguments, {"--up": 3}, is_numbers), {"--up": 1})
     return result.parse_args(joined(words, WORDS))
 
@@ -142,11 +154,13 @@ def gait(arguments: Sequence[str]) -> argparse.Namespace:
     """Parse the options of ``splatrl-gait``."""
     result = argparse.ArgumentParser(
         "splatrl-gait",
-        description="Write the policy of a run of task=strides as a gait, a small file of weights.",
+        description="Write the policy of a task=strides run as a gait, a small file of network weights.",
         epilog=GAIT,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     result.add_argument("run", type=Path, help="the run folder")
-    result.add_argument("--out", type=Path, help="file to write; gait.npz in the run folder unless told")
-    result.add_argument("--checkpoint", choices=("last", "best"), default="last", help="of the run (last)")
+    result.add_argument("--out", type=Path, help="file to write; by default gait.npz in the run folder")
+    result.add_argument(
+        "--checkpoint", choices=("last", "best"), default="last", help="checkpoint to use; by default last"
+    )
     return result.parse_args(arguments)

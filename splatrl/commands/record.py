@@ -36,10 +36,10 @@ def run(cfg: DictConfig) -> None:
     if cfg.lerobot is not None:
         out, other = (folders[key].resolve() for key in ("out", "lerobot"))
         if out.is_relative_to(other) or other.is_relative_to(out):
-            raise ValueError(f"lerobot: expected a folder beside out={cfg.out}, got {cfg.lerobot}")
+            raise ValueError(f"lerobot: expected a folder separate from out={cfg.out}, got {cfg.lerobot}")
     for key, path in folders.items():
         if path.exists():
-            raise ValueError(f"{key}: expected a new folder, but {path} is there")
+            raise ValueError(f"{key}: expected a new folder, got {path}, which already exists")
         path.parent.mkdir(parents=True, exist_ok=True)
         require_room(path.parent)  # fail now rather than after a person has driven all episodes
     torch.set_num_threads(cfg.threads)
@@ -56,7 +56,7 @@ def run(cfg: DictConfig) -> None:
         task = f"{type(world.task).__name__} in {world.scene.name}"
         with new_folder(folders["lerobot"]) as folder:
             write_lerobot(folder, found, task)
-        print(f"{folders['lerobot']}: the same as a LeRobotDataset v3.0")
+        print(f"{folders['lerobot']}: the same episodes as a LeRobotDataset v3.0")
     print(f"{folders['out']}: {len(found.starts):,} episodes, {len(found):,} frames")
 
 
@@ -80,7 +80,9 @@ def driven(cfg: DictConfig, world: World) -> Demonstrations:
     require_number("episodes", cfg.episodes, 1, 10**6, whole=True)
     keys_of(world.task.motion)  # refuses motions that keys cannot drive, before a page is opened
     page = Page(world.scene, cfg.host, cfg.port)
-    print(f"{page.address}: drive to the goal {cfg.episodes} times; Ctrl-C writes what there is", flush=True)
+    print(
+        f"{page.address}: drive to the goal {cfg.episodes} times; Ctrl-C saves the episodes recorded so far", flush=True
+    )
     try:
         takes = Takes(world)
         driving = Driving(page, world, cfg.seed, takes, cfg.episodes)

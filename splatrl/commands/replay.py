@@ -29,9 +29,9 @@ def run(cfg: DictConfig) -> None:
         different, views = replay(build_one_world(own), demonstrations, bar.update)
     what = f"{folder}: {len(demonstrations.starts):,} episodes, {len(demonstrations):,} frames"
     if different:
-        sys.exit("\n".join([f"splatrl-replay: {what} do not come out as written", *different]))
-    print(f"{what}: states, actions, rewards and outcomes are equal, byte for byte")
-    print(f"views are equal in {views:,} of {len(demonstrations):,} frames")
+        sys.exit("\n".join([f"splatrl-replay: {what} do not replay as recorded", *different]))
+    print(f"{what}: states, actions, rewards and outcomes are identical, byte for byte")
+    print(f"views are identical in {views:,} of {len(demonstrations):,} frames")
 
 
 if __name__ == "__main__":

@@ -70,10 +70,12 @@ def look(options: argparse.Namespace) -> None:
     for name in ("height", "resolution", "scale", "split"):
         value = getattr(options, name)
         if value is not None and not 0.0 < value < float("inf"):
-            raise ValueError(f"--{name}: expected a finite number above 0, got {value}")
+            raise ValueError(f"--{name}: expected a positive, finite number, got {value}")
     path = options.file.expanduser()
     if is_in_blocks(path):
-        raise ValueError(f"{path}: expected a splat file or a folder with {SCENE_FILE}, got one with {BLOCKS_FILE}")
+        raise ValueError(
+            f"{path}: expected a splat file or a folder with {SCENE_FILE}, got a folder with {BLOCKS_FILE}"
+        )
     stated = stated_frame(options)
     out = (options.out or (path if path.is_dir() else path.parent)).expanduser()
     out, splat = scene_folder(out)
@@ -104,7 +106,7 @@ def look(options: argparse.Namespace) -> None:
         bounds, found = propose(scene, occupancy, floor, options, out, drawn is not False)
     except ValueError as error:
         across = max(high - low for low, high in zip(*scene.bounds, strict=True))
-        raise ValueError(f"{error}; if {across:.3g} m across is not its size, pass --scale or --distance") from error
+        raise ValueError(f"{error}; if the scene is not {across:.3g} m across, pass --scale or --distance") from error
     proposals |= found
     if options.split is not None:
         write_blocks_of(out, scene, options.split, small, bounds, proposals)
@@ -128,18 +130,21 @@ def propose(
     area = walkable_area(scene, occupancy, floor, options.height)
     if area is None:
         print(
-            f"goals       none: no floor is free {options.height:g} m above it; try another --height, --up or --scale"
+            f"goals       none: no floor has free space {options.height:g} m above it; "
+            "try another --height, --up or --scale"
         )
         return scene.bounds, {}
     if area.robot_height <= 0.0:
-        print(f"goals       none: expected the floor at z = 0, got {floor:.4g} m; --matrix or --translation lifts it")
+        print(
+            f"goals       none: expected the floor at z = 0, got {floor:.4g} m; raise it with --matrix or --translation"
+        )
         return scene.bounds, {}
     found = suggest(seen_in_splat(scene.gaussians), area)
     if found.goals:
         draw_goals(scene.gaussians, found.goals, area.robot_height, out / GOALS, antialiased)
         print(f"drew        {out / GOALS}")
     for number, goal in enumerate(found.goals, 1):
-        print(f"goal {number}      {list(goal)}" + (", which scene.yaml says" if number == 1 else ""))
+        print(f"goal {number}      {list(goal)}" + (", written to scene.yaml" if number == 1 else ""))
     show_terrain(scene, area.occupancy, area.walk, options.height, out, antialiased)
     (left, bottom), (right, top) = area.walk
     print(f"walk        x {left:g} to {right:g}, y {bottom:g} to {top:g} m, steps of {area.step or GRID:g} m")
@@ -165,7 +170,8 @@ def look_again(options: argparse.Namespace, folder: Path, out: Path, small: bool
     """Inspect a folder that already has a ``scene.yaml``."""
     if any(getattr(options, name) is not None for name in FRAME_OPTIONS):
         raise ValueError(
-            f"{folder}: expected no frame options for a folder; edit its scene.yaml, or name the splat file"
+            f"{folder}: expected a folder without options such as --up or --scale, got some; edit its scene.yaml, "
+            "or pass the splat file instead"
         )
     scene, proposed = read_scene(folder), read_description(folder)
     drawn = proposed.get("antialiased", antialiased_beside(folder / proposed["splat"]))
@@ -197,8 +203,8 @@ def check_no_scene(folder: Path, force: bool) -> None:
     """Refuse to write blocks beside a ``scene.yaml``, which would be read instead of them, or over existing blocks."""
     if (folder / SCENE_FILE).exists():
         raise FileExistsError(
-            f"--split: expected a folder without {SCENE_FILE}, which would be read in place of the blocks, "
-            f"got {folder}; pass another one as --out"
+            f"--split: expected a folder without {SCENE_FILE}, which would be read instead of the blocks, "
+            f"got {folder}; pass another folder as --out"
         )
     if (folder / BLOCKS_FILE).exists() and not force:
         raise FileExistsError(f"{folder / BLOCKS_FILE}: already exists; pass another folder as --out, or --force")
@@ -220,7 +226,7 @@ def print_guess(
     print(survey(gaussians))
     upright = guess_upright(gaussians, up, roughly)
     if scale is not None:
-        upright = replace(upright, metres_per_unit=scale, units_guess=Guess(GIVEN, "the scale is stated, not guessed"))
+        upright = replace(upright, metres_per_unit=scale, units_guess=Guess(GIVEN, "the scale was given, not guessed"))
     print(upright)
     return upright
 
@@ -234,13 +240,13 @@ def print_stated(gaussians: Gaussians, metric: bool) -> None:
     """
     print(survey(gaussians))
     guessed = guess_upright(gaussians, [0.0, 0.0, 1.0])
-    seen = f"what is opaque lies in a layer at {round(guessed.floor, 3) + 0.0:g} m, {guessed.floor_guess.confidence}"
+    seen = f"the opaque layer is at {round(guessed.floor, 3) + 0.0:g} m ({guessed.floor_guess.confidence})"
     upright = replace(
         guessed,
         floor=0.0,
-        floor_guess=Guess(GIVEN, f"scene.yaml puts it there; {seen}"),
+        floor_guess=Guess(GIVEN, f"z = 0 in scene.yaml; {seen}"),
         metres_per_unit=1.0,
-        units_guess=Guess(GIVEN, "scene.yaml states the scale" + ("" if metric else ", and that nothing told it")),
+        units_guess=Guess(GIVEN, "scene.yaml states the scale" + ("" if metric else ", and that it is unknown")),
     )
     print(upright)
 
@@ -267,9 +273,9 @@ def beside(path: Path, stated: StatedFrame, turned: bool = False) -> StatedFrame
     if transform is None:
         return stated
     if stands(transform) and not turned:
-        print(f"frame       by {DATAPARSER} beside it")
+        print(f"frame       from {DATAPARSER} next to the file")
         return replace(stated, transform=transform)
-    print(f"frame       its scale by {DATAPARSER} beside it" + ("" if turned else ", whose own frame is not z up"))
+    print(f"frame       scale from {DATAPARSER} next to the file" + ("" if turned else "; its frame is not z-up"))
     return stated if stated.scale is not None else replace(stated, scale=float(transform[2, :3].norm()))
 
 
@@ -301,7 +307,7 @@ def show_terrain(
         print(f"ground      none: {str(error).removeprefix('ground: ')}")
         return
     print(found.ground)
-    print(f"boxes       {len(found.terrain.boxes)}, up to {height + REACH:g} m above it")
+    print(f"boxes       {len(found.terrain.boxes)}, up to {height + REACH:g} m above the ground")
     picture = out / f"{scene.name}-ground.png"
     draw_terrain(scene.gaussians, found, *walk, picture, antialiased)
     print(f"drew        {picture}")
@@ -311,11 +317,13 @@ def stated_frame(options: argparse.Namespace) -> StatedFrame:
     """Collect what the options state about the file's frame."""
     given = [name for name in ("axes", "matrix", "nerfstudio", "up") if getattr(options, name) is not None]
     if len(given) > 1:
-        raise ValueError(f"expected one of --axes, --matrix, --nerfstudio and --up, got --{' and --'.join(given)}")
+        raise ValueError(
+            f"expected at most one of --axes, --matrix, --nerfstudio and --up, got --{' and --'.join(given)}"
+        )
     if options.scale is not None and options.distance is not None:
         raise ValueError("expected --scale or --distance, got both")
     if options.translation is not None and given not in ([], ["axes"], ["up"]):
-        raise ValueError(f"--translation: expected alone or with --axes, got it with --{given[0]}")
+        raise ValueError(f"--translation: expected on its own or with --axes or --up, got it with --{given[0]}")
     scale, transform = options.scale, None
     if options.distance is not None:
         values = _numbers("distance", options.distance)

@@ -49,12 +49,17 @@ def run(cfg: DictConfig) -> float:
         raise FileNotFoundError(f"{folder}: expected a run folder, found none")
     with alone_in(folder):
         if not cfg.resume and any(folder.glob("checkpoints/*.pt")):
-            raise ValueError(f"hydra.run.dir: expected a new folder, got a run; continue it with resume={folder}")
+            raise ValueError(
+                f"hydra.run.dir: expected a new folder, got a run folder; continue it with resume={folder}"
+            )
         new = not cfg.resume and not (folder / RUN_CONFIG).exists()
         try:
             return train(cfg, folder)
         except KeyboardInterrupt:
-            print(f"\nstopped; splatrl-train {quoted(f'resume={folder}')} goes on", file=sys.stderr)
+            print(
+                f"\nstopped; finished work is kept; continue with: splatrl-train {quoted(f'resume={folder}')}",
+                file=sys.stderr,
+            )
             sys.exit(INTERRUPTED)
         except USERS:
             if new and not any(folder.glob("checkpoints/*.pt")):
@@ -113,10 +118,10 @@ def watched(cfg: DictConfig, world: World | Worlds, trainer: Trainer) -> Iterato
         yield
         return
     if not isinstance(world, World):
-        raise ValueError(f"view: expected one scene to show, got {len(world.worlds)}; type view=false")
+        raise ValueError(f"view: expected a training in one scene, got {len(world.worlds)} scenes; type view=false")
     page = Page(world.scene)
     view = TrainingView(page, world, trainer)
-    print(f"{page.address}: the training", flush=True)
+    print(f"{page.address}: watch the training", flush=True)
     try:
         yield
     finally:

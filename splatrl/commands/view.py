@@ -52,12 +52,12 @@ def run(cfg: DictConfig) -> None:
         check_config(own)
     torch.set_num_threads(own.threads)
     page = Page(instantiate(own.scene), cfg.host, cfg.port)
-    print(f"{page.address}: {page.scene.name}, {len(page.scene.gaussians):,} Gaussians; Ctrl-C ends it", flush=True)
+    print(f"{page.address}: {page.scene.name}, {len(page.scene.gaussians):,} Gaussians; Ctrl-C to quit", flush=True)
     with ExitStack() as ending:
         ending.callback(page.close)
         try:
             ending.callback(furnish(page, own, trained))  # a thread still in PyTorch would abort the interpreter's exit
-            print("all of the page is there", flush=True)
+            print("the page is ready", flush=True)
             _wait()
         except KeyboardInterrupt:
             print()
@@ -68,7 +68,7 @@ def _config_of_run(cfg: DictConfig, typed: Sequence[str]) -> tuple[DictConfig, C
     keys = [word.partition("=")[0] for word in typed]
     others = [word for word, key in zip(typed, keys, strict=True) if key not in OF_A_RUN]
     if others:
-        raise ValueError(f"run={cfg.run}: expected only {', '.join(OF_A_RUN)} beside it, got {', '.join(others)}")
+        raise ValueError(f"run={cfg.run}: expected only {', '.join(OF_A_RUN)} with it, got {', '.join(others)}")
     folder = Path(cfg.run).expanduser()
     own = run_config(folder, cfg.allow_targets)
     own.device = own.device if cfg.device == "auto" else cfg.device
@@ -99,8 +99,8 @@ def furnish(
     except ValueError as error:
         if trained is not None:
             raise
-        print(f"nothing to drive here: {line(error)}", flush=True)
-        gui.add_markdown(f"Nothing to drive here: {line(error)}")
+        print(f"driving is not available: {line(error)}", flush=True)
+        gui.add_markdown(f"Driving is not available: {line(error)}")
         page.show_occupancy(survey_occupancy(scene))
         return lambda: None
     page.show_occupancy(world.occupancy)
@@ -115,7 +115,7 @@ def furnish(
         try:
             Driving(page, world)
         except ValueError as error:
-            gui.add_markdown(f"Nothing to drive here: {line(error)}")
+            gui.add_markdown(f"Driving is not available: {line(error)}")
     with tabs.add_tab("place"):
         Placing(page, world, place_values(cfg, scene), folder, lambda stated: _check(cfg, scene, stated))
     return lambda: [each() for each in stop]

@@ -65,7 +65,7 @@ class Clip:
         beyond = [frame for frame in self.labels if frame >= count]
         if beyond:
             place = f"{self.table}, line {self.lines[beyond[0]]}"
-            raise ValueError(f"{place}: expected a frame from 0 to {count - 1}, got {beyond[0]}")
+            raise ValueError(f"{place}: expected a frame number from 0 to {count - 1}, got {beyond[0]}")
 
 
 def film_images(source: Path) -> Iterator[Image.Image]:
@@ -103,7 +103,7 @@ def read_clips(folder: Path, action_names: Sequence[str]) -> list[Clip]:
         elif path.suffix.lower() in VIDEOS:
             found.append((path.stem, path, path.with_suffix(".csv")))
         elif path.suffix.lower() == ".csv" and not any(path.with_suffix(kind).is_file() for kind in VIDEOS):
-            raise ValueError(f"{path}: expected a video of that name beside it ({', '.join(VIDEOS)}), found none")
+            raise ValueError(f"{path}: expected a video of the same name ({', '.join(VIDEOS)}) next to it, found none")
     if not found:
         raise ValueError(f"{folder}: expected sub-folders of images or videos ({', '.join(VIDEOS)}), found none")
     return [Clip(name, source, table, *read_labels(table, action_names)) for name, source, table in found]
@@ -123,7 +123,7 @@ def read_labels(path: Path, action_names: Sequence[str]) -> tuple[dict[int, froz
         ValueError: for any invalid content; the message names file and line.
     """
     if not path.is_file():
-        raise ValueError(f"{path}: expected a table with the columns frame,action, found none")
+        raise ValueError(f"{path}: expected a CSV file with the columns frame,action, found none")
     if path.stat().st_size > MAX_CSV_BYTES:
         raise ValueError(f"{path}: expected at most {MAX_CSV_BYTES:,} bytes, got {path.stat().st_size:,}")
     labels: dict[int, frozenset[int]] = {}
@@ -138,21 +138,21 @@ def read_labels(path: Path, action_names: Sequence[str]) -> tuple[dict[int, froz
                 continue
             place = f"{path}, line {rows.line_num}"
             if len(row) != 2:
-                raise ValueError(f"{place}: expected a frame and an action, got {len(row)} cells")
+                raise ValueError(f"{place}: expected a frame number and an action, got {len(row)} cells")
             frame = _frame(row[0].strip(), place)
             if frame in labels:
-                raise ValueError(f"{place}: expected each frame once, got {frame} again after line {lines[frame]}")
+                raise ValueError(f"{place}: expected each frame once, got {frame}, already on line {lines[frame]}")
             labels[frame], lines[frame] = _actions(row[1], action_names, place), rows.line_num
     except (UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f"{path}: expected a CSV in UTF-8: {error}") from error
+        raise ValueError(f"{path}: expected a CSV file in UTF-8, got one that cannot be read: {error}") from error
     if not labels:
-        raise ValueError(f"{path}: expected at least one frame with an action, got none")
+        raise ValueError(f"{path}: expected at least one labelled frame, got none")
     return labels, lines
 
 
 def _frame(cell: str, place: str) -> int:
     if not re.fullmatch(r"[0-9]{1,9}", cell):
-        raise ValueError(f"{place}: expected the number of a frame, from 0, got {cell[:80]!r}")
+        raise ValueError(f"{place}: expected a frame number (0 or more), got {cell[:80]!r}")
     return int(cell)
 
 
@@ -160,7 +160,7 @@ def _actions(cell: str, action_names: Sequence[str], place: str) -> frozenset[in
     names = [name.strip() for name in cell.split("|")]
     for name in names:
         if name not in action_names:
-            raise ValueError(f"{place}: expected actions among {', '.join(action_names)}, got {name[:80]!r}")
+            raise ValueError(f"{place}: expected one or more of {', '.join(action_names)}, got {name[:80]!r}")
     return frozenset(action_names.index(name) for name in names)
 
 

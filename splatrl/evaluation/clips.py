@@ -23,8 +23,8 @@ from splatrl.files import replacing
 
 REPORT = "clips"
 HEADLINE = (
-    "Share of labelled frames in which the policy's most probable action is one of the label's; "
-    "in brackets, the mean probability that it gives to all of the label's actions together."
+    "Fraction of labelled frames in which the policy's most probable action is among the label's actions; "
+    "in brackets, the mean total probability of the label's actions."
 )
 
 
@@ -126,7 +126,7 @@ def predictions(
     extra = [key for key in policy.in_keys if key != "pixels"]
     missing = [key for key in extra if key not in begun.keys(True)]
     if missing:
-        raise ValueError(f"start: expected {', '.join(map(str, missing))}, which the policy reads, got nothing")
+        raise ValueError(f"start: expected {', '.join(map(str, missing))}, which the policy reads, found none")
     begun = begun.select(*extra)
     height, width, channels = image_shape
     seen: deque[Tensor] = deque(maxlen=channels // 3)
@@ -139,7 +139,7 @@ def predictions(
         if len(probabilities) != len(action_names):
             names = ", ".join(action_names)
             raise ValueError(
-                f"policy: expected {len(action_names)} actions, {names}, got a policy of {len(probabilities)}"
+                f"policy: expected {len(action_names)} actions ({names}), got a policy with {len(probabilities)}"
             )
         yield image, frame, probabilities
         after = out.get("next", TensorDict({}, [1]))

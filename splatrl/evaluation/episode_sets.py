@@ -23,7 +23,7 @@ INFLATION, SLACK = 100, 2**20
 MOST_EPISODES = 200_000
 FARTHEST = 1e6
 """Largest magnitude of a number, such as a coordinate in metres, that a file may hold."""
-EXPECTED = "Habitat's episodes: a list 'episodes', each with scene_id, start_position, start_rotation and goals"
+EXPECTED = "Habitat episodes: a list 'episodes' of entries with scene_id, start_position, start_rotation and goals"
 
 
 def to_habitat(places: Tensor) -> Tensor:
@@ -95,13 +95,13 @@ def read_episodes(path: Path, scenes: Sequence[str]) -> tuple[Tensor, Tensor, Te
         ValueError: for a file that is damaged, too large, of another kind, or names scenes that are not available.
     """
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: expected a file of episodes, found none")
+        raise FileNotFoundError(f"{path}: expected an episode file, found none")
     with refusing(path, EXPECTED):
         found = parsed_json(str(path), _unpacked(path))
         rows = found.get("episodes") if isinstance(found, dict) else None
         if not isinstance(rows, list) or not 0 < len(rows) <= MOST_EPISODES:
-            got = f"{len(rows):,}" if isinstance(rows, list) else "no list of them"
-            raise ValueError(f"{path}: episodes: expected 1 to {MOST_EPISODES:,} of them, got {got}")
+            got = f"{len(rows):,}" if isinstance(rows, list) else "no list"
+            raise ValueError(f"{path}: episodes: expected a list of 1 to {MOST_EPISODES:,}, got {got}")
         read = [_episode(f"{path}: episode {number}", row, scenes) for number, row in enumerate(rows)]
     start, goal = (torch.tensor([row[which] for row in read], dtype=torch.float32) for which in (0, 1))
     return start, goal, torch.tensor([row[2] for row in read], dtype=torch.int64)
@@ -118,8 +118,8 @@ def _unpacked(path: Path) -> bytes:
     except zlib.error as error:
         raise ValueError(f"{path}: expected a gzip file, got {error}") from error
     if not text.eof:
-        got = "more" if len(content) == most else "one that is cut short"
-        raise ValueError(f"{path}: expected a whole gzip file of at most {most:,} bytes unpacked, got {got}")
+        got = "more" if len(content) == most else "a truncated one"
+        raise ValueError(f"{path}: expected a complete gzip file of at most {most:,} unpacked bytes, got {got}")
     return content
 
 
@@ -132,7 +132,7 @@ def _episode(where: str, row: Any, scenes: Sequence[str]) -> tuple[list[float], 
         raise ValueError(f"{where}: expected scene_id to be {' or '.join(scenes)}, got {str(scene)[:80]!r}")
     goals, info = row.get("goals"), row.get("info") or {}
     if not isinstance(goals, list) or not goals or not isinstance(goals[0], dict) or not isinstance(info, dict):
-        raise ValueError(f"{where}: expected goals with a position")
+        raise ValueError(f"{where}: expected a list of goals, each with a position, and info as keys and values")
     places = [
         _numbers(f"{where}.start_position", row.get("start_position"), 3),
         _numbers(f"{where}.goals[0].position", goals[0].get("position"), 3),
@@ -150,7 +150,7 @@ def _numbers(key: str, values: Any, count: int) -> list[float]:
     if not plain or not all(isinstance(one, int | float) and not isinstance(one, bool) for one in values):
         raise ValueError(f"{key}: expected {count} numbers")
     if not all(abs(one) <= FARTHEST for one in values):  # NaN fails this too
-        raise ValueError(f"{key}: expected finite numbers of at most {FARTHEST:g}")
+        raise ValueError(f"{key}: expected finite numbers of magnitude at most {FARTHEST:g}")
     return [float(one) for one in values]
 
 

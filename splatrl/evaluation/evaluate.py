@@ -69,7 +69,7 @@ def evaluate(
     Returns:
         The content of ``evaluation.json``, and the files of the pictures and videos.
     """
-    with refusing(folder / "checkpoints", "a checkpoint of a training"):
+    with refusing(folder / "checkpoints", "a training checkpoint"):
         trained = {
             "frames": int(checkpoint["ppo"]["frames"]),
             "wall_seconds": float(checkpoint["seconds"]),
@@ -128,10 +128,11 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
     by_distance = f"SPL {summary['spl']:.3f}, soft SPL {summary['soft_spl']:.3f}" if "spl" in summary else ""
     rates.append(by_distance or by_steps or f"return {tenths(summary['mean_return'])}")
     if summary["mean_goals"] > summary["success_rate"]:  # in tasks that continue after a goal
-        rates.append(f"{summary['mean_goals']:.2f} goals an episode")
+        rates.append(f"{summary['mean_goals']:.2f} goals per episode")
     if "spl" in summary:
-        rates.append(f"{summary['collisions']:.1f} collisions an episode, {summary['distance_to_goal']:.2f} m left")
-        where = f"over {summary['evaluated_starts']:,} episodes with goals of their own"
+        rates.append(f"{summary['collisions']:.1f} collisions per episode")
+        rates.append(f"{summary['distance_to_goal']:.2f} m from the goal at the end")
+        where = f"over {summary['evaluated_starts']:,} episodes, each with its own goal"
     else:
         rates.append(f"collisions {summary['collision_rate']:.3f}")
         where = f"over {summary['evaluated_starts']:,} of {summary['start_poses']:,} start poses"

@@ -99,7 +99,7 @@ def scene_bars(names: Sequence[str], success: Sequence[float], path: Path) -> No
         label = axes.text(rate + 0.008, row, f"{rate:.0%}", va="center", fontsize=8, color=INK)
         label.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 1})  # covers the line of the average
     axes.axvline(float(np.mean(rates)), color=INK, linewidth=1, linestyle="--", zorder=0)
-    axes.set_title(f"goal reached in {len(names)} scenes, {np.mean(rates):.1%} on average", fontsize=11)
+    axes.set_title(f"success rate in {len(names)} scenes, {np.mean(rates):.1%} on average", fontsize=11)
     axes.set_yticks(np.arange(len(names)), [names[i] for i in order], fontsize=8)
     axes.set(xlim=(0, 1.08), ylim=(len(names) - 0.4, -0.6), xlabel="success")
     axes.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
@@ -138,7 +138,7 @@ def start_map(
     half_width = min(0.14 * length, 0.75 * length * math.pi * 0.68 / headings)
     kinds = [
         (rate == 1, REACHED, "goal reached"),
-        ((rate > 0) & (rate < 1), PARTLY, "reached in part of the episodes"),
+        ((rate > 0) & (rate < 1), PARTLY, "reached in some episodes"),
         (rate == 0, MISSED, "not reached"),
     ]
     figure, axes = _map(view, colourful=True)
@@ -289,7 +289,7 @@ def _overview(axes: Axes, overview: TopDown, ground: TopDown, place: float) -> N
     inset.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor="white", linewidth=3))
     inset.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=GOAL, linewidth=1.5))
     inset.set(xticks=[], yticks=[], xlim=(left, right), ylim=(bottom, top), anchor="NW")
-    inset.set_title(f"the place, {right - left:.0f} × {top - bottom:.0f} m", fontsize=8)
+    inset.set_title(f"overview, {right - left:.0f} × {top - bottom:.0f} m", fontsize=8)
 
 
 def _marks(axes: Axes, marks: Sequence[Mark], length: float) -> list[Patch | Line2D]:

@@ -69,7 +69,7 @@ class Stroll:
     def __post_init__(self) -> None:
         for name in ("radius", "speed", "turn", "nod"):
             if not 0.0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name}: expected a finite number above 0, got {getattr(self, name)}")
+                raise ValueError(f"{name}: expected a positive, finite number, got {getattr(self, name)}")
         if not all(low < high for low, high in zip(self.lower, self.upper, strict=True)):
             raise ValueError(f"lower, upper: expected lower below upper, got {self.lower} and {self.upper}")
 
@@ -95,13 +95,13 @@ def phone_walk(occupancy: Occupancy, stroll: Stroll, frames: int, fps: float, se
         ValueError: for fewer than two frames, or an area with too little free space.
     """
     if frames < 2 or not fps > 0:
-        raise ValueError(f"frames, fps: expected at least 2 frames and a speed above 0, got {frames} and {fps}")
+        raise ValueError(f"frames, fps: expected at least 2 frames and a positive frame rate, got {frames} and {fps}")
     sides = Sides(occupancy, stroll.height - stroll.rise, stroll.height + stroll.rise)
     places = free_places(sides, stroll)
     if len(places) < 4:
         raise ValueError(
-            f"lower, upper, height: expected room to walk {stroll.radius} m from everything, got {len(places)} free "
-            f"places between {stroll.lower} and {stroll.upper} at {stroll.height} ± {stroll.rise} m"
+            f"lower, upper, height: expected at least 4 places to walk, {stroll.radius} m from anything solid, got "
+            f"{len(places)} between {stroll.lower} and {stroll.upper} at {stroll.height} ± {stroll.rise} m"
         )
     seconds = np.arange(frames) / fps
     path = smoothed(sides, stroll.radius, round_trip(places, GRID, stroll.speed * frames / fps))

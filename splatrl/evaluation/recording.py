@@ -73,7 +73,7 @@ def record_episodes(
         ValueError: for an env with another number of robots.
     """
     if env.numel() != len(starts):
-        raise ValueError(f"env: expected as many robots as starts, {len(starts)}, got {env.numel()}")
+        raise ValueError(f"env: expected one robot per start ({len(starts)}), got {env.numel()}")
     steps: list[TensorDictBase] = []
     with acting(sampled, seed, env.device):
         given = TensorDict({"state": starts, **(memory or {})}, batch_size=env.batch_size, device=env.device)

@@ -130,7 +130,9 @@ def given_episodes(world: World | Worlds, path: Path) -> tuple[World | Worlds, C
     """
     task = world.task
     if not isinstance(task, NavigationTask):
-        raise ValueError(f"evaluation.episodes: expected a task such as task=pointnav, got {type(task).__name__}")
+        raise ValueError(
+            f"evaluation.episodes: expected a navigation task, such as task=pointnav, got {type(task).__name__}"
+        )
     state, goal, scene = read_episodes(path, world.names)
     for number, (name, one) in enumerate(zip(world.names, world.worlds, strict=True)):
         mine = (scene == number).nonzero().squeeze(1)
@@ -209,7 +211,7 @@ def knowing(env: EnvBase, act: Callable[[Tensor, Memory], Tensor | None]) -> Cal
 
     def policy(td: TensorDictBase) -> TensorDictBase:
         action = act(td["state"], {key: td[key] for key in keys})
-        assert action is not None, "one who knows what to do"
+        assert action is not None, "expected act to return actions, got None"
         return td.set("action", action.to(dtype))
 
     return policy

@@ -33,7 +33,7 @@ def survey_occupancy(scene: Scene, resolution: float | None = None) -> Occupancy
     lower, upper = np.array(scene.bounds)
     diagonal = float(np.linalg.norm(upper - lower))
     if diagonal == 0.0:
-        raise ValueError(f"{scene.name}: expected a scene with an extent, got one at a single point")
+        raise ValueError(f"{scene.name}: expected a scene with a spatial extent, got a single point")
     edge = resolution or float(np.clip(0.05, diagonal / 256, diagonal / 50))
     margin = 0.1 * diagonal
     crop = ((lower - margin).tolist(), (upper + margin).tolist())

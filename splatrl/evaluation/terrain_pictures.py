@@ -84,13 +84,13 @@ def draw_terrain(
         left.add_patch(Rectangle((first[0], first[1]), *(last - first), fill=False, edgecolor=color, linewidth=1.2))
     size = np.subtract(upper, lower)
     left.add_patch(Rectangle((lower[0], lower[1]), *size, fill=False, edgecolor="white", linestyle="--", linewidth=1.0))
-    left.set_title(f"{len(boxes)} boxes; dashed: where robots go")
+    left.set_title(f"{len(boxes)} boxes; dashed: walkable area")
     left.set_xlabel("x, m")
     left.set_ylabel("y, m")
     _oblique(right, make(shown), surveyed, low, high, colors, (np.array(lower), np.array(upper)))
-    right.set_title(f"ground at {floor:+.3f} m, tilted by {math.degrees(surveyed.ground.tilt):.2f}°: grid of 25 cm")
+    right.set_title(f"ground at {floor:+.3f} m, tilted by {math.degrees(surveyed.ground.tilt):.2f}°; 25 cm grid")
     tall = ScalarMappable(Normalize(0.0, float(scale)), COLORS)
-    figure.colorbar(tall, ax=[left, right], shrink=0.7, aspect=30, label="top of a box above the ground, m")
+    figure.colorbar(tall, ax=[left, right], shrink=0.7, aspect=30, label="height of box tops above the ground, m")
     with replacing(path) as stream:
         canvas.print_png(stream)
 

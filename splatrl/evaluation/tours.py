@@ -22,23 +22,20 @@ def round_trip(places: Floats, step: float, length: float) -> Floats:
     Args:
         places: [F, 2] connected places of a lattice, metres.
         step: spacing of the lattice, metres.
-        length: maximum length of the tour, metres.
+        length: maximum length of the tour, metres; a tour of a few steps may exceed it.
 
     Returns:
         [P, 2] places in order along the tour; the last equals the first.
-
-    Raises:
-        ValueError: if the length is a few steps.
     """
     graph, order = _graph(places, step), _spread_out(places)
     fewest, most = 3, len(order) + 1
     best = _tour(graph, order[:fewest])
     if _length(places[best]) > length:
         middle = int(np.linalg.norm(places - places.mean(0), axis=1).argmin())
-        near = dijkstra(graph, directed=False, indices=middle) <= length / 6  # so three stops are within length
-        if near.sum() < fewest:
-            raise ValueError(f"length: expected metres enough for a tour in steps of {step:g}, got {length:g}")
-        return round_trip(places[near], step, length)
+        reach = max(length / 6, math.hypot(step, step))  # past three of these places no tour is longer than length
+        near = dijkstra(graph, directed=False, indices=middle) <= reach + 1e-9
+        if not near.all():
+            return round_trip(places[near], step, length)
     while most - fewest > 1:
         count = (fewest + most) // 2
         tried = _tour(graph, order[:count])

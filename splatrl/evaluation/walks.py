@@ -238,7 +238,10 @@ def record_walks(
     plan, robot = world.plan, world.robot
     if plan.motion.height is None or not plan.motion.action_names:
         name = type(plan.motion).__name__
-        raise ValueError(f"task: expected named steps on the ground, as in ForwardMotion or LatticeMotion, got {name}")
+        raise ValueError(
+            "task: expected a motion on the ground with named actions, such as ForwardMotion or LatticeMotion, "
+            f"got {name}"
+        )
     if count < 1 or height < 1:
         raise ValueError(f"count, height: expected at least 1 clip and 1 pixel, got {count} and {height}")
     camera = replace(robot, image_height=height, image_width=round(height * robot.image_width / robot.image_height))

@@ -34,7 +34,7 @@ class Budget:
     seconds_left: float
 
     def __str__(self) -> str:
-        source = f"measured in {self.measured} finished" if self.measured else "expected"
+        source = f"measured over {self.measured} finished trainings" if self.measured else "expected"
         seeds = ", ".join(map(str, self.seeds))
         return (
             f"{self.name:<14} {self.trainings} trainings, seeds {seeds}, {self.frames:,} frames; "

@@ -108,7 +108,7 @@ def _watching(
     trained = load_policy(folder, checkpoint, device, cfg)
     motion, policy, begun = trained.world.task.motion, trained.policy, trained.beginning()
     if not motion.action_names:
-        raise ValueError(f"task: expected actions with names, got {type(motion).__name__}")
+        raise ValueError(f"task: expected a motion with named actions, got {type(motion).__name__}")
     known = begun.select(*(key for key in policy.in_keys if key != "pixels"), strict=False)
     return policy, motion.action_names, begun["pixels"].shape[1:], known
 

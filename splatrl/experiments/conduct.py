@@ -40,7 +40,7 @@ def check_settings(runs: Sequence[Run], fresh: bool) -> None:
         changed = differences(run.config, {str(key): value for key, value in found.items()})
         if changed and not fresh:
             lines = [f"{run.folder} was trained with other settings:", *(f"  {line}" for line in changed)]
-            raise ValueError("\n".join([*lines, "give folder=<another>, or fresh=true to delete it and start over"]))
+            raise ValueError("\n".join([*lines, "type folder=<another>, or fresh=true to delete it and start over"]))
         if changed:
             shutil.rmtree(run.folder)
 

@@ -40,7 +40,7 @@ def learning_curves(group: Sequence[Entry], path: Path) -> None:
         seeds = f"{len(entry.runs)} seed{'s' if len(entry.runs) > 1 else ''}"
         label = f"{entry.label} ({seeds})"
         handles.append(Line2D([], [], color=color, marker=marker, markersize=4.5, linewidth=2, label=label))
-    for panel, label in zip(panels, ("success, tests", "success, training"), strict=False):
+    for panel, label in zip(panels, ("test success", "training success"), strict=False):
         panel.set(ylabel=label, ylim=(-0.02, 1.02))
         panel.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
     if any(staged):

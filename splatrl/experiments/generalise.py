@@ -65,7 +65,7 @@ def unlearned(name: str, place: DictConfig) -> list[dict[str, Any]]:
     starts = spread_starts(world, place.evaluation.starts)
     env = world.env(min(place.evaluation.batch_size, len(starts.state)))
     rows = []
-    for label, act in (("straight at the goal", task.beeline), ("the teacher, by the shortest way", task.teach)):
+    for label, act in (("straight to the goal", task.beeline), ("shortest-path teacher", task.teach)):
         episodes = run_episodes(env, knowing(env, act), starts.state, scene=starts.scene, memory=starts.memory)
         rates = summarise(episodes, episodes, None)
         rows.append({"label": label, "place": name, "starts": len(starts.state), **kept(rates)})

@@ -45,7 +45,7 @@ def _commit() -> str:
         changed = _git(here, "status", "--porcelain", "--untracked-files=no")
     except (OSError, subprocess.CalledProcessError):
         return ""
-    return f" at commit {commit}{' with changes' if changed else ''}" if tracked else ""
+    return f" at commit {commit}{' with uncommitted changes' if changed else ''}" if tracked else ""
 
 
 def _git(folder: Path, *words: str) -> str:

@@ -30,7 +30,7 @@ MAPS = {"starts.png": "start poses by success", "success_map.png": "success by s
 EXPLANATION = (
     "Success is measured over the start set (if it has more than `evaluation.starts` poses, over that many, evenly "
     "spaced) with actions sampled from the policy; argmax takes the most likely action instead. "
-    "SPL weighs success by the shortest path over the path taken. "
+    "SPL weights success by the length of the shortest path relative to that of the path taken. "
     "Values are means over seeds ± their standard deviation."
 )
 
@@ -101,22 +101,22 @@ def _section(
     sentences = [*scores_sentences(scores, experiment), *transfer_sentences(tests, experiment)]
     lines += ["**Results.**", "", *sentences, *verdicts(found), ""]
     if finished < len(experiment.runs):
-        lines += [f"*{finished} of {len(experiment.runs)} trainings are finished; the rest is left out.*", ""]
+        lines += [f"*{finished} of {len(experiment.runs)} trainings are finished; the others are left out.*", ""]
     lines += [*main_table(found), ""]
     if heading == "#":
         lines += [EXPLANATION, ""]
     if scores:
         lines += [f"{heading}# Actions on labelled clips", "", *scores_table(scores, experiment), ""]
     if tests:
-        lines += [f"{heading}# Tested in each scene", "", *transfer_table(tests, experiment), ""]
+        lines += [f"{heading}# Tests in each scene", "", *transfer_table(tests, experiment), ""]
     lines += _capture(experiment, base, heading)
-    lines += [f"{heading}# Success while learning", "", *marks_table(found, experiment), ""]
+    lines += [f"{heading}# Success during training", "", *marks_table(found, experiment), ""]
     lines += ["Tests are episodes from starts spread over the whole start set, whatever the curriculum's level.", ""]
     for curve in curves:
         lines += [
             f"![{curve.title}]({_link(curve.path, base)})",
             "",
-            f"*{curve.title}: mean and range of the seeds.*",
+            f"*{curve.title}: mean and range over the seeds.*",
             "",
         ]
     lines += [f"{heading}# Policies of the median seed", ""]
@@ -134,7 +134,12 @@ def _capture(experiment: Experiment, base: Path, heading: str) -> list[str]:
     rows = [[name.replace("_", " "), "–" if value is None else f"{value:.4g}"] for name, value in figures.items()]
     lines = [f"{heading}# The captured scene", "", *table(["figure", "value"], rows, words=1), ""]
     if views.exists():
-        lines += [f"![What robots see]({_link(views, base)})", "", "*Above in the original, below in the capture.*", ""]
+        lines += [
+            f"![What robots see]({_link(views, base)})",
+            "",
+            "*Top: in the original; bottom: in the capture.*",
+            "",
+        ]
     return lines
 
 

@@ -69,7 +69,7 @@ def _hold(run: Run, log: BinaryIO) -> None:
     try:
         fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
-        raise BusyError(f"{run.folder}: expected an unused folder, but another process trains there") from error
+        raise BusyError(f"{run.folder}: expected an unused folder, but another process is training in it") from error
 
 
 def train(

@@ -52,7 +52,7 @@ def marks_table(found: Sequence[Entry], experiment: Experiment) -> list[str]:
     """Build the table of test success during training, and of when a test first reached the threshold."""
     marks = [f"at {mark:,}" for mark in experiment.marks]
     goal = f"{experiment.threshold:.0%}"
-    header = ["scene", "arm", *marks, f"frames to {goal}", f"minutes to {goal}", "seeds that got there"]
+    header = ["scene", "arm", *marks, f"frames to {goal}", f"minutes to {goal}", "seeds that reached it"]
     rows = []
     for entry in found:
         first, minutes = entry.frames_to(experiment.threshold), entry.minutes_to(experiment.threshold)
@@ -80,12 +80,15 @@ def _verdict(group: Sequence[Entry]) -> str:
     rest = ", ".join(f"{entry.label} {entry.spread('success_rate').percent()}" for entry in others)
     noise = max(_deviation(first), _deviation(second))
     if math.isinf(noise):
-        return f"**{place}**: {best.label} is ahead with {first.percent()}, against {rest}; one seed settles nothing."
+        return (
+            f"**{place}**: {best.label} is ahead with {first.percent()}, against {rest}; "
+            "a single seed is not conclusive."
+        )
     if first.mean - second.mean > noise:
         return f"**{place}**: {best.label} won with {first.percent()}, against {rest}."
     return (
         f"**{place}**: no clear winner; {best.label} {first.percent()}, {rest}: "
-        "the first two differ by no more than their seeds do."
+        "the first two differ by no more than the spread of their seeds."
     )
 
 
@@ -120,7 +123,9 @@ def scores_sentences(scores: Sequence[Mapping[str, Any]], experiment: Experiment
     for (scene, clip), (frames, rates) in _match_rates(scores, experiment).items():
         if clip == TOTAL:
             each = ", ".join(f"{label} {rate.percent()}" for label, rate in rates.items())
-            lines.append(f"- **{scene}, labelled clips**: share of {frames:,} frames in which actions match: {each}.")
+            lines.append(
+                f"- **{scene}, labelled clips**: fraction of {frames:,} frames in which the actions match: {each}."
+            )
     return lines
 
 
@@ -165,9 +170,11 @@ def transfer_sentences(tests: Sequence[Mapping[str, Any]], experiment: Experimen
     for (place, scene, label), found in _transfers(tests, experiment).items():
         rate = Spread(tuple(float(row["success_rate"]) for row in found)).percent()
         said.setdefault(place, []).append(
-            f"{rate} {label}" if scene == NOWHERE else f"{rate} trained in {scene} {label}"
+            f"{rate} ({label})" if scene == NOWHERE else f"{rate} ({label}, trained in {scene})"
         )
-    return [f"- **tested in {place}**, camera steady: success {', '.join(each)}." for place, each in said.items()]
+    return [
+        f"- **tested in {place}**, with a steady camera: success {', '.join(each)}." for place, each in said.items()
+    ]
 
 
 def _transfers(

@@ -98,10 +98,13 @@ def test_what_policies_would_do_is_drawn_on_a_film_without_labels(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["run=[a]"], "clips: expected a folder of clips, or film: a video, or record"),
-        (["run=[a,a]", "clips=c"], "run: expected different run folders, got a, a"),
-        (["run=[]", "clips=c"], "run: expected different run folders, got none"),
-        (["clips=c"], "run: expected a value, got none; type run=<the folder"),
+        (
+            ["run=[a]"],
+            "clips: expected at least one of clips=<a folder>, film=<a video> and record=<a new folder>, got none",
+        ),
+        (["run=[a,a]", "clips=c"], "run: expected distinct run folders, got a, a"),
+        (["run=[]", "clips=c"], "run: expected distinct run folders, got none"),
+        (["clips=c"], "run: expected a value, got none; type run=<run folder>"),
         (["run=nowhere", "clips=c"], "run: expected a run folder with config.yaml, got nowhere"),
     ],
 )

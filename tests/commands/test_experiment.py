@@ -78,7 +78,7 @@ def test_ctrl_c_keeps_what_was_trained_and_says_how_to_go_on(tmp_path: Path) -> 
     output, _ = process.communicate(timeout=120)
     assert process.returncode == 130, output
     (line,) = [line for line in output.splitlines() if line.startswith("stopped")]
-    again = line.removeprefix("stopped, and what was trained is kept; ").removesuffix(" goes on")
+    again = line.removeprefix("stopped; finished work is kept; continue with: ")
     assert shlex.split(again) == ["splatrl-experiment", *words]
     assert 0 < load_checkpoint(last)["ppo"]["frames"] < 100000
 
@@ -124,9 +124,9 @@ def test_a_training_is_run_reported_and_not_run_again(
         (["name=gird"], "got gird"),
         (
             ["name=grid", "scenes=[cellar]"],
-            "expected some of yards, unseen_yards, backyard, kitchen, recaptured, or a path that exists, got cellar",
+            "expected names from yards, unseen_yards, backyard, kitchen, recaptured, or existing paths, got cellar",
         ),
-        (["name=grid", "scenes=[kitchen]"], "expected kitchen=<its file>"),
+        (["name=grid", "scenes=[kitchen]"], "expected kitchen=<path of its file> as well"),
         (["name=grid", "sedes=[0]"], "did you mean seeds"),
     ],
 )
@@ -188,7 +188,7 @@ def test_a_captured_place_is_trained_in_in_place_of_the_arms_own(
 
 
 def test_scenes_that_are_not_there_are_refused(tmp_path: Path) -> None:
-    for scenes, message in (("[garden/]", "or a path that exists, got garden/"), ("[recaptured]", "name=loop")):
+    for scenes, message in (("[garden/]", "or existing paths, got garden/"), ("[recaptured]", "name=loop")):
         with pytest.raises(ValueError, match=message):
             experiment(load_config(["name=grid", f"folder={tmp_path}/none", f"scenes={scenes}"], "experiment"))
 

@@ -51,11 +51,9 @@ def test_what_is_recorded_is_replayed(
     assert json.loads((demos / "demonstrations.json").read_text())["by"] == "planner"
     call(replay, monkeypatch, f"demos={demos}")
     told = capsys.readouterr().out
-    assert (
-        f"{demos}: {EPISODES} episodes, {frames} frames: states, actions, rewards and outcomes are equal, byte for byte"
-        in told
-    )
-    assert f"views are equal in {frames} of {frames} frames" in told
+    same = "states, actions, rewards and outcomes are identical, byte for byte"
+    assert f"{demos}: {EPISODES} episodes, {frames} frames: {same}" in told
+    assert f"views are identical in {frames} of {frames} frames" in told
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder that nobody can write to")
@@ -75,7 +73,7 @@ def test_the_same_is_written_for_lerobot(scene: list[str], tmp_path: Path, monke
     facts = json.loads((tmp_path / "lerobot" / "meta" / "info.json").read_text())
     assert facts["total_frames"] == len(read_demonstrations(tmp_path / "demos"))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["demos", "lerobot"]
-    with pytest.raises(SystemExit, match="lerobot: expected a new folder, but"):
+    with pytest.raises(SystemExit, match=r"lerobot: expected a new folder, got .* already exists"):
         call(record, monkeypatch, *scene, "episodes=3", f"out={tmp_path / 'other'}", folders[1])
 
 
@@ -86,7 +84,7 @@ def test_a_replay_that_differs_ends_with_an_error(demos: Path, tmp_path: Path, m
     content = np.fromfile(path, np.int64)
     content[0] += 1
     content.tofile(path)
-    with pytest.raises(SystemExit, match=r"frames do not come out as written\nnext\.state: other bytes in 1 frames"):
+    with pytest.raises(SystemExit, match=r"frames do not replay as recorded\nnext\.state: differs in 1 frames"):
         call(replay, monkeypatch, f"demos={changed}")
 
 
@@ -95,10 +93,10 @@ def test_a_replay_that_differs_ends_with_an_error(demos: Path, tmp_path: Path, m
     [
         (record, ["by=me", "out={new}"], "splatrl-record: by: expected planner or keys, got me"),
         (record, ["episodes=0", "out={new}"], "splatrl-record: episodes: expected a whole number"),
-        (record, ["out={demos}"], "splatrl-record: out: expected a new folder, but .* is there"),
-        (record, ["out={new}", "lerobot={new}"], "splatrl-record: lerobot: expected a folder beside out=.*new, got"),
-        (record, ["out={new}", "lerobot={new}/other"], "splatrl-record: lerobot: expected a folder beside out="),
-        (record, ["out={new}/demos", "lerobot={new}"], "splatrl-record: lerobot: expected a folder beside out="),
+        (record, ["out={demos}"], "splatrl-record: out: expected a new folder, got .* already exists"),
+        (record, ["out={new}", "lerobot={new}"], "lerobot: expected a folder separate from out=.*new, got"),
+        (record, ["out={new}", "lerobot={new}/other"], "splatrl-record: lerobot: expected a folder separate from out="),
+        (record, ["out={new}/demos", "lerobot={new}"], "splatrl-record: lerobot: expected a folder separate from out="),
         (record, [], "splatrl-record: out: expected a value, got none"),
         (record, ["out={new}", "episode=3"], "episode: no such key, did you mean episodes"),
         (replay, ["demos={new}"], "splatrl-replay: .*: expected a folder of demonstrations"),
@@ -124,7 +122,7 @@ def test_what_is_wrong_is_said_in_a_line(
     ("change", "message"),
     [
         ("robot.image_width=15", "robot.image_width, robot.image_height: expected even numbers, got 15 and 12"),
-        (None, r"LeRobot's layout needs pyarrow: pip install 'splatrl\[lerobot\]'"),
+        (None, r"the LeRobot format needs pyarrow: pip install 'splatrl\[lerobot\]'"),
     ],
 )
 def test_what_lerobot_cannot_have_is_said_before_anybody_shows_anything(
@@ -244,7 +242,7 @@ def test_a_training_killed_while_it_imitates_begins_anew_with_the_same_bytes(
         ("robot.image_width=24", "demos: expected images of 24 × 12 .* got 16 × 12"),
         (
             "collector.total_frames=128",
-            "collector.total_frames: expected at least .* of demos and 256 of dagger",
+            "collector.total_frames: expected at least .* of demos and 256 frames of dagger",
         ),
         ("demos=nowhere", "nowhere: expected a folder of demonstrations"),
         ("demos=0", "demos: expected a whole number from 1 to 1000000, got 0"),

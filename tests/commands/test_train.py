@@ -150,7 +150,7 @@ def test_ctrl_c_saves_and_says_how_to_go_on(run: tuple[Path, str], scene: list[s
     process.send_signal(signal.SIGINT)
     output, _ = process.communicate(timeout=120)
     assert process.returncode == 130, said + output
-    assert f"splatrl-train 'resume={tmp_path}' goes on" in output
+    assert f"continue with: splatrl-train 'resume={tmp_path}'" in output
     assert load_checkpoint(tmp_path / "checkpoints" / "last.pt")["ppo"]["frames"] > 0
     finish(command("train", f"resume={tmp_path}"))
     whole, resumed = (load_checkpoint(one / "checkpoints" / "last.pt")["ppo"]["model"] for one in (run[0], tmp_path))
@@ -170,7 +170,7 @@ def test_a_run_folder_has_one_process_at_a_time(scene: list[str], tmp_path: Path
         ("seed=1", "seed: asked for 1, found 0"),
         ("task.motion.step=0.25", "task.motion.step: asked for 0.25, found 0.5"),
         ("loss.gamma=0.5", "loss.gamma: asked for 0.5, found 0.97"),
-        ("scene.path={other}", "scene: its Gaussians are others"),
+        ("scene.path={other}", "scene: its Gaussians differ"),
     ],
 )
 def test_a_run_goes_on_only_as_it_began_unless_that_is_asked_for(
@@ -185,7 +185,7 @@ def test_a_run_goes_on_only_as_it_began_unless_that_is_asked_for(
     write_gaussians(other, gaussians)
     changed = resumed_config(folder, [f"resume={folder}", change.format(other=other)])
     changed.resume = str(folder)
-    with pytest.raises(ValueError, match=f"got others:\n  {line}\nresume_changed=true"):
+    with pytest.raises(ValueError, match=f"got different ones:\n  {line}\nresume_changed=true"):
         check_made_with(made_with(changed, build_world(changed).scene.digest), then(folder))
     assert (folder / "config.yaml").read_text() == before
 
@@ -199,7 +199,7 @@ def test_what_only_says_how_a_run_is_watched_may_change(run: tuple[Path, str]) -
     cfg = resumed_config(run[0], [f"resume={run[0]}", *changes])
     now = made_with(cfg, then(run[0])["scene"])
     check_made_with(now, then(run[0]))
-    with pytest.warns(UserWarning, match="resume: going on with isa portable in place of .*, threads 2 in place of 1"):
+    with pytest.warns(UserWarning, match="resume: resuming with isa portable instead of .*, threads 2 instead of 1"):
         check_made_with(now | {"isa": "portable", "threads": 2}, then(run[0]))
 
 
@@ -242,7 +242,7 @@ def test_what_a_stranger_s_run_says_was_typed_is_data(run: tuple[Path, str], tmp
     folder = tmp_path / "theirs"
     (folder / ".hydra").mkdir(parents=True)
     shutil.copy(run[0] / "config.yaml", folder / "config.yaml")
-    with pytest.raises(FileNotFoundError, match="expected what was typed for the training, found no such file"):
+    with pytest.raises(FileNotFoundError, match="expected the overrides typed for the training, found no such file"):
         config_elsewhere(folder, ["scene=backyard"])
     (folder / ".hydra" / "overrides.yaml").write_text(f"{typed}\n")
     with pytest.raises(

@@ -53,10 +53,10 @@ def test_a_folder_is_looked_at_and_its_goal_saved_until_it_is_interrupted(place:
     process = command("view", str(place), *GRID, "port=0")
     visitor = page_of(process)
     visitor.find("GaussianSplatsMessage")
-    visitor.field("save into scene.yaml")
+    visitor.field("save to scene.yaml")
     visitor.drag("/place/goal", (-0.5, 1.0, 0.5))
     visitor.find("GuiUpdateMessage", lambda m: "not saved yet: goal" in str(m["updates"]))
-    visitor.click("save into scene.yaml")
+    visitor.click("save to scene.yaml")
     until(lambda: "goal: [-0.5, 1.0, 0.0]  # looks at the red thing" in (place / "scene.yaml").read_text(), "the goal")
     visitor.close()
     process.send_signal(signal.SIGINT)
@@ -70,11 +70,11 @@ def test_a_goal_where_nobody_walks_is_refused_in_words(place: Path) -> None:
     stop = furnish(page, cfg)
     visitor = Visitor(page.address)
     visitor.drag("/place/goal", (9.0, 1.0, 0.5))
-    until(lambda: visitor.field("save into scene.yaml"), "the button")
+    until(lambda: visitor.field("save to scene.yaml"), "the button")
     visitor.find("GuiUpdateMessage", lambda m: "not saved yet: goal" in str(m["updates"]))
-    visitor.click("save into scene.yaml")
+    visitor.click("save to scene.yaml")
     told = visitor.find("GuiUpdateMessage", lambda m: "**not saved**" in str(m["updates"]))
-    assert "task.goal: expected it where robots walk, x from -1 to 1" in str(told["updates"])
+    assert "task.goal: expected a point in the walkable area, x from -1 to 1" in str(told["updates"])
     assert (place / "scene.yaml").read_text() == SCENE
     visitor.close()
     stop()
@@ -97,15 +97,15 @@ def test_a_bare_splat_is_shown_without_anything_to_drive(tmp_path: Path) -> None
 def test_a_robot_that_keys_cannot_drive_is_shown_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mujoco", reason="needs the extra physics")
     monkeypatch.setattr(sys, "argv", ["splatrl-record", "task=gates", "by=keys", "port=70000", f"out={tmp_path}/new"])
-    told = "task: expected actions that keys can tell, a speed and a turn, got 4 numbers an action"
+    told = "task: expected actions that keys can express, a speed and a turn, got 4 numbers per action"
     with pytest.raises(SystemExit, match=told):
         record.main()
     cfg = load_config(["task=gates"], "view")
     page = Page(view.instantiate(cfg.scene), port=0)
     furnish(page, cfg)()
     visitor = Visitor(page.address)
-    visitor.field("save into scene.yaml")
-    assert any(f"Nothing to drive here: {told}" in str(message) for message in visitor.messages)
+    visitor.field("save to scene.yaml")
+    assert any(f"Driving is not available: {told}" in str(message) for message in visitor.messages)
     visitor.close()
     page.close()
 
@@ -135,8 +135,8 @@ def test_the_first_word_is_a_scene_or_a_run(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nowhere"], "splatrl-view: scene: expected one of backyard, .*or a path that exists, got nowhere"),
-        (["nowhere.ply"], "splatrl-view: scene: expected .* a path that exists, got nowhere.ply"),
+        (["nowhere"], "splatrl-view: scene: expected one of backyard, .*or an existing path, got nowhere"),
+        (["nowhere.ply"], "splatrl-view: scene: expected .* an existing path, got nowhere.ply"),
         (["kitchen"], "splatrl-view: scene.path: expected a value, got none"),
         (["run=nowhere"], "splatrl-view: run: expected a run folder with config.yaml, got nowhere"),
         (["backyard", "port=70000"], "splatrl-view: port: expected a whole number from 0 to 65535"),
@@ -172,7 +172,7 @@ def test_a_watched_training_shows_itself_and_its_run_can_be_looked_at(tmp_path: 
     assert looking.returncode == 0 and "Traceback" not in output, output
     refused = command("view", str(folder), "task=fps")
     output, _ = refused.communicate(timeout=60)
-    assert "expected only run, evaluation.checkpoint, host, port, device, allow_targets beside it, got" in output
+    assert "expected only run, evaluation.checkpoint, host, port, device, allow_targets with it, got" in output
 
 
 def test_ctrl_c_ends_a_watched_training_as_any_other(tmp_path: Path) -> None:
@@ -183,7 +183,7 @@ def test_ctrl_c_ends_a_watched_training_as_any_other(tmp_path: Path) -> None:
     visitor.find("GuiUpdateMessage", lambda m: "- frames" in str(m["updates"]))
     training.send_signal(signal.SIGINT)
     output, _ = training.communicate(timeout=60)
-    assert training.returncode == 130 and "goes on" in output and "Traceback" not in output, output
+    assert training.returncode == 130 and "continue with: splatrl-train" in output and "Traceback" not in output, output
     visitor.close()
 
 
@@ -205,22 +205,22 @@ def test_what_is_shown_by_keys_is_a_dataset_like_the_planners(tmp_path: Path) ->
     scene, out = tiny_overrides(tmp_path), tmp_path / "demos"
     recording = command("record", *scene, "by=keys", "episodes=2", f"out={out}", "port=0")
     visitor, driver = page_of(recording), Driver(build_world(load_config(scene)))
-    visitor.field("write what is kept, and end")
+    visitor.field("save the kept episodes and stop")
     drive(visitor, driver)
-    visitor.find("GuiUpdateMessage", lambda m: "any key begins" in str(m) and "kept 1 of 2" in str(m))
+    visitor.find("GuiUpdateMessage", lambda m: "any key starts" in str(m) and "kept 1 of 2" in str(m))
     visitor.press("another start")
     visitor.find("GuiUpdateMessage", lambda m: "step 0" in str(m) and "kept 1 of 2" in str(m))
     drive(visitor, driver)
     output = finish(recording)
     assert f"{out}: 2 episodes, {len(read_demonstrations(out))} frames" in output
-    assert "are equal, byte for byte" in finish(command("replay", f"demos={out}"))
+    assert "are identical, byte for byte" in finish(command("replay", f"demos={out}"))
 
 
 def test_nothing_shown_writes_nothing(tmp_path: Path) -> None:
     scene = tiny_overrides(tmp_path)
     recording = command("record", *scene, "by=keys", "episodes=2", f"out={tmp_path / 'demos'}", "port=0")
     visitor = page_of(recording)
-    visitor.click("write what is kept, and end")
+    visitor.click("save the kept episodes and stop")
     output, _ = recording.communicate(timeout=60)
     assert recording.returncode == 1
     assert "splatrl-record: by=keys: expected at least one episode that reached the goal, got none" in output

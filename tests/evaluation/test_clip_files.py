@@ -107,19 +107,19 @@ def test_a_table_may_come_from_a_spreadsheet(tmp_path: Path) -> None:
     [
         (
             "frame,action\n0,fly\n",
-            r"actions\.csv, line 2: expected actions among forward, back, left, right, got 'f",
+            r"actions\.csv, line 2: expected one or more of forward, back, left, right, got 'f",
         ),
-        ("frame,action\n0,left|\n", "line 2: expected actions among .* got ''"),
-        ("frame,action\n0,left\n0,left\n", "line 3: expected each frame once, got 0 again after line 2"),
-        ("frame,action\n-1,left\n", "line 2: expected the number of a frame, from 0, got '-1'"),
-        ("frame,action\n²,left\n", "line 2: expected the number of a frame"),
-        ("frame,action\n" + "9" * 5000 + ",left\n", "line 2: expected the number of a frame"),
-        ("frame,action\n0,left,right\n", "line 2: expected a frame and an action, got 3 cells"),
+        ("frame,action\n0,left|\n", "line 2: expected one or more of .* got ''"),
+        ("frame,action\n0,left\n0,left\n", "line 3: expected each frame once, got 0, already on line 2"),
+        ("frame,action\n-1,left\n", "line 2: expected a frame number \\(0 or more\\), got '-1'"),
+        ("frame,action\n²,left\n", "line 2: expected a frame number"),
+        ("frame,action\n" + "9" * 5000 + ",left\n", "line 2: expected a frame number"),
+        ("frame,action\n0,left,right\n", "line 2: expected a frame number and an action, got 3 cells"),
         ("number,action\n0,left\n", "line 1: expected frame,action, got 'number,action'"),
         ("", "line 1: expected frame,action, got ''"),
-        ("frame,action\n", "expected at least one frame"),
+        ("frame,action\n", "expected at least one labelled frame"),
         ('frame,action\n0,"' + "x" * 200_000 + '"\n', "expected a CSV"),
-        ("frame,action\n0,left\xff\n".encode("latin-1"), "expected a CSV in UTF-8"),
+        ("frame,action\n0,left\xff\n".encode("latin-1"), "expected a CSV file in UTF-8"),
     ],
 )
 def test_a_label_that_makes_no_sense_is_named_with_its_line(tmp_path: Path, table: str | bytes, message: str) -> None:
@@ -136,7 +136,7 @@ def test_a_label_beyond_the_last_frame_is_named_with_its_line(tmp_path: Path, ki
         folder_clip(tmp_path / "a", table, ("0.png", "1.png", "2.png"))
     else:
         video_clip(tmp_path / "a.mp4", [1, 2, 3], table)
-    with pytest.raises(ValueError, match="line 4: expected a frame from 0 to 2, got 3"):
+    with pytest.raises(ValueError, match="line 4: expected a frame number from 0 to 2, got 3"):
         list(read_clips(tmp_path, NAMES)[0].images())
 
 
@@ -156,11 +156,11 @@ def test_folders_without_clips_say_what_is_missing(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="expected images"):
         read_clips(tmp_path, NAMES)
     gray(1).save(tmp_path / "a" / "0.png")
-    with pytest.raises(ValueError, match="expected a table"):
+    with pytest.raises(ValueError, match="expected a CSV file with the columns"):
         read_clips(tmp_path, NAMES)
     (tmp_path / "a" / "actions.csv").write_text("frame,action\n0,left\n")
     (tmp_path / "b.csv").write_text("frame,action\n0,left\n")
-    with pytest.raises(ValueError, match=r"b\.csv: expected a video of that name"):
+    with pytest.raises(ValueError, match=r"b\.csv: expected a video of the same name"):
         read_clips(tmp_path, NAMES)
 
 
@@ -179,10 +179,10 @@ def png(width: int, height: int) -> bytes:
     ("content", "message"),
     [
         (png(9000, 9000), "expected images of at most 67,108,864 pixels, got 9000 × 9000"),
-        (png(60_000, 60_000), "expected a whole PNG or JPEG"),
-        (png(20, 20), "expected a whole PNG or JPEG"),
-        (b"", "expected a whole PNG or JPEG"),
-        (b"GIF89a", "expected a whole PNG or JPEG"),
+        (png(60_000, 60_000), "expected a complete PNG or JPEG"),
+        (png(20, 20), "expected a complete PNG or JPEG"),
+        (b"", "expected a complete PNG or JPEG"),
+        (b"GIF89a", "expected a complete PNG or JPEG"),
     ],
 )
 def test_an_image_that_is_damaged_or_absurdly_large_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
@@ -199,7 +199,7 @@ def test_a_video_that_is_damaged_or_too_large_is_refused(tmp_path: Path, monkeyp
     with pytest.raises(ValueError, match="got 64 × 48"):
         list(clip.images())
     clip.source.write_bytes(b"no video")
-    with pytest.raises(ValueError, match="expected a whole video"):
+    with pytest.raises(ValueError, match="expected a complete video"):
         list(clip.images())
 
 
@@ -210,5 +210,5 @@ def test_a_playlist_in_the_guise_of_a_clip_reads_no_other_file(tmp_path: Path) -
     (tmp_path / "secret.mp4").rename(tmp_path / "clips" / "secret.bin")
     (tmp_path / "clips" / "a.mp4").write_text("ffconcat version 1.0\nfile secret.bin\n")
     (clip,) = read_clips(tmp_path / "clips", NAMES)
-    with pytest.raises(ValueError, match="expected a whole video"):
+    with pytest.raises(ValueError, match="expected a complete video"):
         list(clip.images())

@@ -176,5 +176,5 @@ def test_a_policy_must_say_as_many_actions_as_there_are_names(tmp_path: Path) ->
         return torch.zeros(len(pixels), 3)
 
     policy = TensorDictModule(three, in_keys=["pixels"], out_keys=["logits"])
-    with pytest.raises(ValueError, match="expected 4 actions, forward, back, left, right, got a policy of 3"):
+    with pytest.raises(ValueError, match=r"expected 4 actions \(forward, back, left, right\), got a policy with 3"):
         match(policy, NAMES, clips(tmp_path, [[[3]]]), (HEIGHT, WIDTH, 3), TensorDict({}, [1]))

@@ -88,14 +88,14 @@ def test_a_wrong_episode_is_refused_in_one_line_by_its_field(key: str, value: An
 @pytest.mark.parametrize(
     ("data", "match"),
     [
-        (b"", "expected a whole gzip file of .* got one that is cut short"),
+        (b"", "expected a complete gzip file of .* got a truncated one"),
         (b"no gzip", "expected a gzip file, got Error -3"),
         (gzip.compress(b"{"), "expected JSON, got"),
-        (gzip.compress(b"[]"), "episodes: expected 1 to 200,000 of them, got no list"),
-        (gzip.compress(b'{"episodes": []}'), "episodes: expected 1 to 200,000 of them, got 0"),
+        (gzip.compress(b"[]"), "episodes: expected a list of 1 to 200,000, got no list"),
+        (gzip.compress(b'{"episodes": []}'), "episodes: expected a list of 1 to 200,000, got 0"),
         (gzip.compress(b'{"episodes": [1]}'), "episode 0: expected keys and values"),
         (gzip.compress(b"[" * 100_000), "expected JSON, got"),
-        (gzip.compress(b'{"episodes": [{}]}')[:-9], "expected a whole gzip file of .* got one that is cut short"),
+        (gzip.compress(b'{"episodes": [{}]}')[:-9], "expected a complete gzip file of .* got a truncated one"),
     ],
     ids=["empty", "text", "cut", "list", "none", "number", "nested", "truncated"],
 )
@@ -111,10 +111,10 @@ def test_a_file_that_unpacks_to_more_than_it_may_is_refused(tmp_path: Path, monk
     monkeypatch.setattr(episode_sets, "MOST_BYTES", 1000)
     path = tmp_path / "episodes.json.gz"
     path.write_bytes(gzip.compress(b" " * 100_000 + b'{"episodes": []}'))
-    with pytest.raises(ValueError, match="at most 1,000 bytes unpacked, got more"):
+    with pytest.raises(ValueError, match="at most 1,000 unpacked bytes, got more"):
         read_episodes(path, ["yard"])
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="expected a file of episodes"):
+    with pytest.raises(FileNotFoundError, match="expected an episode file"):
         read_episodes(tmp_path / "none.json.gz", ["yard"])

@@ -137,7 +137,7 @@ def test_a_pose_that_succeeds_now_and_then_has_a_colour_of_its_own(drawn: list[F
     success[:5] = False  # the first of two episodes
     start_map(planar, success, VIEW, Path("unused.png"))
     assert len(polygons(drawn[0], PARTLY)) == 5 and len(polygons(drawn[0], REACHED)) == 91
-    assert labels(drawn[0]) == ["goal reached", "reached in part of the episodes", "goal pose"]
+    assert labels(drawn[0]) == ["goal reached", "reached in some episodes", "goal pose"]
 
 
 def test_starts_that_are_no_lattice_get_arrows_of_a_size_that_can_be_seen(drawn: list[Figure]) -> None:

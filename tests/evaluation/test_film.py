@@ -68,7 +68,7 @@ def test_what_is_no_film_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     for name, message in (
         ("nowhere.mp4", "expected a video or a folder of photos, found none"),
-        ("text.mp4", "expected a whole video"),
+        ("text.mp4", "expected a complete video"),
         ("empty", "expected at least one frame"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -69,5 +69,6 @@ def test_a_file_of_episodes_for_another_task_or_place_is_refused(run: Path, tmp_
     path = run / "episodes.json.gz"
     assert len(given_episodes(world, path)[1].state) == 6
     other = build_world(load_config(tiny_overrides(tmp_path)))
-    with pytest.raises(ValueError, match=r"evaluation\.episodes: expected a task such as task=pointnav, got Grid"):
+    refused = r"evaluation\.episodes: expected a navigation task, such as task=pointnav, got Grid"
+    with pytest.raises(ValueError, match=refused):
         given_episodes(other, path)

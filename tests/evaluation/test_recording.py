@@ -140,5 +140,5 @@ def test_sampling_depends_on_the_seed_and_on_nothing_else() -> None:
 
 
 def test_an_env_of_another_size_is_refused() -> None:
-    with pytest.raises(ValueError, match="as many robots as starts, 3, got 2"):
+    with pytest.raises(ValueError, match=r"one robot per start \(3\), got 2"):
         record_episodes(tiny_env((2,)), scripted(*ACTIONS), STARTS)

@@ -30,7 +30,7 @@ def test_the_grid_suits_a_scene_of_any_unit(scale: float) -> None:
 def test_a_scene_without_extent_is_refused_by_name() -> None:
     lone = scene()
     point = Scene("dot", lone.gaussians, (lone.bounds[0], lone.bounds[0]))
-    with pytest.raises(ValueError, match="dot: expected a scene with an extent"):
+    with pytest.raises(ValueError, match="dot: expected a scene with a spatial extent"):
         survey_occupancy(point)
 
 

@@ -335,14 +335,14 @@ class Broken(SceneDrawing):
 @pytest.mark.parametrize("motion", [DriveMotion(HEIGHT), OrbitMotion((0.0, 0.0, HEIGHT), elevation_deg=(0.0, 40.0))])
 def test_what_cannot_be_walked_is_refused(motion: PlannedMotion, tmp_path: Path) -> None:
     other = Plan(**{**vars(planar_plan()), "motion": motion})
-    refused = rf"expected named steps on the ground.*got {type(motion).__name__}"
+    refused = rf"expected a motion on the ground with named actions.*got {type(motion).__name__}"
     with pytest.raises(ValueError, match=refused):
         record_walks(tmp_path, world(other, SceneDrawing(Painter())))
 
 
 def test_a_walk_needs_a_goal(tmp_path: Path) -> None:
     aimless = plan(planar_plan().motion, BlockChecker(), lambda state: None)
-    with pytest.raises(ValueError, match="expected one with goal states"):
+    with pytest.raises(ValueError, match="expected a task with goal states"):
         record_walks(tmp_path / "clips", world(aimless, SceneDrawing(Painter())))
     assert not (tmp_path / "clips").exists()
 

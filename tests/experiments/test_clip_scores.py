@@ -99,5 +99,5 @@ def test_a_task_without_named_actions_is_refused(runs: Path, clips: Path, monkey
     driven = replace(trained, world=replace(trained.world, task=SimpleNamespace(motion=DriveMotion(HEIGHT))))
     monkeypatch.setattr(type(trained), "beginning", lambda self: trained.world.env(1).reset())
     monkeypatch.setattr(clip_scores, "load_policy", lambda *_: driven)
-    with pytest.raises(ValueError, match="expected actions with names, got DriveMotion"):
+    with pytest.raises(ValueError, match="expected a motion with named actions, got DriveMotion"):
         score_run(runs / "forward", clips)

@@ -66,4 +66,4 @@ def test_those_who_never_learned_are_tested_as_well_and_told_last(tmp_path: Path
     learned |= {"success_rate_argmax": 0.4, "collision_rate": 0.1, "spl": 0.25}
     rows = [line for line in transfer_table([straight, taught, learned], experiment) if line.startswith("| west")]
     assert ["straight" in line for line in rows] == [False, True, False] and "teacher" in rows[2]
-    assert transfer_sentences([taught], experiment)[0].endswith(" the teacher, by the shortest way.")
+    assert transfer_sentences([taught], experiment)[0].endswith(" (shortest-path teacher).")

@@ -30,7 +30,7 @@ def test_a_lead_within_the_spread_of_seeds_wins_nothing(tmp_path: Path) -> None:
 
 def test_one_seed_settles_nothing(tmp_path: Path) -> None:
     assert "with it is ahead" in (found := finished(tmp_path, 0.9, 0.5, 0.2)[0])
-    assert "one seed settles nothing" in found
+    assert "a single seed is not conclusive" in found
 
 
 def test_spl_is_that_by_distance_where_a_task_measures_it(tmp_path: Path) -> None:
@@ -70,7 +70,8 @@ def test_matches_are_given_for_each_clip_and_for_all_frames_together(tmp_path: P
         ["**all**", "40", "85.0 ± 7.1 %", "20.0 % |"],
     ]
     assert scores_sentences(scores, experiment) == [
-        "- **yard, labelled clips**: share of 40 frames in which actions match: with it 85.0 ± 7.1 %, without 20.0 %."
+        "- **yard, labelled clips**: fraction of 40 frames in which the actions match: "
+        "with it 85.0 ± 7.1 %, without 20.0 %."
     ]
 
 

@@ -30,7 +30,7 @@ FIXED, EACH = 100 * 2**20, 4
 """Bytes of memory that reading a file may take, and how many more for each byte of what it holds in float32."""
 HEADERS = re.compile(
     r"header: |a header|magic: |version: |a ZIP bundle|File is not a zip|cannot identify|InvalidDataError|YAML|JSON|UTF"
-    r"|got BadZipFile|ZIP archive|expected XML|expected LZFSE|a whole gzip|Failed to open|expected a COLMAP model"
+    r"|got BadZipFile|ZIP archive|expected XML|expected LZFSE|a complete gzip|Failed to open|expected a COLMAP model"
 )
 """Words of errors that come before the content of a file is reached."""
 
