@@ -81,7 +81,7 @@ def _check(cfg: DictConfig) -> None:
         if cfg[key] is not None:
             require_number(key, cfg[key], 1, whole=True)
     seeds = _plain(cfg)["seeds"]
-    if seeds is not None and not (isinstance(seeds, list) and all(isinstance(seed, int) for seed in seeds)):
+    if seeds is not None and not (isinstance(seeds, list) and all(type(seed) is int for seed in seeds)):
         raise ValueError(f"seeds: expected whole numbers in brackets such as [0,1], got {seeds}")
     given = not OmegaConf.is_missing(cfg, "kitchen") and not cfg.report_only
     if given and not Path(cfg.kitchen).expanduser().exists():
@@ -137,20 +137,21 @@ def _scenes(cfg: DictConfig) -> dict[str, list[str]]:
             result[name] = ["scene=file", f"scene.path={quoted(path)}", f"device={cfg.device}"]
             continue
         overrides = _overrides(cfg, scene)
-        fault = f"{scene}=<path of its file>" if overrides is None else _absent(overrides)
+        fault = f"type {scene}=<path of its file>" if overrides is None else _absent(overrides)
         if fault is None and overrides is not None:
             result[scene] = overrides
         elif cfg.scenes is not None:
-            raise ValueError(f"scenes={scene}: expected {fault} as well, found none")
+            raise ValueError(f"scenes={scene}: expected a scene that exists, found none; {fault}")
         else:
-            print(f"{scene} is left out; to include it, type {fault}", file=sys.stderr)
+            print(f"{scene} is left out; to include it, {fault}", file=sys.stderr)
     return result
 
 
 def _absent(overrides: Sequence[str]) -> str | None:
-    """Return the argument that makes a scene's missing folder; None if the folder exists or the scene has none."""
+    """Return how to make a scene's missing folder; None if the folder exists or the scene has none."""
     paths = [override.removeprefix("scene=") for override in overrides if override.startswith("scene=")]
-    return "name=loop" if any("/" in path and not Path(path).exists() for path in paths) else None
+    missing = any("/" in path and not Path(path).exists() for path in paths)
+    return "run splatrl-experiment name=loop first" if missing else None
 
 
 def _compose(overrides: Sequence[str]) -> dict[str, Any]:

@@ -46,7 +46,7 @@ def capture(arguments: Sequence[str]) -> argparse.Namespace:
         "--camera-height",
         type=float,
         metavar="M",
-        help="mean height of the camera above the floor over the film, metres; on grass, measured from its tips",
+        help="mean height of the camera over the film, metres, above the floor, or above the soil if there is grass",
     )
     result.add_argument(
         "--distance",
