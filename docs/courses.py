@@ -1,4 +1,4 @@
-"""Makes the pictures in docs/physics: the ground of the backyard, and a quadrotor, a car and a quadruped on their ways.
+"""Makes the pictures in docs/physics: the ground of the backyard, and a quadrotor, a car and a quadruped underway.
 
 python docs/courses.py
 """
@@ -24,20 +24,20 @@ from splatrl.scenes import backyard
 
 FOLDER = Path(__file__).parent / "physics"
 SIDE, SMALL = (900, 600), 200
-"""Pixels of the view from beside, and of the robot's own."""
+"""Sizes of the view from the side and of the robot's own view, pixels."""
 
 
 @dataclass(frozen=True)
 class Shown:
-    """What a picture shows.
+    """Settings of a picture.
 
     Attributes:
-        task: its name.
-        number: of the course among those of the tests.
+        task: name of the task.
+        number: index of the course among those of the tests.
         every: steps between the robot's own views.
-        eye: of the view from beside, metres, world.
-        target: where it looks.
-        at: share of the way at which it is taken.
+        eye: position of the camera at the side, world frame, metres.
+        target: point at which it looks, world frame, metres.
+        at: fraction of the episode at which its picture is taken.
     """
 
     task: str
@@ -57,7 +57,7 @@ FOV = math.radians(85.0)
 
 
 def main() -> None:
-    """Draw the ground, let the teachers do their tasks, and put views of that side by side."""
+    """Draw the ground, let the teachers do their tasks, and combine views of that into pictures."""
     FOLDER.mkdir(exist_ok=True)
     draw_ground()
     for course in COURSES:
@@ -65,7 +65,7 @@ def main() -> None:
 
 
 def draw_ground() -> None:
-    """Draw what physics sees of the backyard, as ``splatrl-scene`` does."""
+    """Draw the backyard's terrain as physics has it, like ``splatrl-scene``."""
     scene, lower, upper = backyard(), (-1.0, -1.0), (1.0, 1.0)
     occupancy = Occupancy.from_scene(scene, [[0.6, 0.4, 0.4]], ((-1.3, -1.3, 0.0), (1.3, 1.3, 1.2)), fill=0.2)
     surveyed = survey_terrain(scene, occupancy, lower, upper, reach=0.3, top=0.6)

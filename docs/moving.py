@@ -1,4 +1,4 @@
-"""Makes ``docs/backyard.webp``, the moving picture of the README: what the policy of a run sees, and where it is.
+"""Makes ``docs/backyard.webp``, the animation in the README: what the policy of a run sees, and where it is.
 
 Usage: python docs/moving.py <run folder>
 """
@@ -10,7 +10,7 @@ import av
 from PIL import Image
 
 WIDTH, PAUSE, MOST, QUALITY = 600, 160, 160, 55
-"""Pixels, milliseconds of a frame, frames, and WebP's quality."""
+"""Width in pixels, milliseconds per frame, maximum number of frames, and WebP quality."""
 
 
 def main() -> None:

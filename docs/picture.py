@@ -1,4 +1,4 @@
-"""Makes ``docs/backyard.jpg``: the yard for a person, for the robot, and what a run folder came to from above.
+"""Makes ``docs/backyard.jpg``: the yard as a person and as the robot sees it, and a run's success map from above.
 
 Usage: python docs/picture.py <run folder>
 """
@@ -17,7 +17,7 @@ HEIGHT, GAP = 560, 8
 
 
 def main() -> None:
-    """Render two views, and set the run's success map beside them."""
+    """Render the views, and put the run's success map beside them."""
     renderer = NativeRenderer(backyard().gaussians)
 
     def view(

@@ -1,4 +1,4 @@
-"""Pages of the site that stand elsewhere in the repository: README, CONTRIBUTING and CHANGELOG, their links moved."""
+"""MkDocs hooks that add README, CONTRIBUTING and CHANGELOG to the site, with adjusted links."""
 
 import re
 from pathlib import Path
@@ -9,13 +9,13 @@ from mkdocs.structure.files import File, Files
 ROOT = Path(__file__).parents[1]
 PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 SOURCES = re.compile(r"\[([^\]]*)\]\(\.\./[^)]*\)")
-"""Links to files of the repository that the site does not have."""
+"""Links to files of the repository that are not on the site."""
 BADGES = re.compile(r"^\[!\[ci\].*\n", re.MULTILINE)
-"""A line of the README that only means something beside the repository."""
+"""The README's line of badges, which only makes sense on the repository's page."""
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages."""
+    """Add the pages to the site."""
     for name, page in PAGES.items():
         text = (ROOT / name).read_text(encoding="utf-8").replace("](docs/", "](")
         for other, its_page in PAGES.items():
@@ -25,5 +25,5 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, **_: object) -> str:
-    """Name what stands in the repository without a link."""
+    """Remove the badges, and replace links to files that are not on the site by their text."""
     return SOURCES.sub(r"\1", BADGES.sub("", markdown))

@@ -1,8 +1,8 @@
-"""Makes ``docs/tasks/<task>.jpg``: what a robot sees along a shortest path, one picture for each task.
+"""Makes ``docs/tasks/<task>.jpg``: what a robot sees along a shortest path, one picture per task.
 
-Of push it is what the robot sees as the task's own teacher drives it, with a second row that shows robot and ball. Of
-tasks whose goal belongs to the episode it is an episode along shortest paths to that goal: pointnav has the depth in a
-second row, and imagenav ends with the image of its goal.
+In push, the task's own teacher drives, and a second row shows robot and ball. In tasks whose goal belongs to the
+episode, the robot follows shortest paths to that goal: pointnav has the depth in a second row, and imagenav ends with
+the image of its goal.
 
 Usage: python docs/tasks.py [task ...]
 """
@@ -29,11 +29,11 @@ from splatrl.envs.tasks import Apple, ImageNav, Outcome, Snake
 from splatrl.envs.world import World
 
 TASKS = ("grid", "fps", "apple", "sim2real", "drive", "circle", "polar_plane", "hemisphere", "poster")
-"""Those with goals to which the planner can walk."""
+"""Tasks with fixed goals to which the planner finds paths."""
 WANDERING = ("snake", "pointnav", "imagenav")
-"""Those whose goal belongs to the episode."""
+"""Tasks whose goal belongs to the episode."""
 TAUGHT = "push"
-"""A task with a teacher of its own."""
+"""The task that its own teacher demonstrates."""
 SIDE, VIEWS, GAP = 176, 5, 4
 SETTINGS = [f"robot.image_width={SIDE}", f"robot.image_height={SIDE}", "device=cpu", "renderer.cache=null"]
 EPISODES, SEED, APPLES = 8, 3, 2
@@ -59,7 +59,7 @@ def main() -> None:
 
 
 def _page(films: Sequence[NDArray[np.uint8]], path: Path) -> None:
-    """Write a few frames of each film [T, H, SIDE, 3], one film below the other."""
+    """Save a few frames of each film [T, H, SIDE, 3], one film per row."""
     tops = np.cumsum([0, *(views.shape[1] + GAP for views in films)]).tolist()
     page = Image.new("RGB", (VIEWS * (SIDE + GAP) - GAP, tops[-1] - GAP), "white")
     for top, views in zip(tops, films, strict=False):
@@ -69,12 +69,12 @@ def _page(films: Sequence[NDArray[np.uint8]], path: Path) -> None:
 
 
 def _evenly(count: int, chosen: int) -> list[int]:
-    """Numbers of frames from the first of ``count`` to the last."""
+    """Return ``chosen`` evenly spaced frame indices, from the first of ``count`` to the last."""
     return np.linspace(0, count - 1, chosen).round().astype(int).tolist()
 
 
 def _wandered(name: str) -> list[NDArray[np.uint8]]:
-    """The longest of a few episodes along shortest paths to goals of their own; of snake, to two apples."""
+    """Return the views of the longest of a few episodes on shortest paths to their goals; in snake, to two apples."""
     world = build_world(load_config([f"task={name}", *SETTINGS]))
     episodes = [_walk(world, seed) for seed in range(EPISODES)]
     steps = max((steps for steps in episodes if int(steps[-1]["next", "outcome"]) == Outcome.GOAL), key=len)
@@ -89,7 +89,7 @@ def _wandered(name: str) -> list[NDArray[np.uint8]]:
 
 
 def _walk(world: World, seed: int) -> list[TensorDictBase]:
-    """The steps of one robot to the end of its episode, or to its second apple."""
+    """Return the steps of one robot to the end of its episode, or to its second apple."""
     env = world.env(1, seed=seed)
     now, task, steps, way, aim = env.reset(), world.task, [], None, torch.empty(0)
     while len(steps) < task.max_steps:
@@ -98,7 +98,7 @@ def _walk(world: World, seed: int) -> list[TensorDictBase]:
             way, aim = plan(task.motion, world.checker, partial(_there, world, target)), target.clone()
         done = bool(_there(world, target, now["state"]))
         best = way.optimal(now["state"])[0].nonzero()
-        arrived = done and not isinstance(task, Snake)  # stop is the first action of navigation
+        arrived = done and not isinstance(task, Snake)  # stop is action 0 of navigation
         now["action"] = torch.zeros(1, dtype=torch.int64) if arrived else way.actions[best[0] if len(best) else [0]]
         step = env.step(now)
         steps.append(step.clone())
@@ -110,7 +110,7 @@ def _walk(world: World, seed: int) -> list[TensorDictBase]:
 
 
 def _there(world: World, target: Tensor, state: Tensor) -> Tensor:
-    """Whether robots [B, 3] are where an episode's goal is reached: [B] bool."""
+    """Return whether robots [B, 3] are where an episode's goal is reached: [B] bool."""
     task = world.task
     if isinstance(task, Snake):
         return Apple(task.motion, target.tolist(), task.reach / task.motion.step).reached(state)
@@ -120,7 +120,7 @@ def _there(world: World, target: Tensor, state: Tensor) -> Tensor:
 
 
 def _taught() -> list[NDArray[np.uint8]]:
-    """An episode of push that ends at the mark: what the robot sees, and robot and ball seen from behind and above."""
+    """Return an episode of push that ends at the mark: the robot's views, and robot and ball from behind and above."""
     world = build_world(load_config([f"task={TAUGHT}", *SETTINGS, f"robot.image_height={SIDE // 2}"]))
     env, task = world.env(EPISODES), world.task
     given = task.episodes(world.plan.starts, EPISODES, SEED)
@@ -146,7 +146,7 @@ def _taught() -> list[NDArray[np.uint8]]:
 
 
 def _shown(film: Tensor) -> float:
-    """How well an episode [T, H, W, 3] shows what it is about: long, and with the goal in view before its end."""
+    """Score how well an episode [T, H, W, 3] shows its task: long, and with the goal in view before its end."""
     change = (film[-3:-1].float() - film[-1].float()).abs().mean().item()
     return len(film) - 0.2 * change
 

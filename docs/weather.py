@@ -33,7 +33,7 @@ SEED = 10
 
 
 def views(width: int, height: int, fov_deg: float, kinds: list[dict[str, float]]) -> list[Image.Image]:
-    """The same view in several weathers."""
+    """Draw the same view in each kind of weather; square images are the robot's view."""
     (one,) = yards([SEED])
     (x0, y0, _), (x1, y1, _) = one.scene.bounds
     corner = (x0 + 0.5, y0 + 0.5, 1.5)
@@ -53,7 +53,7 @@ def views(width: int, height: int, fov_deg: float, kinds: list[dict[str, float]]
 
 
 def main() -> None:
-    """Draw each kind, with what the robot sees in a corner."""
+    """Draw each kind of weather, with the robot's view in a corner."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path(__file__).with_name("weather.jpg"))
     options = parser.parse_args()

@@ -1,4 +1,4 @@
-"""Makes ``docs/yards.jpg``: generated yards, each seen by a person and from above.
+"""Makes ``docs/yards.jpg``: generated yards, each at eye level and from above.
 
 Usage: python docs/yards.py [--seeds 0 1 2 …] [--out docs/yards.jpg]
 """
@@ -22,7 +22,7 @@ EYES = 1.6
 
 
 def picture(one: Yard) -> Image.Image:
-    """A yard from the corner with the widest view, and from above."""
+    """Draw a yard from the corner with the widest view, and from above."""
     renderer = NativeRenderer(one.scene)
     (x0, y0, _), (x1, y1, _) = one.scene.bounds
     middle = torch.tensor([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
@@ -40,7 +40,7 @@ def picture(one: Yard) -> Image.Image:
 
 
 def main() -> None:
-    """Draw the yards, row by row."""
+    """Draw the yards row by row."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(16)))
     parser.add_argument("--out", type=Path, default=Path(__file__).with_name("yards.jpg"))
