@@ -1,4 +1,4 @@
-"""What is made once for all: what tests compile, for workers and runs, and what they measure, for workers of a run."""
+"""Results that processes share: compiled files, across all runs, and measurements, among the workers of one run."""
 
 import fcntl
 import json
@@ -13,11 +13,11 @@ import pytest
 
 
 def built(name: str, build: Callable[[Path], object]) -> Path:
-    """The file of a given name, built by the first process that asks for it while the others wait.
+    """Return the file with a given name; the first process that asks for it builds it while the others wait.
 
     Args:
-        name: name of the file, including a digest of all its sources.
-        build: writes the file to the given path.
+        name: file name, which includes a digest of all the file's sources.
+        build: writes the file to the path that it is given.
     """
     folder = Path(tempfile.gettempdir()) / f"splatrl-tests-{os.getuid()}"
     path = folder / name
@@ -33,16 +33,16 @@ def built(name: str, build: Callable[[Path], object]) -> Path:
 
 
 def measured_once(factory: pytest.TempPathFactory, name: str, measure: Callable[[], Any]) -> Any:
-    """What is measured by the first worker of a run of pytest that asks for it, while the others wait.
+    """Return a measurement; the first worker of a pytest run that asks for it takes it while the others wait.
 
     Args:
-        factory: of the run's folders.
-        name: of what is measured.
-        measure: gives what JSON can hold.
+        factory: the factory of the run's temporary folders.
+        name: name of the measurement.
+        measure: takes the measurement and returns a value that JSON can hold.
     """
     if "PYTEST_XDIST_WORKER" not in os.environ:
         return measure()
-    path = factory.getbasetemp().parent / f"{name}.json"  # above the folders of the workers
+    path = factory.getbasetemp().parent / f"{name}.json"  # the parent of all workers' folders
     with locked(path.with_suffix(".lock")):
         if not path.is_file():
             path.write_text(json.dumps(measure()))
@@ -51,7 +51,7 @@ def measured_once(factory: pytest.TempPathFactory, name: str, measure: Callable[
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Hold a file's lock."""
+    """Hold an exclusive lock on a file."""
     with path.open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield

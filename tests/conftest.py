@@ -1,6 +1,6 @@
-"""Fixtures that several rooms share.
+"""Fixtures that the tests of several packages share.
 
-PyTorch and the package are imported where they are used, because the process that hands tests to workers needs neither.
+PyTorch and splatrl are imported where they are used, because the process that hands tests to workers needs neither.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
 
     from splatrl.scenes import Gaussians
 
-for library in ("OMP", "NUMBA"):  # each worker has one core, and so has each program that tests start
+for library in ("OMP", "NUMBA"):  # one core for each worker, and for each program that a test starts
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
-if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as a shell leaves it for what it starts in the background
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as shells set it for background jobs
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(autouse=True)
 def one_thread() -> Iterator[None]:
-    """Set PyTorch back to one thread, since TorchRL's parallel envs and collectors leave it with more."""
+    """Reset PyTorch to one thread after each test, since TorchRL's parallel envs and collectors leave it with more."""
     import torch
 
     yield
@@ -61,8 +61,8 @@ def kitchen(shared_scenes: Path) -> Gaussians:
 
 @pytest.fixture
 def bare_report(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Captures leave out of their report what takes half their time, where a test looks at none of it: the pictures,
-    and the number of solid voxels that cameras saw through."""
+    """Omit the slow parts of capture reports, half of a capture's time, for tests that look at none of them: the
+    pictures, and the number of solid voxels that cameras saw through."""
     import numpy as np
 
     for name in ("check.draw_comparison", "check.draw_map", "folder.draw_cameras", "folder.draw_goals"):
@@ -72,11 +72,11 @@ def bare_report(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """splatrl-scene leaves the pictures out, which take most of the time, where a test looks at none; they show what is
-    read. Goals are looked for in a few places."""
+    """Make splatrl-scene omit the pictures of what it reads, which take most of its time, for tests that look at none,
+    and search for goals in only a few places."""
 
     def draw_scene(*arguments: object) -> list[Path]:
-        Path(str(arguments[4])).mkdir(parents=True, exist_ok=True)  # as the true one does
+        Path(str(arguments[4])).mkdir(parents=True, exist_ok=True)  # as the real function does
         return []
 
     monkeypatch.setattr("splatrl.capture.suggestions.MOST", 8)
@@ -87,13 +87,13 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def ungrounded(undrawn: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leaves out, too, the ground and boxes that robots with physics would meet, which take most of what is left."""
+    """Also omit the ground and boxes that robots with physics would touch, which take most of the remaining time."""
     monkeypatch.setattr("splatrl.commands.scene.show_terrain", lambda *_: None)
 
 
 @pytest.fixture
 def unmade_yards(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Configs of generated yards are composed without making the yards, half a second each where none is cached."""
+    """Compose configs of generated yards without making the yards, which takes half a second each unless cached."""
     monkeypatch.setattr("splatrl.configuration.scene_files.make_yards", lambda _: None)
     stated = {"goal": [0.0, 1.0, 0.0], "object": [1.0, 1.0, 0.5]}
     monkeypatch.setattr("splatrl.configuration.scene_files.yard_proposals", lambda _: stated)
@@ -101,13 +101,13 @@ def unmade_yards(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def blank_curves(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reports of experiments have empty files in place of learning curves, which a test does not look at."""
+    """Write empty files in place of the learning curves of experiments, for tests that do not look at them."""
     monkeypatch.setattr("splatrl.experiments.report.learning_curves", lambda _, path: path.touch())
 
 
 @pytest.fixture(scope="session")
 def translated_once() -> Iterator[None]:
-    """PyTorch's ONNX exporter gathers its translations of operations once, and not for each file."""
+    """Let PyTorch's ONNX exporter collect its translations of operators once, instead of once per file."""
     from torch.onnx._internal.exporter._registration import ONNXRegistry
 
     with pytest.MonkeyPatch.context() as patched:
@@ -116,7 +116,7 @@ def translated_once() -> Iterator[None]:
 
 
 def no_gpu() -> str:
-    """The reason why nothing can run on a GPU here; empty if it can."""
+    """Return the reason why nothing can run on a GPU here, or an empty string if it can."""
     import torch
 
     return "" if torch.cuda.is_available() else "no CUDA device"
@@ -124,7 +124,7 @@ def no_gpu() -> str:
 
 @pytest.fixture(scope="session")
 def cuda_device() -> torch.device:
-    """The GPU; tests that need it are marked ``gpu``, and are skipped if there is none."""
+    """The GPU. Tests that need one are marked ``gpu``, and are skipped if there is none."""
     import torch
 
     if no_gpu():
@@ -134,20 +134,20 @@ def cuda_device() -> torch.device:
 
 
 def pytest_collection(session: pytest.Session) -> None:
-    """Let each worker import another part of all test files first: what one has compiled, the others only read."""
+    """Let each worker import a different part of the test files first, so that the others find cached bytecode."""
     folder, worker = Path(__file__).parent, getattr(session.config, "workerinput", None)
     if worker is None or sys.dont_write_bytecode or session.config.args != ["tests"]:
         return
     files = sorted(folder.rglob("test_*.py"))
     first = len(files) * int(worker["workerid"].removeprefix("gw")) // worker["workercount"]
     for path in files[first:] + files[:first]:
-        with suppress(Exception, pytest.skip.Exception):  # raised again when it is collected
+        with suppress(Exception, pytest.skip.Exception):  # collection will raise it again
             importlib.import_module(".".join(path.relative_to(folder.parent).with_suffix("").parts))
 
 
 def pytest_collection_finish() -> None:
-    """Leave what is imported by now out of every later search for garbage, search less often, and do twice nothing
-    that gives the same again and again: parse YAML, spread Gaussians over robots, and make the backyard."""
+    """Exclude everything imported so far from garbage collection, collect less often, and cache work that would be
+    repeated with the same result: parsing YAML, spreading Gaussians over robots, and making the backyard."""
     from tests.gaussians_once import backyard_once, spread_once
     from tests.yaml_once import parse_once
 
@@ -160,11 +160,11 @@ def pytest_collection_finish() -> None:
 
 
 LONG_RUN, LISTED = 60.0, 8
-"""Seconds of tests from which a run ends with the files that took longest, and their number."""
+"""Total seconds of tests beyond which a run ends with a list of its slowest files, and the length of that list."""
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """Report which files took longest, and on which device the tests of ``-m gpu`` ran, or that they did not run."""
+    """Report the slowest files, and which device the tests of ``-m gpu`` ran on, or that they did not run."""
     seconds: Counter[str] = Counter()
     for report in itertools.chain(*terminalreporter.stats.values()):
         if isinstance(report, pytest.TestReport):

@@ -1,5 +1,5 @@
-"""Spreads Gaussians over each surface, and makes the backyard, once in a process: tests build the same few robots and
-the same scene again and again."""
+"""Caches of Gaussians on the surfaces of robots and of the backyard: in each process, tests build the same few robots
+and the same scene again and again."""
 
 import functools
 import sys
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def spread_once() -> None:
-    """Let ``gaussians_from_mjcf``, if it is imported, remember which points it chose on the triangles of a geom."""
+    """Cache the points that ``gaussians_from_mjcf``, if it is imported, chooses on the triangles of each geom."""
     gaussians = sys.modules.get("splatrl.physics.gaussians")
     if gaussians is None:
         return
@@ -25,7 +25,7 @@ def spread_once() -> None:
 
 
 def backyard_once() -> None:
-    """Let ``backyard``, if it is imported, remember its Gaussians; each call still gets a copy of its own."""
+    """Cache the Gaussians of ``backyard``, if it is imported; each call still gets its own copy."""
     sources = sys.modules.get("splatrl.scenes.sources")
     if sources is not None:
         remembered = functools.cache(sources.backyard_gaussians)

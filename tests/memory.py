@@ -1,7 +1,7 @@
-"""What reading a file costs at most: files that promise or become as much as they may, and the memory of each.
+"""Peak memory of reading the worst files: those that claim, or unpack to, as much as they may.
 
-``python -m tests.memory`` prints, for each kind, the size of the file, what of memory its reading took, and how many
-bytes that is for one of the file. They are read in a process of its own, whose peak the system counts (Linux).
+``python -m tests.memory`` prints, for each kind, the size of the file, the memory that reading it took, and the ratio
+of the two. Files are read in a separate process, whose peak memory the system counts (Linux).
 """
 
 import ctypes
@@ -51,19 +51,19 @@ from tests.scenes.samples import (
 
 MIB = 1 << 20
 NOISE = np.random.default_rng(0).bytes(MIB)
-"""What cannot be compressed, to make a file as large as its promises need."""
+"""Incompressible bytes, which make a file large enough for what it claims."""
 
 
 @dataclass(frozen=True)
 class Costly:
-    """A file that costs as much as it may.
+    """A file that costs as much memory as it may.
 
     Attributes:
-        name: of the file.
+        name: file name.
         write: makes its content.
-        read: reads it; it may refuse it.
-        each: bytes of memory that one of the file's may take.
-        fixed: bytes that it may take besides.
+        read: reads the file, or refuses it.
+        each: bytes of memory allowed per byte of the file.
+        fixed: bytes of memory allowed in addition.
     """
 
     name: str
@@ -73,7 +73,7 @@ class Costly:
     fixed: int = 48 * MIB
 
     def most(self, size: int) -> float:
-        """Bytes of memory that a file of this size may take."""
+        """Return the bytes of memory that a file of this size may take."""
         return self.each * size + self.fixed
 
 
@@ -82,8 +82,8 @@ def _ascii(values: str, header: str, rows: int) -> Callable[[], bytes]:
 
 
 def _spz(degree: int) -> bytes:
-    """As many Gaussians as the file may promise: of nothing but zeros, and noise behind them."""
-    held = MIB + 16 * 1024  # the noise, and what the zeros are packed to
+    """Return as many Gaussians as the file may claim, which compress to almost nothing, with noise behind them."""
+    held = MIB + 16 * 1024  # the noise, and the compressed Gaussians
     width = 20 + 3 * ((degree + 1) ** 2 - 1)
     count = int((MAX_INFLATION * held + SLACK) / width)
     payload = bytes(9 * count) + b"\xff" * count + bytes((width - 10) * count)
@@ -114,7 +114,7 @@ def _compressed() -> bytes:
 
 
 def _png(width: int, height: int, kind: int, channels: int, depth: int) -> bytes:
-    """A picture of zeros, made without one."""
+    """Return a picture of zeros, made without holding its pixels."""
 
     def chunk(name: bytes, content: bytes) -> bytes:
         return len(content).to_bytes(4, "big") + name + content + zlib.crc32(name + content).to_bytes(4, "big")
@@ -127,7 +127,7 @@ def _png(width: int, height: int, kind: int, channels: int, depth: int) -> bytes
 
 
 def _checkpoint() -> bytes:
-    """A pickle that does nothing but make lists."""
+    """Return a checkpoint whose pickle only makes lists."""
     stream = io.BytesIO()
     torch.save({"a": torch.zeros(1)}, stream)
     changed = io.BytesIO()
@@ -145,7 +145,7 @@ def _arrays(packed: bool) -> bytes:
 
 
 def _lying_arrays() -> bytes:
-    """An array of a terabyte, of which nothing is there."""
+    """Return an archive whose array claims a terabyte but holds no data."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
         header = b"{'descr': '|u1', 'fortran_order': False, 'shape': (1000000000000,), }\n"
@@ -154,7 +154,7 @@ def _lying_arrays() -> bytes:
 
 
 def _beside(name: str, path: Path) -> Path:
-    """Another file in the folder of one, which is made once."""
+    """Return a folder beside a file; it is made on the first call."""
     folder = path.parent / name
     folder.mkdir(exist_ok=True)
     return folder
@@ -173,7 +173,7 @@ def _read_lzfse(path: Path) -> object:
 
 
 def _video(side: int) -> bytes:
-    """Three grey images of so many pixels a side, which take next to nothing."""
+    """Return a video of three blank frames of ``side`` × ``side`` pixels, which compress to almost nothing."""
     stream = io.BytesIO()
     with av.open(stream, "w", "mp4") as container:
         track = container.add_stream("mpeg4", 10)
@@ -206,11 +206,11 @@ def _read_colmap(path: Path) -> object:
 
 
 FRAMES = 2000
-"""Of demonstrations, of 64 × 64 pixels each."""
+"""Frames of the demonstrations, of 64 × 64 pixels each."""
 
 
 def _read_memmap(path: Path) -> object:
-    """Demonstrations whose views are the file."""
+    """Read demonstrations whose views are this file."""
     folder = _beside("demos", path)
     around_demonstrations(folder, FRAMES, 64)
     path.replace(folder / "memmap" / "pixels.memmap")
@@ -267,7 +267,7 @@ COSTLY = {
 
 @dataclass(frozen=True)
 class Cost:
-    """Of reading one file: its bytes, those of memory that it took, and what came of it."""
+    """Cost of reading one file: its size in bytes, the bytes of memory that reading it took, and the outcome."""
 
     size: int
     memory: int
@@ -275,7 +275,7 @@ class Cost:
 
 
 def measured(kinds: Sequence[str]) -> dict[str, Cost]:
-    """Write files and read them, one after the other, in a new process."""
+    """Write files of these kinds and read them one by one, in a new process."""
     with tempfile.TemporaryDirectory() as folder:
         reading = start("-m", "tests.memory", "--read", folder, *kinds)
         printed, _ = reading.communicate()
@@ -289,7 +289,7 @@ def _resident(field: str) -> int:
 
 
 def _cost(kind: str, folder: Path) -> Cost:
-    """Read a file in this process, whose peak is counted from there."""
+    """Write a file and read it in this process, counting peak memory from the start of the reading."""
     path = folder / COSTLY[kind].name
     path.write_bytes(COSTLY[kind].write())
     gc.collect()
@@ -305,10 +305,10 @@ def _cost(kind: str, folder: Path) -> Cost:
 
 def _read(folder: Path, kinds: Sequence[str]) -> None:
     warnings.simplefilter("ignore")
-    with suppress(ImportError):  # what readers load when they are first used is not what a file costs
+    with suppress(ImportError):  # modules that readers import on first use are not part of a file's cost
         (folder / "a.sog").write_bytes(zip_bytes(sog_entries(bands=0)[0]))
         read_gaussians(folder / "a.sog")
-    gc.freeze()  # what is imported is not looked through again for each kind
+    gc.freeze()  # do not scan all imported modules for garbage again for each kind
     print(json.dumps({kind: astuple(_cost(kind, folder)) for kind in kinds}))
 
 

@@ -1,7 +1,7 @@
-"""Python programs that begin at once, each in a process forked from one that has imported what takes seconds.
+"""Python programs that start at once, each forked from a process that has already done the slow imports.
 
-A program has its own memory, environment, output, signals and end of the interpreter, as if ``python -m`` or
-``python -c`` had started it. The imports alone are done once, for all programs of a run of pytest.
+A program has its own memory, environment, output, signals and interpreter shutdown, as if ``python -m`` or
+``python -c`` had started it. Only the imports are shared: they are done once for all programs of a pytest run.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ LIBRARIES = (
     "torchrl.modules",
     "torchrl.objectives",
 )
-"""What a program finds imported that is to import splatrl itself."""
+"""Modules already imported in every program, including a bare one, which imports splatrl itself."""
 IMPORTED = (
     "matplotlib.figure",
     "splatrl.building",
@@ -45,20 +45,20 @@ IMPORTED = (
     "splatrl.viewer.page",
     "splatrl.viewer.training",
 )
-"""What programs find imported; not the commands, which they run as their main module."""
+"""Modules also imported in other programs; not the commands, which programs run as their main module."""
 MOST_BYTES = 2**17
-"""Of a request: words and environment."""
+"""Maximum size of a request: words and environment."""
 
 
 def start(*words: str, env: Mapping[str, str] | None = None, bare: bool = False) -> Process:
-    """Begin a program.
+    """Start a program.
 
     Args:
-        words: what follows ``python``: ``-m``, the name of a module and its arguments, or ``-c`` and code.
-        env: the environment in place of this process's own.
-        bare: whether only libraries are imported, and nothing of splatrl.
+        words: the words after ``python``: ``-m``, the name of a module and its arguments, or ``-c`` and code.
+        env: environment of the program; by default that of this process.
+        bare: whether only libraries are already imported, and nothing of splatrl.
     """
-    if sys.platform != "linux":  # elsewhere a fork is not safe
+    if sys.platform != "linux":  # forking is not safe elsewhere
         command = [sys.executable, *words]
         return subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     env = dict(os.environ if env is None else env)
@@ -72,12 +72,12 @@ def start(*words: str, env: Mapping[str, str] | None = None, bare: bool = False)
 
 
 class Program:
-    """What ``subprocess.Popen`` tells of a process and does to it.
+    """A running program, with the interface of ``subprocess.Popen``.
 
     Attributes:
-        pid: its number.
-        stdout: what it prints, errors included.
-        returncode: its exit status, or minus the signal that ended it; None before it has ended and was asked for.
+        pid: process ID.
+        stdout: what the program prints, errors included.
+        returncode: exit status, or minus the signal that ended it; None until ``poll`` or ``wait`` finds it ended.
     """
 
     def __init__(self, link: socket.socket, output: int) -> None:
@@ -87,16 +87,16 @@ class Program:
         self.pid = int(link.recv(16))
 
     def poll(self) -> int | None:
-        """The return code, if the program has ended."""
+        """Return the return code if the program has ended, otherwise None."""
         with suppress(subprocess.TimeoutExpired):
             self.wait(0.0)
         return self.returncode
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for the end, for so many seconds at most.
+        """Wait for the program to end, for at most ``timeout`` seconds, and return its return code.
 
         Raises:
-            subprocess.TimeoutExpired: if that was not long enough.
+            subprocess.TimeoutExpired: if the program is still running then.
         """
         if self.returncode is None:
             self._link.settimeout(timeout)
@@ -107,7 +107,7 @@ class Program:
         return self.returncode
 
     def communicate(self, timeout: float | None = None) -> tuple[str, None]:
-        """Wait for the end as ``wait`` does, and return what was printed since it was last read."""
+        """Wait for the program to end, like ``wait``, and return the output that has not been read yet."""
         printed: list[str] = []
         reader = threading.Thread(target=lambda: printed.append(self.stdout.read()), daemon=True)
         reader.start()
@@ -127,7 +127,7 @@ class Program:
         self.send_signal(signal.SIGTERM)
 
     def kill(self) -> None:
-        """End the program at once."""
+        """Kill the program."""
         self.send_signal(signal.SIGKILL)
 
 
@@ -136,12 +136,12 @@ Process = Union[Program, "subprocess.Popen[str]"]
 
 @functools.cache
 def _interpreter() -> socket.socket:
-    """The way to the process from which programs are forked; it ends with the last test process that uses it."""
+    """Return a connection to the process that forks programs, which ends with the last test process that uses it."""
     run = os.environ.get("PYTEST_XDIST_TESTRUNUID", os.getpid())
     here, address = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET), f"\0splatrl-tests-{run}"
     while here.connect_ex(address):
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as there, suppress(OSError):
-            there.bind(address)  # refused where another test process begins to listen at this moment
+            there.bind(address)  # fails if another test process binds the address first
             there.listen()
             command = [sys.executable, "-m", __name__, str(there.fileno())]
             nothing = subprocess.DEVNULL
@@ -152,15 +152,15 @@ def _interpreter() -> socket.socket:
 def _requested(
     asking: list[socket.socket], listener: socket.socket | None = None, bare: socket.socket | None = None
 ) -> list[str]:
-    """Wait for requests: returns the words of each in a process of its own, and here none when there are no more.
+    """Fork a process for each request, and return the request's words there; here, return none after the last one.
 
     Args:
-        asking: where requests come from.
-        listener: where others may begin to ask.
-        bare: the way to the process that has only libraries imported.
+        asking: connections over which requests come.
+        listener: socket on which further test processes connect.
+        bare: connection to the process that has only the libraries imported.
     """
-    gc.freeze()  # or each program would search all that is imported for garbage as it ends, a second long
-    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for the processes that wait for programs
+    gc.freeze()  # or each program would spend a second at exit searching all imports for garbage
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody reaps the processes that wait for programs
     others = [each for each in (listener, bare) if each is not None]
     while asking:
         for ready in select.select([*others[:1], *asking], [], [])[0]:
@@ -182,7 +182,7 @@ def _requested(
 
 
 def _begun(request: Mapping[str, Any], link_number: int, printed: int) -> list[str]:
-    """Tell how the program ends, here; returns its words in the process that is to run it."""
+    """Fork the program: report its end from this process, and return its words in the one that is to run it."""
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     link = socket.socket(fileno=link_number)
     child = os.fork()
@@ -226,8 +226,8 @@ if __name__ == "__main__":
         asking.close()
         for name in IMPORTED:
             importlib.import_module(name)
-        config = importlib.import_module("splatrl.configuration").load_config()  # Hydra looks for its plugins once
-        importlib.import_module("splatrl.configuration.checking").check_config(config)  # reads all of conf/, once
+        config = importlib.import_module("splatrl.configuration").load_config()  # Hydra finds its plugins once
+        importlib.import_module("splatrl.configuration.checking").check_config(config)  # reads all of conf/ once
         words = _requested([listener.accept()[0]], listener, bare)
     if words:
         _run(*words)

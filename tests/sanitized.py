@@ -1,10 +1,10 @@
-"""Tests with a core that watches itself: built with the address and undefined-behaviour sanitizers of the compiler.
+"""Run tests with a core that is built with the compiler's address and undefined-behaviour sanitizers.
 
     python -m tests.sanitized                       # the C++ core's tests and damaged files of every format
-    python -m tests.sanitized tests/collision -x    # some of them, with what pytest takes
+    python -m tests.sanitized tests/collision -x    # some tests, with any arguments of pytest
 
-The build stays in the temporary folder and is compiled again where sources have changed. Any finding ends the process
-with its report. Needs GCC; leaks are not looked for, since Python and torch leave much behind as they end.
+The build stays in the temporary folder and is recompiled where sources have changed. Any finding aborts the process
+with a report. Needs GCC; leaks are not detected, since Python and torch leave much memory unfreed at exit.
 """
 
 import hashlib
@@ -22,12 +22,12 @@ FLAGS = "-fsanitize=address,undefined -fno-sanitize=vptr -fno-sanitize-recover=u
 TESTS = ["tests/native", "tests/collision", "tests/renderers", "tests/capture/test_fit.py", "tests/test_fuzzing.py"]
 ALONE = ["-n", "0", "--capture=sys", "-p", "no:cacheprovider", "-m", "not slow and not gpu"]
 LEFT_OUT = "emulated or test_compiler or threads_that_cannot_start or png-60 or sprite-60 or depth-60"
-"""CUDA sources are compiled by other tools, a shadow of all memory does not fit under a limit of addresses, and large
-images, which the core does not read, take more memory with it than the tests allow."""
+"""Excluded tests: CUDA sources are compiled by other tools, the sanitizer's shadow memory does not fit under a limit on
+the address space, and large images, which the core does not read, take more memory with it than the tests allow."""
 
 
 def environment() -> tuple[Path, Path]:
-    """The Python of an environment that has this one's packages and a watched build of splatrl, and where that lies."""
+    """Return the Python of an environment with this one's packages and a sanitized splatrl, and the build's folder."""
     folder = Path(tempfile.gettempdir()) / f"splatrl-sanitized-{hashlib.sha256(str(ROOT).encode()).hexdigest()[:12]}"
     python = folder / "env" / "bin" / "python"
     if not python.exists():
@@ -42,21 +42,21 @@ def environment() -> tuple[Path, Path]:
 
 
 def preloaded() -> str:
-    """The sanitizers' libraries, which must be loaded before anything else."""
+    """Return the sanitizers' libraries, which must be loaded before anything else."""
     names = ("libasan.so", "libubsan.so")
     found = [subprocess.check_output(["gcc", f"-print-file-name={name}"], text=True).strip() for name in names]
     return ":".join(found)
 
 
 def main() -> int:
-    """Build, and run pytest; returns its exit status."""
+    """Build splatrl, run pytest, and return its exit status."""
     python, packages = environment()
     watching = {
         "LD_PRELOAD": preloaded(),
         "ASAN_OPTIONS": "detect_leaks=0:abort_on_error=1",
         "UBSAN_OPTIONS": "print_stacktrace=1",
-        "PYTHONSAFEPATH": "1",  # the build is to be imported, not the sources
-        "PYTHONPATH": f"{packages}:{ROOT}",  # so the tests come last
+        "PYTHONSAFEPATH": "1",  # import the build, not the sources
+        "PYTHONPATH": f"{packages}:{ROOT}",  # the root last, only for the tests
     }
     asked = sys.argv[1:] or TESTS
     command = [str(python), "-c", RUN, *ALONE, "-k", f"not ({LEFT_OUT})", *asked]

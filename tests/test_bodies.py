@@ -5,20 +5,20 @@ import pytest
 from splatrl.bodies import Box, Capsule, Sphere
 
 
-def test_the_radius_is_that_of_the_sphere_that_contains_the_body() -> None:
+def test_the_radius_of_a_body_is_that_of_its_bounding_sphere() -> None:
     assert Box((2.0, 4.0, 4.0)).radius == 3.0
     assert Sphere(0.3).radius == 0.3
     assert Capsule(0.2, 1.0).radius == 0.7
 
 
-def test_a_box_made_of_a_list_is_the_box_made_of_a_tuple() -> None:
+def test_a_box_made_from_a_list_equals_one_made_from_a_tuple() -> None:
     assert Box([1, 2, 3]) == Box((1.0, 2.0, 3.0))
     assert hash(Box([1, 2, 3])) == hash(Box((1.0, 2.0, 3.0)))
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf])
 def test_extents_that_are_not_positive_are_refused_by_name(bad: float) -> None:
-    with pytest.raises(ValueError, match=r"Box\.size\.y: expected finite metres above 0"):
+    with pytest.raises(ValueError, match=r"Box\.size\.y: expected a positive number of metres"):
         Box((1.0, bad, 1.0))
     with pytest.raises(ValueError, match=r"Sphere\.radius"):
         Sphere(bad)
@@ -28,6 +28,6 @@ def test_extents_that_are_not_positive_are_refused_by_name(bad: float) -> None:
         Capsule(1.0, bad)
 
 
-def test_a_box_has_three_extents() -> None:
+def test_a_box_without_three_extents_is_refused() -> None:
     with pytest.raises(ValueError, match="expected 3 full extents, got 2"):
         Box((1.0, 2.0))

@@ -6,7 +6,7 @@ import torch
 from splatrl.cameras import Cameras, intrinsics, look_at
 
 
-def test_the_edge_of_the_image_is_half_the_field_of_view_away() -> None:
+def test_the_edge_of_the_image_is_half_the_field_of_view_from_the_axis() -> None:
     K = intrinsics(1.2, 64, 48)
     ray = torch.linalg.solve(K, torch.tensor([64.0, 24.0, 1.0]))
     assert math.atan2(ray[0], ray[2]) == pytest.approx(0.6, rel=1e-5)
@@ -14,8 +14,8 @@ def test_the_edge_of_the_image_is_half_the_field_of_view_away() -> None:
 
 
 @pytest.mark.parametrize("fov", [0.0, -1.0, math.pi, math.nan])
-def test_a_field_of_view_that_no_pinhole_has_is_refused(fov: float) -> None:
-    with pytest.raises(ValueError, match="fov: expected radians"):
+def test_a_field_of_view_that_no_pinhole_camera_has_is_refused(fov: float) -> None:
+    with pytest.raises(ValueError, match=r"fov: expected an angle in \(0, π\) radians"):
         intrinsics(fov, 8, 8)
 
 
@@ -42,7 +42,7 @@ def test_look_at_broadcasts_many_positions_over_one_target() -> None:
     torch.testing.assert_close(poses[:, :3, 2], -torch.nn.functional.normalize(positions, dim=1))
 
 
-def test_one_lens_is_shared_by_the_batch() -> None:
+def test_one_set_of_intrinsics_is_shared_by_the_batch() -> None:
     cameras = Cameras(torch.eye(4).repeat(3, 1, 1), intrinsics(1.0, 8, 6), 8, 6)
     assert cameras.K.shape == (3, 3, 3)
     assert len(cameras) == 3

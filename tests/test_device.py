@@ -1,4 +1,4 @@
-"""The device of tensors: what is chosen with and without a GPU."""
+"""The choice of a device, with and without a GPU."""
 
 import pytest
 import torch
@@ -16,7 +16,7 @@ def gpu(monkeypatch: pytest.MonkeyPatch, extra: bool) -> None:
 
 
 @pytest.mark.parametrize(("extra", "kind"), [(True, "cuda"), (False, "cpu")])
-def test_auto_takes_a_gpu_where_there_is_one_with_the_extra(
+def test_auto_takes_a_gpu_if_there_is_one_and_the_extra_is_installed(
     monkeypatch: pytest.MonkeyPatch, extra: bool, kind: str
 ) -> None:
     gpu(monkeypatch, extra)
@@ -32,13 +32,15 @@ def test_auto_takes_the_cpu_where_there_is_no_gpu(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize("name", ["cuda", "cuda:0", "cuda:3"])
-def test_a_gpu_that_is_not_here_is_refused(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_a_gpu_that_the_machine_lacks_is_refused(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
-    with pytest.raises(ValueError, match=f"device: expected one of this machine, got {name}: .* finds 0 CUDA devices"):
+    with pytest.raises(
+        ValueError, match=f"device: expected a device of this machine, got {name}, but .* finds 0 CUDA devices"
+    ):
         chosen_device(name)
 
 
-def test_a_gpu_that_is_named_becomes_the_present_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_numbered_gpu_becomes_the_current_device(monkeypatch: pytest.MonkeyPatch) -> None:
     gpu(monkeypatch, True)
     chosen = []
     monkeypatch.setattr(torch.cuda, "set_device", chosen.append)
@@ -52,7 +54,7 @@ def test_a_name_that_is_no_device_is_refused(name: str) -> None:
         chosen_device(name)
 
 
-def test_the_extra_is_missing_where_its_module_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_extra_counts_as_missing_if_its_modules_are_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     found = {"cuda": object(), "cuda.core": None}
     monkeypatch.setattr(room, "find_spec", found.get)
     assert not cuda_extra()

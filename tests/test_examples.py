@@ -1,4 +1,4 @@
-"""What stands in examples/ runs. They need the extra ``slow``, but for those that need nothing."""
+"""The examples run. Tests marked ``slow`` need the extra ``slow``; the others need nothing."""
 
 import os
 import subprocess
@@ -13,7 +13,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 def run(name: str, *arguments: str) -> str:
-    """What an example prints."""
+    """Run an example, and return what it prints."""
     environment = os.environ | {"OMP_NUM_THREADS": "1", "RAY_DEDUP_LOGS": "0"}
     command = [sys.executable, str(EXAMPLES / name), *arguments]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=600)
@@ -21,7 +21,7 @@ def run(name: str, *arguments: str) -> str:
     return done.stdout
 
 
-def test_every_example_is_listed_and_every_one_listed_is_there() -> None:
+def test_the_list_of_examples_matches_the_files() -> None:
     listed = {
         line.split("](")[1].split(")")[0] for line in (EXAMPLES / "README.md").read_text().splitlines() if "| [" in line
     }
@@ -41,7 +41,7 @@ def test_the_envhub_file_makes_a_suite_of_one_batch() -> None:
     env.close()
 
 
-def test_notebooks_are_kept_without_outputs() -> None:
+def test_notebooks_are_stored_without_outputs() -> None:
     for path in EXAMPLES.glob("*.ipynb"):
         assert '"output_type"' not in path.read_text()
 
@@ -56,7 +56,7 @@ def test_ppo_in_one_file_learns_to_reach_near_goals() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("backend", ["direct", "process", "ray"])
-def test_one_env_under_each_backend_of_the_collector(backend: str) -> None:
+def test_the_collector_runs_with_each_backend(backend: str) -> None:
     lines = [line for line in run("collectors.py", backend, "--frames", "320").splitlines() if line.startswith(backend)]
     assert len(lines) == 2 and all("160 frames of" in line for line in lines)
 
@@ -68,7 +68,7 @@ def test_rllib_trains() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.ipynb")), ids=lambda path: path.name)
-def test_a_notebook_runs(path: Path) -> None:
+def test_a_notebook_runs_and_shows_pictures(path: Path) -> None:
     import nbformat
     from nbclient import NotebookClient
 

@@ -1,4 +1,4 @@
-"""A package of one's own: its task, transform, network and scene work from the command line, as the docs say."""
+"""A user's own package: its task, transform, network and scene work from the command line, as the docs say."""
 
 import json
 import os
@@ -24,7 +24,7 @@ SHOWN += sorted([*PACKAGE.rglob("hydra_plugins/*/__init__.py"), *PACKAGE.rglob("
 
 @pytest.fixture
 def example(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The package on Python's path, and gone from there afterwards."""
+    """Put the package on Python's path, and unload it afterwards."""
     monkeypatch.syspath_prepend(str(PACKAGE))
     yield
     for name in [name for name in sys.modules if name.split(".")[0] == "explorer"]:
@@ -36,11 +36,11 @@ def test_the_page_shows_the_package_as_it_is(path: Path) -> None:
     assert path.read_text().rstrip() in PAGE
 
 
-def test_a_task_of_ones_own_takes_forty_lines_at_most() -> None:
+def test_a_custom_task_takes_at_most_forty_lines() -> None:
     assert len((PACKAGE / "explorer" / "tasks.py").read_text().splitlines()) <= 40
 
 
-def test_a_run_of_the_package_from_the_command_line(tmp_path: Path) -> None:
+def test_the_package_trains_from_the_command_line(tmp_path: Path) -> None:
     settings = [
         "task=explore", "scene=hall", "network=linear", "+transforms/grey=on",
         "device=cpu", "collector.total_frames=1024", "collector.frames_per_batch=512", "robot.image_width=16",
@@ -61,7 +61,7 @@ def test_a_run_of_the_package_from_the_command_line(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("example")
 class TestExplore(EnvContract):
-    """The env's contract, with a task that remembers and has no goal."""
+    """The env contract, for a task that has memory but no goal."""
 
     def make(self, batch_size: tuple[int], seed: int = 0) -> SplatEnv:
         from explorer.tasks import Explore
@@ -73,7 +73,7 @@ class TestExplore(EnvContract):
         curriculum = Curriculum(plan(task.motion, BlockChecker(), task.reached), None)
         return SplatEnv(SceneDrawing(tiny_renderer()), BlockChecker(), tiny_robot(), task, curriculum, batch_size, seed)
 
-    def test_each_new_cell_is_paid_for_once(self) -> None:
+    def test_each_new_cell_is_rewarded_once(self) -> None:
         env = self.make((64,))
         torch.manual_seed(0)
         batch = env.rollout(15, break_when_any_done=False)
@@ -84,4 +84,4 @@ class TestExplore(EnvContract):
 
     def test_starts_are_all_free_poses_and_there_are_no_paths(self) -> None:
         plan = self.make((1,)).curriculum.starts
-        assert plan.levels == 1 and len(plan.ordered) == 468 - 9 * 4  # the block fills three places by three
+        assert plan.levels == 1 and len(plan.ordered) == 468 - 9 * 4  # the block covers 3 × 3 cells

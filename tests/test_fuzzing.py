@@ -1,4 +1,4 @@
-"""Damaged files of every format: read, or refused by a ValueError that names the file, and nothing else."""
+"""Damaged files of every format are read, or refused with a ValueError that names the file, and cause nothing else."""
 
 from pathlib import Path
 

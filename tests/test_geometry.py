@@ -25,7 +25,7 @@ def random_quats(seed: int, *shape: int) -> Tensor:
 
 
 @given(seeds)
-def test_a_rotation_survives_the_way_through_its_quaternion(seed: int) -> None:
+def test_a_rotation_survives_conversion_to_a_quaternion_and_back(seed: int) -> None:
     rotations = quats_to_rotations(random_quats(seed, 3, 5))
     quats = rotations_to_quats(rotations)
     assert quats.shape == (3, 5, 4)
@@ -40,7 +40,7 @@ def test_half_turns_keep_their_quaternion(quat: list[float]) -> None:
 
 
 @given(seeds)
-def test_a_quaternion_of_any_length_is_a_rotation(seed: int) -> None:
+def test_a_quaternion_of_any_length_gives_a_rotation(seed: int) -> None:
     rotations = quats_to_rotations(7.5 * random_quats(seed, 4))
     identity = torch.eye(3, dtype=torch.float64).expand(4, 3, 3)
     torch.testing.assert_close(rotations @ rotations.mT, identity, atol=1e-12, rtol=0)
@@ -61,7 +61,7 @@ def test_the_product_of_quaternions_is_the_product_of_rotations(seed: int) -> No
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_axis_rotations_are_right_handed_and_leave_their_axis(axis: int) -> None:
+def test_axis_rotations_are_right_handed_and_keep_their_axis_fixed(axis: int) -> None:
     rotation = axis_rotations(axis, torch.tensor([math.pi / 2]))[0]
     basis = torch.eye(3)
     torch.testing.assert_close(rotation @ basis[axis], basis[axis])

@@ -1,4 +1,4 @@
-"""Gymnasium knows the tasks by name."""
+"""Gymnasium makes envs of the tasks by ID."""
 
 import warnings
 from pathlib import Path
@@ -19,7 +19,7 @@ from tests.two_rooms import in_both
 
 
 def room(folder: Path, task: str = "grid") -> dict[str, Any]:
-    """The tiny room, as the arguments of ``gymnasium.make``."""
+    """Write the tiny room, and return the arguments with which ``gymnasium.make`` builds it."""
     given = [each for each in tiny_overrides(folder, task) if not each.startswith(("task=", "scene"))]
     return {"scene": str(folder / "tiny.ply"), "overrides": given}
 
@@ -32,7 +32,7 @@ def test_every_task_has_an_id() -> None:
 
 
 @pytest.mark.parametrize("task", ["grid", "drive", "circle"])
-def test_gymnasiums_checker_has_nothing_to_say(task: str, tmp_path: Path) -> None:
+def test_gymnasiums_checker_finds_no_faults(task: str, tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         env = gymnasium.make(gymnasium_id(task), render_mode="rgb_array", **room(tmp_path, task))
@@ -42,7 +42,7 @@ def test_gymnasiums_checker_has_nothing_to_say(task: str, tmp_path: Path) -> Non
         assert np.array_equal(env.render(), observation)
 
 
-def test_a_named_env_is_the_one_that_the_library_makes(tmp_path: Path) -> None:
+def test_an_env_made_by_id_equals_the_one_that_the_library_makes(tmp_path: Path) -> None:
     env = gymnasium.make("splatrl/Grid-v0", seed=3, **room(tmp_path))
     assert env.unwrapped.render_mode is None
     seen, info = env.reset()
@@ -50,7 +50,7 @@ def test_a_named_env_is_the_one_that_the_library_makes(tmp_path: Path) -> None:
     assert np.array_equal(seen, expected) and np.array_equal(info["state"], told["state"])
 
 
-def test_several_scenes_and_generated_ones_are_scenes_too(tmp_path: Path) -> None:
+def test_several_scenes_and_generated_scenes_can_be_chosen(tmp_path: Path) -> None:
     both = in_both(tmp_path)
     chosen = [each for each in both if not each.startswith(("task=", "scene="))]
     envs = gymnasium.make_vec("splatrl/Grid-v0", num_envs=8, scene="many", overrides=chosen)
@@ -72,7 +72,7 @@ def test_a_batch_is_one_env_that_steps_all_robots(tmp_path: Path) -> None:
     assert slow.reset(seed=0)[0].shape == (2, 12, 16, 3)
 
 
-def test_gymnasium_can_import_by_itself(tmp_path: Path) -> None:
+def test_gymnasium_can_import_the_package_by_itself(tmp_path: Path) -> None:
     asks = f"import gymnasium; print(gymnasium.make('splatrl:splatrl/Circle-v0', **{room(tmp_path, 'circle')}).spec.id)"
     said, _ = start("-c", asks, bare=True).communicate(60)
     assert said.split() == ["splatrl/Circle-v0"]
@@ -81,10 +81,10 @@ def test_gymnasium_can_import_by_itself(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"scene": "nowhere.ply"}, "scene: expected backyard.*or a path that exists, got nowhere.ply"),
+        ({"scene": "nowhere.ply"}, "scene: expected one of backyard.*or an existing path, got nowhere.ply"),
         ({"overrides": ["seed=-1"]}, "seed: expected a whole number"),
     ],
 )
-def test_what_is_wrong_is_said(arguments: dict[str, Any], message: str) -> None:
+def test_invalid_arguments_are_refused_by_name(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         gymnasium.make("splatrl/Grid-v0", **arguments)

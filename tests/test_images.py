@@ -1,4 +1,4 @@
-"""Photos and videos from strangers: each kind shows what was meant, and images hold of which a file says less."""
+"""Photos and videos from strangers: each kind looks as intended, and images that exceed their declared size fail."""
 
 from fractions import Fraction
 from pathlib import Path
@@ -13,7 +13,7 @@ from splatrl.evaluation.clip_files import film_images
 
 
 def _coded(side: int) -> list[av.Packet]:
-    """An image in MPEG-2, which says its own size."""
+    """Return the packets of an MPEG-2 image, which state its size."""
     coder = av.CodecContext.create("mpeg2video", "w")
     coder.width, coder.height, coder.pix_fmt, coder.framerate = side, side, "yuv420p", 25
     frame = av.VideoFrame.from_ndarray(np.full((side, side, 3), 90, np.uint8))
@@ -27,7 +27,7 @@ def decoded(packet: av.Packet) -> list[av.VideoFrame]:
         return []
 
 
-def test_an_image_that_is_larger_than_its_file_says_is_not_decoded(
+def test_an_image_that_is_larger_than_its_file_declares_is_not_decoded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "film.mkv"
@@ -47,20 +47,20 @@ def test_an_image_that_is_larger_than_its_file_says_is_not_decoded(
 
 
 RAMP = np.linspace(0, 255, 12).round().astype(np.uint8)[:, None].repeat(8, 1)
-"""[12, 8] dark above, bright below."""
+"""[12, 8] uint8, dark at the top and bright at the bottom."""
 
 
-def test_a_grey_photo_of_16_bits_shows_their_higher_half(tmp_path: Path) -> None:
+def test_a_16_bit_grey_photo_shows_its_upper_eight_bits(tmp_path: Path) -> None:
     Image.fromarray(RAMP.astype(np.uint16) * 256 + 77).save(tmp_path / "a.png")
     assert np.array_equal(np.asarray(images.read_photo(tmp_path / "a.png")), RAMP[..., None].repeat(3, 2))
 
 
 @pytest.mark.parametrize("kind", ["RGBA", "LA", "P"])
-def test_what_is_transparent_is_black_whatever_is_hidden_there(kind: str, tmp_path: Path) -> None:
+def test_transparent_pixels_are_black_whatever_colour_they_hide(kind: str, tmp_path: Path) -> None:
     alpha = np.full_like(RAMP, 255)
     alpha[:3], alpha[3:6] = 0, 128
     colors = np.concatenate([RAMP[..., None].repeat(3, 2), alpha[..., None]], 2)
-    colors[:3, :, 1] = 250  # hidden
+    colors[:3, :, 1] = 250  # hidden by an alpha of 0
     image = Image.fromarray(colors)
     if kind == "P":
         image = image.quantize(256, Image.Quantize.FASTOCTREE)
@@ -92,7 +92,7 @@ def test_photos_are_upright_however_the_camera_was_held(orientation: int, tmp_pa
 
 
 def anamorphic(path: Path, size: tuple[int, int], aspect: Fraction) -> Path:
-    """A film in lossless RGB whose left third is red."""
+    """Write a lossless RGB film with this pixel aspect ratio, whose left third is red."""
     pixels = np.full((size[1], size[0], 3), 60, np.uint8)
     pixels[:, : size[0] // 3] = (250, 20, 20)
     with av.open(str(path), "w") as container:
@@ -106,7 +106,7 @@ def anamorphic(path: Path, size: tuple[int, int], aspect: Fraction) -> Path:
 
 
 @pytest.mark.parametrize(("aspect", "shown"), [("4/3", (128, 72)), ("1/2", (96, 144)), ("1", (96, 72))])
-def test_anamorphic_films_have_square_pixels(aspect: str, shown: tuple[int, int], tmp_path: Path) -> None:
+def test_anamorphic_films_are_shown_with_square_pixels(aspect: str, shown: tuple[int, int], tmp_path: Path) -> None:
     path = anamorphic(tmp_path / "film.mkv", (96, 72), Fraction(aspect))
     for image in film_images(path):
         pixels = np.asarray(image).astype(int)
@@ -114,7 +114,7 @@ def test_anamorphic_films_have_square_pixels(aspect: str, shown: tuple[int, int]
         assert pixels[:, : shown[0] // 3 - 2, 0].min() > 240 and pixels[:, shown[0] // 3 + 2 :].max() < 70
 
 
-def test_pixels_of_a_film_that_are_hardly_any_are_refused(tmp_path: Path) -> None:
+def test_a_film_whose_pixels_are_far_from_square_is_refused(tmp_path: Path) -> None:
     path = anamorphic(tmp_path / "film.mkv", (96, 72), Fraction(60, 1))
-    with pytest.raises(ValueError, match=r"film\.mkv: expected pixels about as wide as high, got 60"):
+    with pytest.raises(ValueError, match=r"film\.mkv: expected nearly square pixels, got an aspect ratio of 60"):
         list(film_images(path))

@@ -1,4 +1,4 @@
-"""The order of the packages: each names only earlier ones, and only a few use Hydra or choose a device."""
+"""The order of the packages: each may name only earlier ones, and only a few may use Hydra or choose a device."""
 
 import ast
 import functools
@@ -57,7 +57,7 @@ ORDER = [
     {"experiments"},
     {"commands"},
 ]
-"""Packages ("rooms") and single modules under splatrl/, in order; a new one is added here."""
+"""Packages and single modules under splatrl/ (here: "rooms"), in order; new ones are added here."""
 ONLY = {
     "hydra": {"configuration", "building", "commands"},
     "omegaconf": {
@@ -73,13 +73,13 @@ ONLY = {
     },
     "splatrl.device": {"building", "commands"},
 }
-"""What only some rooms may import."""
+"""Modules that only some rooms may import."""
 CONF_LIMITS = {"experiment": "experiments", "train.yaml": "configuration"}
-"""The last room that the configs of a group, or a root config, may name; those of others: ``evaluation``."""
+"""Last room that the configs of a group, or a root config, may name; ``evaluation`` for all others."""
 DEVICE_CHOICES = {"cuda", "mps", "xpu"}
 CHOOSERS = {"device", "building", "commands"}
 CUDA_ALONE = ("native/cuda/", "renderers/cuda.py", "renderers/gsplat.py", "collision/cuda.py")
-"""What runs only on a CUDA device, so that naming the device there is not a choice."""
+"""Files whose code runs only on CUDA devices, so that naming the device there is not a choice."""
 DOTTED = re.compile(r"splatrl(\.\w+)+")
 MODULE = re.compile(r"-m (splatrl[\w.]*\w)")
 
@@ -88,17 +88,17 @@ CONFIGS = sorted(conf_dir().rglob("*.yaml"))
 
 
 def room(path: Path) -> str:
-    """The room under splatrl/ that contains a file."""
+    """Return the room under splatrl/ that contains a file."""
     return path.relative_to(PACKAGE).with_suffix("").parts[0]
 
 
 def rank(name: str) -> int:
-    """Position of a room in the order."""
+    """Return the position of a room in the order."""
     return next(place for place, rooms in enumerate(ORDER) if name in rooms)
 
 
 def rooms_of(name: str) -> set[str]:
-    """The rooms that a dotted name leads through, and the one that defines its object; none outside splatrl.
+    """Return the rooms that a dotted name leads through and the one that defines its object; none outside splatrl.
 
     Raises:
         ImportError: if there is no such module.
@@ -111,7 +111,7 @@ def rooms_of(name: str) -> set[str]:
 
 
 def name_faults(name: str, limit: str) -> list[str]:
-    """What is wrong with a dotted name, if rooms up to ``limit`` may be named."""
+    """Return the faults of a dotted name, if rooms up to ``limit`` may be named."""
     try:
         rooms = rooms_of(name)
     except (ImportError, AttributeError):
@@ -121,12 +121,12 @@ def name_faults(name: str, limit: str) -> list[str]:
 
 @functools.lru_cache(1)
 def nodes_of(source: str) -> list[ast.AST]:
-    """All nodes of a module's tree; of the last one asked for, they are remembered."""
+    """Return all nodes of a module's syntax tree; those of the last module are cached."""
     return list(ast.walk(ast.parse(source)))
 
 
 def imported(nodes: Iterable[ast.AST]) -> Iterator[str]:
-    """Full names of everything that a module imports, anywhere in it."""
+    """Yield the full names of everything that a module imports, anywhere in it."""
     for node in nodes:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -137,7 +137,7 @@ def imported(nodes: Iterable[ast.AST]) -> Iterator[str]:
 
 
 def written(nodes: Iterable[ast.AST]) -> Iterator[str]:
-    """Dotted names of splatrl that are a whole string, or follow ``-m`` in one; OmegaConf resolvers do not count."""
+    """Yield dotted names of splatrl that are a whole string or follow ``-m`` in one, except OmegaConf resolvers."""
     for node in nodes:
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             yield from MODULE.findall(node.value)
@@ -146,7 +146,7 @@ def written(nodes: Iterable[ast.AST]) -> Iterator[str]:
 
 
 def faults(name: str, source: str) -> list[str]:
-    """What is wrong with the names that a module of the room ``name`` imports or writes."""
+    """Return the faults of the names that a module of the room ``name`` imports or has in strings."""
     found, nodes = [], nodes_of(source)
     for target in imported(nodes):
         for prefix, rooms in ONLY.items():
@@ -162,7 +162,7 @@ def faults(name: str, source: str) -> list[str]:
 
 
 def conf_names(node: Any) -> Iterator[str]:
-    """Dotted names in a config: all targets, and all other strings that name something in splatrl."""
+    """Yield the dotted names in a config: all targets, and all other strings that name something in splatrl."""
     if isinstance(node, list):
         node = dict(enumerate(node))
     if isinstance(node, dict):
@@ -173,15 +173,15 @@ def conf_names(node: Any) -> Iterator[str]:
 
 
 def conf_faults(path: Path, source: str) -> list[str]:
-    """What is wrong with the names in a config, by its path in conf/."""
+    """Return the faults of the names in a config, given its path in conf/."""
     limit = CONF_LIMITS.get(path.parts[0], "evaluation")
     return [fault for name in conf_names(yaml.safe_load(source)) for fault in name_faults(name, limit)]
 
 
 def device_choices(source: str) -> list[int]:
-    """Lines that choose a device: a default device, or the name of one that not every machine has.
+    """Return the lines that choose a device: a default device, or the name of one that not every machine has.
 
-    Asking what device a tensor has is free: ``x.is_cuda``, ``device.type == "cuda"``.
+    Asking which device a tensor is on is allowed: ``x.is_cuda``, ``device.type == "cuda"``.
     """
     nodes = nodes_of(source)
     compared = {id(part) for node in nodes if isinstance(node, ast.Compare) for part in ast.walk(node)}
@@ -200,7 +200,7 @@ def test_every_module_has_a_place_in_the_order_and_every_place_a_module() -> Non
 
 
 @pytest.mark.parametrize("name", sorted({room(path) for path in MODULES}))
-def test_modules_name_only_what_their_room_and_those_before_it_have_and_few_choose_a_device(name: str) -> None:
+def test_modules_name_only_their_own_and_earlier_packages_and_few_choose_a_device(name: str) -> None:
     for path in MODULES:
         if room(path) == name:
             source = path.read_text()
@@ -209,18 +209,18 @@ def test_modules_name_only_what_their_room_and_those_before_it_have_and_few_choo
                 assert device_choices(source) == [], path
 
 
-def test_configs_name_only_what_there_is_in_the_rooms_that_they_may_know() -> None:
+def test_configs_name_only_what_exists_in_the_packages_that_they_may_use() -> None:
     for path in CONFIGS:
         assert conf_faults(path.relative_to(conf_dir()), path.read_text()) == [], path
 
 
-def test_the_configs_name_what_they_build() -> None:
+def test_the_names_of_what_configs_build_are_found() -> None:
     named = {name for path in CONFIGS for name in conf_names(yaml.safe_load(path.read_text()))}
     assert {"splatrl.renderers.NativeRenderer", "splatrl.experiments.clip_scores.score_experiment"} <= named
     assert len(named) > 30
 
 
-def test_every_command_is_there() -> None:
+def test_every_command_has_a_module_and_an_entry_point() -> None:
     scripts = dict(re.findall(r'^splatrl-(\w+) = "(.*)"$', (ROOT / "pyproject.toml").read_text(), re.MULTILINE))
     modules = [path.stem for path in (PACKAGE / "commands").glob("*.py") if " as main\n" in path.read_text("utf-8")]
     assert sorted(scripts) == sorted(modules)
@@ -230,7 +230,7 @@ def test_every_command_is_there() -> None:
         assert pkgutil.resolve_name(script).args == (name,)
 
 
-def test_mistyped_words_and_calls_for_help_need_no_pytorch() -> None:
+def test_mistyped_arguments_and_requests_for_help_do_not_import_pytorch() -> None:
     typed = [
         ("train", "--help", "None"),
         ("train", "taks=fps", "splatrl-train: taks: "),
@@ -268,7 +268,9 @@ def test_mistyped_words_and_calls_for_help_need_no_pytorch() -> None:
         ("commands", "'python -m splatrl.train.'", "there is no such thing"),
     ],
 )
-def test_a_name_that_goes_up_or_leads_nowhere_is_found(name: str, source: str, fault: str) -> None:
+def test_a_module_that_names_a_later_package_or_a_missing_object_is_reported(
+    name: str, source: str, fault: str
+) -> None:
     assert [fault in found for found in faults(name, source)] == [True]
 
 
@@ -281,7 +283,7 @@ def test_a_name_that_goes_up_or_leads_nowhere_is_found(name: str, source: str, f
         ("configuration", "x = 'splatrl.run_dir'"),
     ],
 )
-def test_a_name_that_goes_down_is_no_fault(name: str, source: str) -> None:
+def test_a_module_may_name_earlier_packages(name: str, source: str) -> None:
     assert faults(name, source) == []
 
 
@@ -298,23 +300,25 @@ def test_a_name_that_goes_down_is_no_fault(name: str, source: str) -> None:
         ("scene/new.yaml", "scene: {_target_: splatrl.load_scene}", "there is no such thing"),
     ],
 )
-def test_a_name_in_a_config_that_goes_up_or_leads_nowhere_is_found(path: str, source: str, fault: str) -> None:
+def test_a_config_that_names_a_later_package_or_a_missing_object_is_reported(
+    path: str, source: str, fault: str
+) -> None:
     assert [fault in found for found in conf_faults(Path(path), source)] == [True]
 
 
-def test_names_in_configs_that_go_down_are_no_fault() -> None:
+def test_a_config_may_name_earlier_packages() -> None:
     assert conf_faults(Path("experiment/new.yaml"), "score: splatrl.experiments.clip_scores.score_experiment") == []
     ours = "a: {_target_: splatrl.collision.Occupancy.from_scene}\nb: [{_target_: splatrl.backyard}]\nc: splatrl is it"
     assert conf_faults(Path("task/new.yaml"), f"{ours}\nd: {{_target_: torchrl.envs.CatFrames}}") == []
 
 
 @pytest.mark.parametrize("source", ["x.to('cuda')", "device = 'cuda:1'", "torch.cuda.is_available()"])
-def test_the_choice_of_a_device_is_found(source: str) -> None:
+def test_code_that_chooses_a_device_is_found(source: str) -> None:
     assert device_choices(source) == [1]
 
 
 @pytest.mark.parametrize("source", ["x.is_cuda", "if device.type == 'cuda': pass", "'no cuda here'", "device='cpu'"])
-def test_asking_for_a_device_is_no_choice(source: str) -> None:
+def test_asking_which_device_is_in_use_is_not_a_choice(source: str) -> None:
     assert device_choices(source) == []
 
 
@@ -325,24 +329,24 @@ def test_asking_for_a_device_is_no_choice(source: str) -> None:
         ("splatrl.geometry", {"hydra", "omegaconf", "torchrl"}),
     ],
 )
-def test_a_small_import_brings_no_large_library(module: str, absent: set[str]) -> None:
+def test_importing_a_small_module_imports_no_large_library(module: str, absent: set[str]) -> None:
     asks = f"import sys, {module}; print(*sorted({absent!r} & sys.modules.keys()))"
     done = subprocess.run([sys.executable, "-c", asks], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
 
 
-def test_videos_are_read_by_what_is_imported_where_one_is() -> None:
+def test_the_video_library_is_not_imported_before_a_video_is_read() -> None:
     asks = "import sys, splatrl.commands.train, splatrl.capture.pipeline; print('av' in sys.modules)"
     assert start("-c", asks, bare=True).communicate(60)[0] == "False\n"
 
 
 @pytest.mark.parametrize("name", splatrl.__all__)
-def test_every_name_of_the_package_is_there_under_its_own_name(name: str) -> None:
+def test_every_public_name_of_the_package_is_the_name_of_its_object(name: str) -> None:
     assert getattr(splatrl, name).__name__ == name
     assert name in dir(splatrl)
 
 
-def test_what_type_checkers_see_of_the_package_is_what_it_gives() -> None:
+def test_type_checkers_see_the_names_that_the_package_provides() -> None:
     tree = ast.parse((PACKAGE / "__init__.py").read_text())
     checked = next(node for node in tree.body if isinstance(node, ast.If))
     names = {name.removeprefix("splatrl."): name.rsplit(".")[-1] for name in imported(ast.walk(checked))}

@@ -1,4 +1,4 @@
-"""Files that promise as much as they may: reading each takes no more memory than its kind may take."""
+"""Files that claim as much as they may: reading each takes no more memory than its kind is allowed."""
 
 import sys
 from dataclasses import astuple
@@ -10,7 +10,7 @@ from tests.memory import COSTLY, Cost, measured
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
 LARGE = ("photo", "depth", "sprite", "large video")
-"""Kinds that take most of a gigabyte, whatever the size of the file."""
+"""Kinds that take most of a gigabyte or more, whatever the size of the file."""
 NEEDS = {"sog": "gsply", "compressed ply": "gsply", "lzfse": "imagecodecs"}
 REFUSED = {"ascii ply, one line", "json, more lists", "episodes", "checkpoint", "arrays that lie"}
 
@@ -31,11 +31,11 @@ def costs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Cost]:
 
 
 @pytest.mark.parametrize("kind", [kind for kind in COSTLY if kind not in LARGE])
-def test_a_file_takes_no_more_memory_than_its_kind_may(kind: str, costs: dict[str, Cost]) -> None:
+def test_a_file_takes_no_more_memory_than_its_kind_is_allowed(kind: str, costs: dict[str, Cost]) -> None:
     checked(kind, costs[kind])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", LARGE)
-def test_a_large_picture_takes_no_more_memory_than_its_pixels_may(kind: str) -> None:
+def test_a_large_image_or_video_takes_no_more_memory_than_its_kind_is_allowed(kind: str) -> None:
     checked(kind, measured([kind])[kind])

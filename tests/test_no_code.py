@@ -1,6 +1,6 @@
-"""Files from strangers run no code: ways beside what a config may name (tests/configuration/test_targets.py).
+"""Files from strangers run no code; tests/configuration/test_targets.py checks what configs may name.
 
-Each file would make a folder if what it holds were run, by the reader that most programs would use for it.
+Each file would create a folder if its content were run, as the readers that most programs use would do.
 """
 
 import json
@@ -33,7 +33,7 @@ from tests.fuzzing.formats import around_demonstrations
 
 
 class Maker:
-    """Makes a folder as it is unpickled."""
+    """Creates a folder when it is unpickled."""
 
     def __init__(self, made: Path) -> None:
         self.made = made
@@ -49,14 +49,14 @@ def pickled_array(path: Path, made: Path, name: str) -> None:
 
 
 def written_header(path: Path, made: Path, name: str) -> None:
-    """An array whose header is an expression."""
+    """Write an array whose header is a Python expression."""
     header = f"__import__('os').mkdir({str(made)!r})".encode().ljust(245) + b"\n"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr(f"{name}.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header)
 
 
 def hidden_behind(path: Path, made: Path) -> None:
-    """A checkpoint with two entries of one name: a harmless one, and one that is read by who looks for the other."""
+    """Write a checkpoint with two entries of one name, one harmful and one harmless: readers may take either."""
     torch.save({"state": torch.zeros(3)}, path)
     with zipfile.ZipFile(path) as archive:
         entries = [(entry.filename, archive.read(entry)) for entry in archive.infolist()]
@@ -68,12 +68,12 @@ def hidden_behind(path: Path, made: Path) -> None:
 
 
 def traced(path: Path, made: Path) -> None:
-    """A program of TorchScript, which torch.load would hand on to its interpreter."""
+    """Write a TorchScript program, which torch.load would pass to its interpreter."""
     torch.jit.script(torch.nn.Linear(2, 2)).save(path)
 
 
 def memory_mapped(folder: Path, made: Path, header: dict[str, object]) -> None:
-    """Demonstrations with what tensordict pickles beside its tensors, and the header that makes it look."""
+    """Read demonstrations with a pickle where tensordict stores its own, and a header that may make it load that."""
     around_demonstrations(folder)
     (folder / "memmap" / "other.pickle").write_bytes(pickle.dumps({"extra": Maker(made)}))
     path = folder / "memmap" / "meta.json"
@@ -86,12 +86,12 @@ def bare_pickle(path: Path, made: Path) -> None:
 
 
 def programmed_picture(path: Path, made: Path) -> None:
-    """PostScript, for which Pillow starts Ghostscript."""
+    """Write PostScript, for which Pillow starts Ghostscript."""
     path.write_text(f"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n(%pipe%mkdir {made}) (r) file\n%%EOF\n")
 
 
 def comment_in_a_picture(path: Path, made: Path) -> None:
-    """A GIF under another name, with an expression as its comment."""
+    """Write a GIF under another name, with a Python expression as its comment."""
     Image.new("P", (4, 4)).save(path, "GIF", comment=f"__import__('os').mkdir({str(made)!r})".encode())
 
 
@@ -116,7 +116,7 @@ WAYS: dict[str, tuple[str, Write, Read]] = {
     ),
     "a pickle as a checkpoint": ("last.pt", bare_pickle, load_checkpoint),
     "a pickle in a checkpoint": ("last.pt", lambda path, made: torch.save({"a": Maker(made)}, path), load_checkpoint),
-    "a pickle behind a checkpoint's": ("last.pt", hidden_behind, load_checkpoint),
+    "a pickle hidden behind a checkpoint's": ("last.pt", hidden_behind, load_checkpoint),
     "a program as a checkpoint": ("last.pt", traced, load_checkpoint),
     "a tag in a scene": (
         "scene.yaml",
@@ -182,7 +182,7 @@ HEADERS: list[dict[str, object]] = [
 
 
 @pytest.mark.parametrize("header", HEADERS)
-def test_what_lies_beside_demonstrations_is_not_unpickled(header: dict[str, object], tmp_path: Path) -> None:
+def test_a_pickle_beside_demonstrations_is_not_loaded(header: dict[str, object], tmp_path: Path) -> None:
     made, folder = tmp_path / "made", tmp_path / "demos"
     folder.mkdir()
     try:
@@ -192,7 +192,7 @@ def test_what_lies_beside_demonstrations_is_not_unpickled(header: dict[str, obje
     assert not made.exists()
 
 
-def test_the_ways_do_run_code_elsewhere(tmp_path: Path) -> None:
+def test_other_readers_do_run_the_code_in_such_files(tmp_path: Path) -> None:
     made, path = tmp_path / "made", tmp_path / "a"
     bare_pickle(path, made)
     pickle.loads(path.read_bytes())

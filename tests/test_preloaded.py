@@ -1,4 +1,4 @@
-"""Programs from a preloaded interpreter behave as those of ``python`` itself."""
+"""Programs from the preloaded interpreter behave like those that ``python`` itself starts."""
 
 import os
 import signal
@@ -21,7 +21,7 @@ sys.exit(3)
 """
 
 
-def test_a_program_is_as_one_of_python_itself(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_program_behaves_like_one_that_python_itself_starts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
     words, env = ["-c", TELLS, "one", "two words"], os.environ | {"TOLD": "this"}
     expected = subprocess.run(
@@ -37,13 +37,13 @@ def test_a_program_is_as_one_of_python_itself(monkeypatch: pytest.MonkeyPatch, t
     assert program.returncode == expected.returncode == program.wait() == 3
 
 
-def test_a_module_is_run_as_the_main_one() -> None:
+def test_a_module_is_run_as_the_main_module() -> None:
     program = start("-m", "timeit", "-n", "1", "-r", "1", "import __main__; print(__main__.__spec__.name)")
     assert program.communicate(60)[0].startswith("timeit\n1 loop")
     assert program.returncode == 0
 
 
-def test_an_error_is_printed_and_a_program_does_not_touch_another() -> None:
+def test_errors_are_printed_and_programs_do_not_affect_each_other() -> None:
     program, other = (
         start("-c", "import torch; torch.ones = None; torch.ones(3)"),
         start("-c", "import torch; print(torch.ones(3))"),
@@ -52,13 +52,13 @@ def test_an_error_is_printed_and_a_program_does_not_touch_another() -> None:
     assert other.communicate(60) == ("tensor([1., 1., 1.])\n", None)
 
 
-def test_a_bare_program_finds_the_libraries_and_nothing_of_splatrl() -> None:
+def test_a_bare_program_finds_the_libraries_imported_but_nothing_of_splatrl() -> None:
     asks = "import sys; print('torch' in sys.modules, 'splatrl' in sys.modules, 'matplotlib' in sys.modules)"
     assert start("-c", asks).communicate(60)[0] == "True True True\n"
     assert start("-c", asks, bare=True).communicate(60)[0] == "True False False\n"
 
 
-def test_a_program_imports_from_pythons_path(tmp_path: Path) -> None:
+def test_a_program_imports_from_pythonpath(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("print('imported')")
     env = os.environ | {"PYTHONPATH": str(tmp_path)}
     assert start("-c", "import mine", env=env).communicate(60)[0] == "imported\n"
@@ -83,7 +83,7 @@ def test_a_program_that_is_sent_a_signal_ends_by_it(number: int) -> None:
         program.communicate(0.01)
     program.send_signal(number)
     assert program.wait(60) == -number
-    program.kill()  # it has ended, so that nothing happens
+    program.kill()  # it has ended, so this does nothing
     with pytest.raises(ProcessLookupError):
         for _ in range(1000):  # the process that waits for it may be a moment late
             os.kill(program.pid, 0)

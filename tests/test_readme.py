@@ -1,4 +1,4 @@
-"""README and documentation tell the truth."""
+"""README and documentation are true: snippets run, commands are valid, and paths and links exist."""
 
 import re
 import shlex
@@ -16,14 +16,14 @@ BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 FENCED = BLOCK.findall(README)
 COMMANDS = {
     " ".join(words): words
-    for text in (README, *(path.read_text() for path in DOCS if path.name != "extending.md"))  # that one has a plugin
+    for text in (README, *(path.read_text() for path in DOCS if path.name != "extending.md"))  # needs a plugin
     for language, block in BLOCK.findall(text)
     if not language
     for line in block.replace("\\\n", " ").splitlines()
     for part in line.split(" && ")
     if part.startswith("splatrl-") and (words := shlex.split(part, comments=True))
 }
-NEEDS_A_PLUGIN = "+launcher="  # of Hydra, which the extra cluster installs
+NEEDS_A_PLUGIN = "+launcher="  # launchers are Hydra plugins, from the extra cluster
 
 
 def test_the_library_snippet_runs(capsys: pytest.CaptureFixture[str]) -> None:
@@ -34,24 +34,24 @@ def test_the_library_snippet_runs(capsys: pytest.CaptureFixture[str]) -> None:
     assert "[8, 20, 64, 64, 3]" in capsys.readouterr().out.replace("torch.Size", "")
 
 
-def test_every_place_it_names_exists() -> None:
+def test_every_path_that_the_readme_names_exists() -> None:
     tree = README.split("## Where things are")[1]
     names = re.findall(r"^(  )?([a-z_]+(?:/[a-z_]+)?(?:\.py|/|\.md))", tree, re.MULTILINE)
     assert len(names) > 10
     for indent, name in names:
         assert (ROOT / ("splatrl" if indent else "") / name).exists(), name
     for link in re.findall(r"\]\(([^)#]+)", README):
-        hosted = ("http", "../../actions/")  # pages of the host that shows the README
+        hosted = ("http", "../../actions/")  # pages of the site that hosts the README
         assert link.startswith(hosted) or (ROOT / link).exists(), link
 
 
-def test_it_shows_every_command() -> None:
+def test_the_readme_shows_every_command() -> None:
     scripts = re.findall(r"^(splatrl-\w+) = ", (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
     assert scripts and all(script in README for script in scripts)
 
 
 @pytest.mark.parametrize("page", DOCS, ids=lambda path: path.name)
-def test_links_between_pages_lead_somewhere(page: Path) -> None:
+def test_links_between_pages_lead_to_existing_files(page: Path) -> None:
     for link in re.findall(r"\]\(([^)#\s]+)", page.read_text()):
         assert link.startswith("http") or (page.parent / link).exists(), link
 
@@ -60,7 +60,7 @@ def test_links_between_pages_lead_somewhere(page: Path) -> None:
 @pytest.mark.parametrize(
     "words", [words for line, words in COMMANDS.items() if NEEDS_A_PLUGIN not in line], ids=" ".join
 )
-def test_a_command_that_it_shows_is_understood(
+def test_a_command_in_the_readme_or_documentation_is_valid(
     words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Check that keys and chosen options exist, without running anything."""

@@ -1,4 +1,4 @@
-"""Costs of shortest paths are found once, and again whenever what they depend on has changed."""
+"""Costs of shortest paths are computed once, and again whenever something that they depend on has changed."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from tests.tiny import tiny_overrides
 
 @pytest.fixture
 def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[int]:
-    """One entry for each time that costs are found."""
+    """A list that gets an entry each time that costs are computed."""
     monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path / "cache"))
     count: list[int] = []
     original = splatrl.remembered.cost_field
@@ -23,7 +23,7 @@ def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[int]:
     return count
 
 
-def test_a_second_world_takes_the_costs_of_the_first(found: list[int], tmp_path: Path) -> None:
+def test_a_second_world_reuses_the_costs_of_the_first(found: list[int], tmp_path: Path) -> None:
     cfg = load_config(tiny_overrides(tmp_path))
     first, again = build_one_world(cfg).plan, build_one_world(cfg).plan
     assert len(found) == 1
@@ -40,7 +40,7 @@ def test_a_second_world_takes_the_costs_of_the_first(found: list[int], tmp_path:
         "collision.occupancy.fill=null",
     ],
 )
-def test_another_goal_body_or_place_has_costs_of_its_own(found: list[int], tmp_path: Path, change: str) -> None:
+def test_another_goal_body_or_collision_map_has_costs_of_its_own(found: list[int], tmp_path: Path, change: str) -> None:
     words = tiny_overrides(tmp_path)
     words = [word for word in words if word.partition("=")[0] != change.partition("=")[0]]
     build_one_world(load_config(tiny_overrides(tmp_path)))
@@ -48,7 +48,7 @@ def test_another_goal_body_or_place_has_costs_of_its_own(found: list[int], tmp_p
     assert len(found) == 2
 
 
-def test_a_damaged_cache_is_found_again(found: list[int], tmp_path: Path) -> None:
+def test_costs_in_a_damaged_cache_are_computed_again(found: list[int], tmp_path: Path) -> None:
     cfg = load_config(tiny_overrides(tmp_path))
     first = build_one_world(cfg).plan
     (kept,) = cache_dir().glob("costs-*.npz")
@@ -58,7 +58,7 @@ def test_a_damaged_cache_is_found_again(found: list[int], tmp_path: Path) -> Non
     assert len(found) == 2 and torch.equal(first.distance, again.distance)
 
 
-def test_what_another_package_builds_is_not_remembered(found: list[int], tmp_path: Path) -> None:
+def test_costs_are_not_cached_for_a_task_from_another_package(found: list[int], tmp_path: Path) -> None:
     words = [*tiny_overrides(tmp_path), "task._target_=tests.test_remembered.grid", "allow_targets=[tests]"]
     for _ in range(2):
         build_one_world(load_config(words))
@@ -66,7 +66,7 @@ def test_what_another_package_builds_is_not_remembered(found: list[int], tmp_pat
 
 
 def grid(**settings: object) -> object:
-    """A task of somebody else's."""
+    """Return a task, as if it came from another package."""
     from splatrl.envs.tasks import Grid
 
     return Grid(**settings)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Run folders as data."""
+"""Policies are loaded from run folders."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from tests.experiments.trained import BEST, config, save_run
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of a recurrent policy that prefers to go back."""
+    """The run folder of a recurrent policy that prefers to move backwards."""
     folder = tmp_path_factory.mktemp("run")
     return save_run(folder / "run", config(folder, "memory=gru"), 1)
 
@@ -41,7 +41,7 @@ def test_the_weights_are_those_of_the_checkpoint_that_is_asked_for(run: Path) ->
             assert torch.equal(value, saved[key]) and torch.equal(value, trained.checkpoint["ppo"]["model"][key]), key
 
 
-def test_the_runs_own_setting_tells_the_checkpoint_and_a_changed_config_goes_before_it(run: Path) -> None:
+def test_the_config_chooses_the_checkpoint_and_a_changed_config_takes_precedence(run: Path) -> None:
     cfg = run_config(run)
     cfg.evaluation.checkpoint = "best"
     trained = load_policy(run, cfg=cfg)
@@ -49,14 +49,14 @@ def test_the_runs_own_setting_tells_the_checkpoint_and_a_changed_config_goes_bef
     assert int(trained.policy(trained.beginning())["logits"].argmax()) == BEST
 
 
-def test_the_device_can_be_another_than_that_of_the_training(run: Path) -> None:
+def test_a_policy_can_be_loaded_on_another_device_than_it_was_trained_on(run: Path) -> None:
     cfg = run_config(run)
     cfg.device = "cuda"
     trained = load_policy(run, device="cpu", cfg=cfg)
     assert trained.world.device.type == "cpu" and next(trained.model.parameters()).device.type == "cpu"
 
 
-def test_what_is_not_there_is_named(run: Path, tmp_path: Path) -> None:
+def test_a_missing_run_or_an_unknown_checkpoint_is_refused_by_name(run: Path, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=f"{tmp_path}: expected a run folder"):
         load_policy(tmp_path)
     with pytest.raises(ValueError, match=r"checkpoint: expected last or best, got '\.\./first'"):

@@ -1,4 +1,4 @@
-"""Modules of several scenes: what belongs to a scene is chosen by row, everything else must agree."""
+"""Modules of several scenes: what belongs to a scene is selected by row, and everything else must agree."""
 
 import pytest
 import torch
@@ -27,14 +27,14 @@ def test_rows_have_bounds_heights_and_goals_of_their_scenes() -> None:
     assert rows.motion.inside(outside).tolist() == [True, False, True, True]
 
 
-def test_the_spec_of_a_state_holds_those_of_all_scenes() -> None:
+def test_the_state_spec_covers_the_states_of_all_scenes() -> None:
     assert stacked([grid(), grid(columns=6)]).motion.state_spec.high.tolist() == [6, 4, 7]
     motions = [ForwardMotion(0.4, lower=(x, 0.0), upper=(x + 1, 2.0)) for x in (0.0, 5.0)]
     spec = stacked(motions).state_spec
     assert spec.low[0] < 0 and spec.high[0] > 6
 
 
-def test_one_module_is_left_as_it_is() -> None:
+def test_stacking_leaves_the_given_modules_unchanged() -> None:
     task = grid()
     both = stacked([task, grid(5.0)])
     assert task.goal.shape == (3,) and both.goal.shape == (2, 3)
@@ -49,9 +49,9 @@ def test_one_module_is_left_as_it_is() -> None:
             "task.motion.step: expected the same in all scenes, got 0.5 and 0.25; type task.motion.step=",
         ),
         (grid(max_steps=30), "task.max_steps: expected the same in all scenes, got 20 and 30"),
-        (Apple(ForwardMotion(0.4), (0, 0, 0)), "task: expected one kind in all scenes, got Grid, Apple"),
+        (Apple(ForwardMotion(0.4), (0, 0, 0)), "task: expected the same class in all scenes, got Grid, Apple"),
     ],
 )
-def test_what_does_not_belong_to_a_scene_is_the_same_in_all(other: Grid, message: str) -> None:
+def test_what_does_not_belong_to_a_scene_must_be_the_same_in_all_scenes(other: Grid, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         stacked([grid(), other])

@@ -11,7 +11,7 @@ from splatrl.spherical_harmonics import C0, rotate_sh, sh_basis, sh_colors, sh_d
 
 
 def sphere(count: int) -> Tensor:
-    """Evenly spread unit vectors, [count, 3] float64."""
+    """Return evenly spread unit vectors, [count, 3] float64."""
     i = torch.arange(count, dtype=torch.float64)
     z, phi = 1 - (2 * i + 1) / count, i * math.pi * (3 - math.sqrt(5))
     return torch.stack([(1 - z * z).sqrt() * phi.cos(), (1 - z * z).sqrt() * phi.sin(), z], -1)
@@ -23,7 +23,7 @@ def test_the_basis_is_orthonormal_on_the_sphere() -> None:
     torch.testing.assert_close(gram, torch.eye(16, dtype=torch.float64), atol=1e-3, rtol=0)
 
 
-def test_a_lower_degree_is_the_beginning_of_a_higher_one() -> None:
+def test_the_basis_of_a_lower_degree_is_the_beginning_of_that_of_a_higher_one() -> None:
     directions = sphere(50)
     full = sh_basis(directions, 3)
     for degree in range(3):
@@ -45,14 +45,14 @@ def test_without_harmonics_above_the_first_a_colour_is_the_same_from_everywhere(
     torch.testing.assert_close(colors, torch.tensor([0.2, 0.5, 0.9], dtype=torch.float64).expand(7, 3))
 
 
-def test_colours_are_clamped_from_below_alone() -> None:
+def test_colours_are_clamped_only_from_below() -> None:
     sh = torch.tensor([[[-10.0, 0.0, 10.0]]])
     red, green, blue = sh_colors(sh, torch.tensor([[0.0, 0.0, 1.0]]))[0].tolist()
     assert red == 0 and green == 0.5 and blue > 1
 
 
 @given(seed=st.integers(0, 2**31), degree=st.integers(0, 3))
-def test_turned_harmonics_show_in_a_turned_direction_what_they_showed_before(seed: int, degree: int) -> None:
+def test_rotated_harmonics_have_the_same_values_in_rotated_directions(seed: int, degree: int) -> None:
     g = torch.Generator().manual_seed(seed)
     sh = torch.randn(5, (degree + 1) ** 2, 3, generator=g, dtype=torch.float64)
     rotation = quats_to_rotations(torch.randn(4, generator=g, dtype=torch.float64))

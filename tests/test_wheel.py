@@ -1,4 +1,4 @@
-"""A wheel installs without a compiler and trains; needs the extra ``slow`` and, for its dependencies, an index."""
+"""A wheel installs without a compiler and trains; needs the extra ``slow`` and a package index for dependencies."""
 
 import os
 import subprocess

@@ -1,7 +1,7 @@
 """The tiny world that tests share: a coloured room of a few hundred Gaussians, and envs in it.
 
-The room is 3 × 4 m, with a differently coloured wall on each side, a white block in the middle and a red thing on the
-east wall. The lattice has 5 × 7 positions (not square) and 8 headings; the goal pose sees the red thing from nearby.
+The room is 3 × 4 m, with a differently coloured wall on each side, a white block in the middle and a red object on the
+east wall. The lattice has 5 × 7 positions (not square) and 8 headings; the goal pose sees the red object from nearby.
 """
 
 from collections.abc import Sequence
@@ -31,8 +31,8 @@ BODY = Box((0.3, 0.3, 0.2))
 
 
 def tiny_gaussians() -> Gaussians:
-    """The room: about 280 Gaussians of degree 0 that are thin along the normal of what they cover."""
-    span = BLOCK - 0.08  # what a Gaussian covers beyond its mean
+    """Return the room: about 280 Gaussians of degree 0, thin along the normals of the surfaces that they cover."""
+    span = BLOCK - 0.08  # leaves room for what a Gaussian covers beyond its mean
     patches = [
         _patch((0, 0, 0), (1.5, 0, 0), (0, 2, 0), (7, 9), (0.4, 0.3, 0.2)),
         _patch((1.5, 0, 0.6), (0, 2, 0), (0, 0, 0.6), (9, 4), (0.2, 0.7, 0.3)),
@@ -49,7 +49,7 @@ def tiny_gaussians() -> Gaussians:
     count = len(means)
     jitter = 0.003 * torch.randn(count, 3, generator=torch.Generator().manual_seed(0))
     return Gaussians(
-        means=means + jitter,  # no two lie at the same depth, where a renderer may sort them either way
+        means=means + jitter,  # no two have equal depth, which renderers may sort either way
         quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
         scales=scales,
         opacities=torch.full((count,), 0.9),
@@ -66,7 +66,7 @@ def _patch(
     color: Sequence[float],
     scale: float = 0.2,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """A rectangle of Gaussians, center ± u ± v, whose colour varies along it: means, scales, colours, [N, 3] each."""
+    """Return a rectangle of Gaussians, center ± u ± v, with varying colour: means, scales, colours, each [N, 3]."""
     steps = torch.cartesian_prod(*(torch.linspace(-1, 1, n) for n in counts))
     sides = torch.tensor([u, v], dtype=torch.float32)
     means = torch.tensor(center) + steps @ sides
@@ -76,7 +76,7 @@ def _patch(
 
 
 class BlockChecker:
-    """Checks collision with the block by hand: body and block are one square, ``reach`` from its centre to a side."""
+    """Checks collision analytically: body and block together form one square, ``reach`` from its centre to a side."""
 
     def __init__(self, body: Body = BODY, reach: float = BLOCK + 0.15):
         self.body, self.reach = body, reach
@@ -85,7 +85,7 @@ class BlockChecker:
         return (body_to_world[:, :2, 3].abs() < self.reach).all(1)
 
     def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
-        """Fraction at which the line enters the square: the later of its entries into the two slabs."""
+        """Return the fraction at which the line enters the square: the later of its entries into the two slabs."""
         begin, way = start[:, :2, 3], (end - start)[:, :2, 3]
         sides = torch.stack([-self.reach - begin, self.reach - begin]) / way
         inside = begin.abs() < self.reach
@@ -103,7 +103,7 @@ class BlockChecker:
 
 
 class CountingRenderer:
-    """Passes cameras on and counts them."""
+    """Passes cameras on to another renderer and counts them."""
 
     def __init__(self, renderer: Renderer):
         self.renderer, self.rendered = renderer, 0
@@ -121,7 +121,7 @@ class CountingRenderer:
 
 
 class RememberingRenderer:
-    """Renders each pose once; simple enough to trust in fast tests."""
+    """Renders each view once and caches it; simple enough to be trusted in fast tests."""
 
     def __init__(self, renderer: Renderer):
         self.renderer = renderer
@@ -146,29 +146,29 @@ class RememberingRenderer:
 
 
 def tiny_motion() -> LatticeMotion:
-    """A lattice of 5 × 7 positions, 0.5 m apart, and 8 headings."""
+    """Return a lattice of 5 × 7 positions, 0.5 m apart, and 8 headings."""
     return LatticeMotion(HEIGHT, step=0.5, angle_step_deg=45.0, lower=(-1.0, -1.5), upper=(1.0, 1.5))
 
 
 def tiny_task(max_steps: int = 20) -> Grid:
-    """The grid task: its goal pose looks east at the red thing; 27 poses count as reached, and all are free."""
+    """Return the grid task: its goal pose looks east at the red object; 27 poses count as reached, and all are free."""
     return Grid(tiny_motion(), goal=(0.5, 1.0, 0.0), max_steps=max_steps)
 
 
 def tiny_robot() -> Robot:
-    """A robot that sees 16 × 12 pixels."""
+    """Return a robot whose camera has 16 × 12 pixels."""
     return Robot(BODY, HEIGHT, image_width=16, image_height=12)
 
 
 @cache
 def tiny_renderer() -> RememberingRenderer:
-    """The reference renderer behind a cache that the whole process shares."""
+    """Return the reference renderer behind a cache that the whole process shares."""
     return RememberingRenderer(ReferenceRenderer(tiny_gaussians()))
 
 
 @cache
 def tiny_plan() -> Plan:
-    """Shortest paths in the room."""
+    """Return the shortest paths in the room."""
     task = tiny_task()
     return plan(task.motion, BlockChecker(), task.reached)
 
@@ -182,7 +182,7 @@ def tiny_env(
     window: int = 100,
     renderer: Renderer | None = None,
 ) -> SplatEnv:
-    """Robots in the room: a top-level function of plain values, so that a worker process can make one."""
+    """Return an env of robots in the room; a top-level function of plain values, which worker processes can call."""
     curriculum = Curriculum(tiny_plan(), first, threshold=threshold, window=window)
     drawing = SceneDrawing(renderer or tiny_renderer())
     return SplatEnv(drawing, BlockChecker(), tiny_robot(), tiny_task(max_steps), curriculum, batch_size, seed)
@@ -194,7 +194,7 @@ def tiny_overrides(folder: Path, task: str = "grid") -> list[str]:
     write_gaussians(path, tiny_gaussians())
     overrides = [
         f"task={task}",
-        "device=cpu",  # the same everywhere
+        "device=cpu",  # the same on every machine
         "scene=file",
         f"scene.path={path}",
         "landmarks.goal=[0.5,1.0,0.0]",
@@ -221,7 +221,7 @@ def tiny_overrides(folder: Path, task: str = "grid") -> list[str]:
     if task in ("drive", "push"):
         overrides += ["task.motion.spacing=0.25", "task.motion.headings=8"]
     if task == "drive":
-        overrides += ["task.motion.time_step=0.4"]  # paths are found on a coarser grid
+        overrides += ["task.motion.time_step=0.4"]  # plans paths on a coarser grid
     if task in ("gates", "route", "walk"):
         bounds = ["task.motion.lower=[-1.3,-1.8]", "task.motion.upper=[1.3,1.8]", "task.motion.threads=1"]
     if task == "gates":

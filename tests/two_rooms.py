@@ -1,4 +1,4 @@
-"""Two scene folders that differ in all that belongs to a scene: where it is, its bounds, height, goal and object."""
+"""Two scene folders that differ in all that belongs to a scene: position, bounds, height, goal and object."""
 
 from pathlib import Path
 
@@ -22,17 +22,17 @@ object: [5.75, 1.0, 0.6]
 walk: [[4.0, -1.5], [6.0, 1.0]]
 """,
 }
-"""Name of a folder, and its ``scene.yaml``."""
+"""The ``scene.yaml`` of each folder, by the folder's name."""
 
 
 def two_rooms(folder: Path) -> list[Path]:
-    """Write them into a folder."""
+    """Write the two scene folders into a folder, and return their paths."""
     result = []
     for name, stated in ROOMS.items():
         place = folder / name
         place.mkdir()
         gaussians = tiny_gaussians()
-        gaussians.sh = gaussians.sh if name == "west" else gaussians.sh.flip(2)  # blue for red
+        gaussians.sh = gaussians.sh if name == "west" else gaussians.sh.flip(2)  # swaps red and blue
         write_gaussians(place / "room.ply", gaussians)
         (place / "scene.yaml").write_text(stated.lstrip())
         result.append(place)
@@ -40,7 +40,7 @@ def two_rooms(folder: Path) -> list[Path]:
 
 
 def overrides(task: str = "grid") -> list[str]:
-    """What does not belong to a scene."""
+    """Return the overrides that do not belong to a scene."""
     result = [f"task={task}", "device=cpu", "robot.image_width=16", "robot.image_height=12", "network.pool=1"]
     result += ["task.max_steps=20"]
     if task == "grid":
@@ -51,6 +51,6 @@ def overrides(task: str = "grid") -> list[str]:
 
 
 def in_both(folder: Path, task: str = "grid") -> list[str]:
-    """Overrides of a batch in both of them."""
+    """Write both scenes into a folder, and return the overrides of a batch that spans them."""
     paths = ",".join(str(place) for place in two_rooms(folder))
     return [*overrides(task), "scene=many", f"scene.paths=[{paths}]"]

@@ -1,4 +1,4 @@
-"""Lets Hydra compose configs in less time: for each, it would parse and merge forty files anew."""
+"""Caches that let Hydra compose configs faster: it would otherwise parse and merge forty files for each config."""
 
 import copy
 import functools
@@ -20,15 +20,18 @@ from omegaconf import OmegaConf, flag_override, grammar_parser
 from omegaconf.errors import OmegaConfBaseException
 
 SHIPPED = {"pkg://hydra.conf", "structured://", f"file://{Path(__file__).parents[1] / 'conf'}"}
-"""Where configs come from that no test changes."""
+"""Sources of configs that no test changes."""
 
 
 def parse_once() -> None:
-    """Let ``OmegaConf.load`` remember the texts of open files; each call still gets a config of its own. Let Hydra
-    gather what defaults may refer to only where one of them does, not for each of the forty files, and copy no schemas
-    with its list of folders. Let it remember words, and of files that no test changes what they hold, what groups
-    choose and what it has merged: a command composes one config twice, to learn whether it runs once or several times,
-    and to run."""
+    """Cache what Hydra and OmegaConf would otherwise compute again for each config.
+
+    ``OmegaConf.load`` caches the texts of open files; each call still gets its own config. Hydra collects the values
+    that defaults may refer to only if one of them is an interpolation, not for each of the forty files, and does not
+    copy schemas with its list of folders. It caches parsed overrides and, for files that no test changes, their
+    content, the files that groups choose and the merged config: a command composes its config twice, to learn whether
+    it is one run or a sweep, and to run.
+    """
     load, gather = OmegaConf.load, defaults_list._create_interpolation_map
 
     @functools.cache
@@ -55,7 +58,7 @@ def parse_once() -> None:
 
 
 def _parse_words_once() -> None:
-    """Remember overrides, which a command parses up to five times, and references."""
+    """Cache parsed overrides, which a command parses up to five times, and parsed interpolations."""
     parse = OverridesParser.parse_rule
 
     @functools.cache
@@ -69,13 +72,13 @@ def _parse_words_once() -> None:
 
 
 def _shipped(repo: Any) -> tuple[str, ...]:
-    """Where configs come from; nothing where a test may change some of them."""
+    """Return the sources of configs, or nothing if a test may change some of them."""
     places = tuple(source.full_path() for source in repo.get_sources())
     return places if SHIPPED.issuperset(places) else ()
 
 
 def _read_once() -> None:
-    """Remember files."""
+    """Cache the content of files."""
     load, known = ConfigRepository.load_config, dict[tuple[str, ...], bytes]()
 
     def read(self: Any, config_path: str) -> Any:
@@ -89,7 +92,7 @@ def _read_once() -> None:
 
 
 def _choose_once() -> None:
-    """Remember the files that options of groups, which stand in few of the overrides, choose together."""
+    """Cache the files that the options of groups choose together; only a few overrides are such options."""
     choose, known = config_loader_impl.create_defaults_list, dict[str, bytes]()
 
     def chosen(repo: Any, config_name: Any, overrides_list: Any, prepend_hydra: bool, skip_missing: bool) -> Any:
@@ -108,7 +111,7 @@ def _choose_once() -> None:
 
 
 def _merge_once() -> None:
-    """Remember what was merged of files, and begin with it where other files follow."""
+    """Cache merged files, and start from them when other files follow."""
     load, merge = ConfigLoaderImpl._load_single_config, ConfigLoaderImpl._compose_config_from_defaults_list
     known: dict[tuple[str, ...], bytes] = {}
     begun: dict[tuple[str, ...], bytes] = {(): pickle.dumps(OmegaConf.create())}
@@ -132,7 +135,7 @@ def _merge_once() -> None:
             return merge(self, defaults, repo)
         key = tuple(repr((places, each, each.override_key)) for each in defaults)
         if key not in known:
-            with suppress(OmegaConfBaseException):  # of which Hydra says in which file it was
+            with suppress(OmegaConfBaseException):  # merging below lets Hydra name the file
                 known[key] = pickle.dumps(merge(self, [begin(self, defaults, repo, key)], repo))
         return pickle.loads(known[key]) if key in known else merge(self, defaults, repo)
 

@@ -1,4 +1,4 @@
-"""Kernels on a CPU: their own source, compiled by the C++ compiler under an emulation of CUDA's execution model."""
+"""Kernels on a CPU: their own source, compiled by the C++ compiler with an emulation of CUDA's execution model."""
 
 import ctypes
 import functools
@@ -21,7 +21,7 @@ from tests.builds import built
 HERE = Path(__file__).parent
 _FLAGS = [
     "-std=c++17",
-    "-Og",  # the renderer compiles in half the time of -O1, and each kernel runs only for moments
+    "-Og",  # the renderer compiles in half the time of -O1, and each kernel runs only briefly
     "-g1",
     "-fPIC",
     "-shared",
@@ -32,19 +32,19 @@ _FLAGS = [
     "-U_FORTIFY_SOURCE",
 ]
 PASSES = tuple(re.findall(r"^    (\w+),  +//", (NATIVE / "passes.h").read_text(), re.MULTILINE))
-"""The members of ``Pass``, in their order."""
+"""Names of the members of ``Pass``, in order."""
 _KERNEL = re.compile(r"__global__\s+void\s+(?:__launch_bounds__\([^)]*\)\s*)?(\w+)\s*\(")
 
 
 class EmulatedKernels:
-    """Runs kernels as ``Kernels`` does, on tensors in main memory, and returns when they are done.
+    """Runs kernels like ``Kernels``, but on tensors in main memory, and returns only when they are done.
 
     Args:
         source: name of a file in ``splatrl/native/cuda``, or a path.
-        defines: macros.
+        defines: macros and their values.
 
     Attributes:
-        seed: decides the order in which threads run; 0 is the order of their numbers.
+        seed: determines the order in which threads run; 0 runs them in the order of their indices.
     """
 
     device = torch.device("cpu")
@@ -58,13 +58,13 @@ class EmulatedKernels:
 
     @functools.cached_property
     def _library(self) -> ctypes.CDLL:
-        """The compiled source, made when it is used first: renderers also load kernels that they may never launch."""
+        """The compiled source, built on first use: renderers also load kernels that they may never launch."""
         library = ctypes.CDLL(str(_library(self._source, self._defines, self._folders)))
         library.launch.argtypes = [ctypes.c_char_p, ctypes.c_uint, ctypes.c_uint, ctypes.c_void_p, ctypes.c_uint64]
         return library
 
     def passes(self) -> dict[str, tuple[int, int]]:
-        """How often warps came by each ``Pass`` (passes.h) since this was last asked, and how many lanes in all."""
+        """Return how often warps, and how often lanes, passed each ``Pass`` (passes.h) since the last call."""
         assert self.counts, "expected kernels that were loaded by `counted`"
         row = ctypes.c_uint64 * len(PASSES)
         warps, lanes = (row.in_dll(self._library, f"passes_of_{what}") for what in ("warps", "lanes"))
@@ -74,7 +74,7 @@ class EmulatedKernels:
         return found
 
     def resident(self, name: str, threads: int, shared: int = 0) -> int:
-        """One block."""
+        """Return 1: one block per multiprocessor at a time."""
         return 1
 
     def launch(self, name: str, blocks: int, threads: int, *arguments: Any, shared: int = 0) -> None:
@@ -86,18 +86,18 @@ class EmulatedKernels:
 
 
 def emulated(source: str | Path, defines: Mapping[str, int] | None = None) -> EmulatedKernels:
-    """The kernels of a source on the CPU."""
+    """Load the kernels of a source to run on the CPU."""
     return EmulatedKernels(source, defines or {})
 
 
 def counted(source: str | Path, defines: Mapping[str, int] | None = None) -> EmulatedKernels:
-    """The kernels of a source on the CPU, which count: see ``EmulatedKernels.passes``."""
+    """Load the kernels of a source to run on the CPU and count: see ``EmulatedKernels.passes``."""
     return EmulatedKernels(source, {**(defines or {}), "COUNT_PASSES": len(PASSES)})
 
 
 @functools.cache
 def _library(path: Path, defines: tuple[tuple[str, int], ...], headers: tuple[Path, ...]) -> Path:
-    """Compile a source again only when it or a header changes, not in another checkout."""
+    """Return the library of a source, compiled again only if it or a header changed, not for another checkout."""
     text = path.read_text()
     names, at_once = _KERNEL.findall(text), 1 if "__shared__" in text else "emulator::MOST_AT_ONCE"
     cases = "\n".join(
@@ -111,7 +111,7 @@ extern "C" int launch(const char* name, unsigned blocks, unsigned threads, void*
     return 0;
 }}
 """
-    folders = [HERE, *(folder for folder in headers if folder.name != "std")]  # a CPU has these headers
+    folders = [HERE, *(folder for folder in headers if folder.name != "std")]  # g++ has its own standard headers
     macros = [f"-D{name}={value}" for name, value in defines]
     flags = [*_FLAGS, *macros]
     digest = hashlib.sha256(repr([program.replace(str(path), path.name), flags]).encode())

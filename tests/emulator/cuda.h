@@ -1,11 +1,11 @@
 // CUDA's execution model on one CPU core, for tests: the threads of a block are fibers, and a few blocks run at a time.
 //
-// A fiber runs until it waits for the others: at a barrier of the block, or with its warp. Which fiber runs next is
-// drawn from a seed, so code that depends on the order of threads between two barriers gives different results for
-// different seeds.
-// Blocks take turns, so each takes some of the work that they share. Those of a source with static __shared__
-// variables, of which there is one here, come one after another. Included before a kernel's source, in place of what
-// NVRTC has built in.
+// A fiber runs until it waits for others: at a barrier of its block, or in a collective of its warp. The order in which
+// fibers run is drawn from a seed, so code that depends on the order of threads between two barriers gives different
+// results for different seeds.
+// Resident blocks take turns, so that each takes some of the work that they share. If a source has static __shared__
+// variables, which exist only once here, its blocks run one after another. This header is included before a kernel's
+// source, in place of what is built into NVRTC.
 #pragma once
 
 #include <setjmp.h>
@@ -45,7 +45,7 @@ constexpr size_t STACK = 256 * 1024, MOST_SHARED = 228 * 1024;
 
 struct Barrier {
     unsigned waiting = 0, passed = 0;
-    int any = 0, every = 1, any_before = 0, every_before = 1;  // votes, and those of the last barrier that was passed
+    int any = 0, every = 1, any_before = 0, every_before = 1;  // votes now, and at the last barrier that was passed
 };
 
 struct Warp {
@@ -60,7 +60,7 @@ struct Fiber {
     Index thread;
     unsigned collectives = 0;
 #ifdef COUNT_PASSES
-    uint64_t passes[COUNT_PASSES] = {};  // since its warp met last
+    uint64_t passes[COUNT_PASSES] = {};  // since its warp last met at a barrier
 #endif
 };
 
@@ -74,13 +74,13 @@ struct Block {
     alignas(128) unsigned char shared_memory[MOST_SHARED];
 };
 
-static Block resident[MOST_AT_ONCE];  // of each source its own, since those that count have larger fibers
+static Block resident[MOST_AT_ONCE];  // static: sources that count passes have larger fibers
 inline char* const stacks = new char[MOST_AT_ONCE * MOST_THREADS * STACK];  // unused pages take no memory
-inline Block* here = nullptr;  // the block that runs
+inline Block* here = nullptr;  // the block that is running
 inline Fiber* running = nullptr;
 inline jmp_buf scheduler;
 inline unsigned threads = 0;
-inline uint64_t moves = 0;  // progress at any barrier, to detect deadlock
+inline uint64_t moves = 0;  // barriers passed and threads finished, to detect deadlock
 inline Index block_size, grid_size;
 
 [[noreturn]] inline void fail(const char* why) {
@@ -95,12 +95,12 @@ inline void yield() {
 
 #ifdef COUNT_PASSES
 
-// Times that warps came by each place that is counted, which is as often as the busiest lane of each; and lanes.
+// How often warps passed each counted place, each as often as its busiest lane did, and how often all lanes did.
 extern "C" inline uint64_t passes_of_warps[COUNT_PASSES] = {}, passes_of_lanes[COUNT_PASSES] = {};
 
 #define PASS(what) (++emulator::running->passes[int(splatrl::Pass::what)])
 
-// Add up what the threads of warps have counted since they met last.
+// Add up and reset what the threads of these warps have counted since they last met.
 inline void add_passes(unsigned begin, unsigned end) {
     for (unsigned first = begin; first < end; first += LANES)
         for (int what = 0; what < COUNT_PASSES; ++what) {
@@ -118,7 +118,7 @@ inline void add_passes(unsigned begin, unsigned end) {
 inline void add_passes(unsigned, unsigned) {}
 #endif
 
-// Wait until `count` fibers have arrived, the first of which has this number.
+// Wait until `count` fibers have arrived; `first_thread` is the index of the first of them.
 inline void meet(Barrier& barrier, unsigned count, unsigned first_thread, int vote = 0) {
     barrier.any |= vote != 0, barrier.every &= vote != 0;
     const unsigned turn = barrier.passed;
@@ -140,7 +140,7 @@ inline unsigned warp_size() {
     return threads - first < LANES ? threads - first : LANES;
 }
 
-// Every lane contributes a value and receives those of all lanes.
+// Contribute the value of this lane, and return the values of all lanes of its warp.
 inline const uint64_t* exchange(unsigned mask, uint64_t value) {
     if (mask != 0xffffffffu) fail("expected a collective of all 32 lanes");
     if (warp_size() != LANES) fail("expected whole warps");
@@ -196,11 +196,11 @@ inline void begin(Block& block, unsigned index, uint64_t seed) {
         block.fibers[i] = Fiber{};
         block.fibers[i].thread.x = i;
     }
-    std::memset(block.shared_memory, 0xcd, MOST_SHARED);  // nothing may be read before it is written
+    std::memset(block.shared_memory, 0xcd, MOST_SHARED);  // garbage, which exposes reads of uninitialised memory
     block.random = seed * 0x9e3779b97f4a7c15ull + index + 1;
 }
 
-// Let each thread of a block run until it waits.
+// Let each thread of a block run until it next waits.
 inline void take_turn(Block& block, uint64_t seed) {
     here = &block;
     block.random = block.random * 6364136223846793005ull + 1442695040888963407ull;

@@ -1,4 +1,4 @@
-"""The emulator finds the errors that it is meant to find."""
+"""The emulator runs kernels as CUDA does, and detects the errors that it is meant to detect."""
 
 import faulthandler
 import multiprocessing
@@ -76,19 +76,19 @@ HALF_A_MASK = HALF_A_WARP.replace("ALL_LANES, 1", "0xffffu, 1")
 
 
 def source(folder: Path, text: str) -> Path:
-    """A kernel's file."""
+    """Write a kernel's source to a file, and return its path."""
     path = folder / "kernel.cu"
     path.write_text(text)
     return path
 
 
-def test_threads_of_blocks_and_warps_work_together(tmp_path: Path) -> None:
+def test_threads_of_a_block_sum_their_values_across_warps(tmp_path: Path) -> None:
     values, out = torch.arange(3 * 128, dtype=torch.int32), torch.zeros(3, dtype=torch.int32)
     emulated(source(tmp_path, SUMS)).launch("sums", 3, 128, values, out)
     assert torch.equal(out, values.view(3, 128).sum(1, dtype=torch.int32))
 
 
-def test_what_depends_on_the_order_of_threads_depends_on_the_seed(tmp_path: Path) -> None:
+def test_a_race_between_threads_gives_different_results_for_different_seeds(tmp_path: Path) -> None:
     kernels, seen = emulated(source(tmp_path, RACE)), set()
     for seed in range(8):
         kernels.seed, out = seed, torch.zeros(1, dtype=torch.int32)
@@ -97,16 +97,18 @@ def test_what_depends_on_the_order_of_threads_depends_on_the_seed(tmp_path: Path
     assert len(seen) > 1
 
 
-def test_blocks_share_their_work(tmp_path: Path) -> None:
+def test_resident_blocks_take_turns_at_shared_work(tmp_path: Path) -> None:
     taken, out = torch.zeros(1, dtype=torch.int32), torch.full((8,), -1, dtype=torch.int32)
     emulated(source(tmp_path, TURNS)).launch("turns", 3, 64, taken, out, 8)
     assert set(out[:4].tolist()) == {0, 1} and (out >= 0).all()
 
 
 @pytest.mark.parametrize(
-    ("text", "said"), [(HALF_A_WARP, "threads wait for others that never come"), (HALF_A_MASK, "expected a collective")]
+    ("text", "said"),
+    [(HALF_A_WARP, "threads wait for others that never come"), (HALF_A_MASK, "expected a collective")],
+    ids=["half a warp", "half a mask"],
 )
-def test_threads_that_never_come_end_the_program(
+def test_a_collective_that_some_lanes_never_join_aborts_the_program(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], text: str, said: str
 ) -> None:
     kernels, out = emulated(source(tmp_path, text)), torch.zeros(1, dtype=torch.int32)
@@ -121,11 +123,11 @@ def test_threads_that_never_come_end_the_program(
     assert child.exitcode == -signal.SIGABRT and said in capfd.readouterr().err
 
 
-def test_passes_are_those_of_the_busiest_lane_between_two_meetings(tmp_path: Path) -> None:
+def test_a_warp_counts_the_passes_of_its_busiest_lane_between_two_barriers(tmp_path: Path) -> None:
     kernels = counted(source(tmp_path, LOOPS))
     kernels.launch("loops", 1, 64, torch.zeros(64, dtype=torch.int32))
     found = kernels.passes()
     assert found["row"] == (2 * 31 + 1, 2 * sum(range(32)) + 3)
     assert (found["cell"], found["pair"], found["key"]) == ((1, 3), (1, 1), (0, 0))
-    assert not any(sum(counts) for counts in kernels.passes().values())  # they begin anew
+    assert not any(sum(counts) for counts in kernels.passes().values())  # the counts have been reset
     assert PASSES[0] == "node" and PASSES[-1] == "pair"

@@ -1,6 +1,6 @@
-"""Damaged files of every format, made with their structure in mind; a seed and a number say which.
+"""Structure-aware fuzzing of every file format; a seed and a number determine each damaged file.
 
-``python -m tests.fuzzing --count 10000 --seed 0`` tries that many of each format and prints what became of them. A
-reader may return or raise a ValueError that names the file; anything else, a signal, a file that takes long or much
-memory is a fault, which is printed with what brings it back.
+``python -m tests.fuzzing --count 10000 --seed 0`` tries that many files of each format and prints the outcomes. A
+reader may return, or raise a ValueError that names the file. Anything else is a fault, including a signal, or a file
+that takes too much time or memory; each fault is printed with the arguments that reproduce it.
 """

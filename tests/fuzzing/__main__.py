@@ -12,17 +12,17 @@ from tests.fuzzing.formats import FORMATS
 from tests.fuzzing.trials import Counts, try_apart
 
 CHUNK = 2000
-"""Files of a format that one process tries."""
+"""Files of a format per process."""
 
 
 def main() -> None:
-    """Try files round by round, and print what became of those of each format."""
+    """Try files of all formats in rounds, and print the outcomes for each format."""
     command = argparse.ArgumentParser(prog="python -m tests.fuzzing", description=fuzzing.__doc__)
-    command.add_argument("formats", nargs="*", help=f"of {', '.join(FORMATS)}; by default all")
-    command.add_argument("--count", type=int, default=1000, help="of files of each format")
-    command.add_argument("--first", type=int, default=0, help="number of the first")
+    command.add_argument("formats", nargs="*", help=f"any of {', '.join(FORMATS)}; by default all")
+    command.add_argument("--count", type=int, default=1000, help="number of files of each format")
+    command.add_argument("--first", type=int, default=0, help="number of the first file")
     command.add_argument("--seed", type=int, default=0)
-    command.add_argument("--log", type=Path, help="a file for a line of JSON from each process")
+    command.add_argument("--log", type=Path, help="file to which each process appends a line of JSON")
     options = command.parse_args()
     names = options.formats or list(FORMATS)
     all_counts = {name: Counts() for name in names}
@@ -51,13 +51,13 @@ def main() -> None:
 
 
 def _row(name: str, counts: Counts) -> str:
-    kinds = f"{counts.header:>9,} refused at the header, {counts.behind:>9,} behind it, {counts.read:>9,} read"
+    kinds = f"{counts.header:>9,} refused at the header, {counts.behind:>9,} past it, {counts.read:>9,} read"
     worst = f"{counts.slowest:.2f} s, {counts.memory / 2**20:.0f} MiB"
     return f"{name:<15} {counts.tried:>9,} tried: {kinds}, {len(counts.faults)} faults; {worst}"
 
 
 def _memory() -> str | None:
-    """A folder in memory, where there is one."""
+    """Return a folder in memory if the system has one, otherwise None."""
     return "/dev/shm" if Path("/dev/shm").is_dir() else None
 
 

@@ -1,4 +1,4 @@
-"""Damages the bytes of a file, with its structure in mind: behind what is packed, and with checksums that are right."""
+"""Damage to the bytes of a file that respects its structure: inside compressed data, and under valid checksums."""
 
 import gzip
 import random
@@ -27,7 +27,7 @@ NUMBERS = [
 
 
 def damaged(content: bytes, rng: random.Random) -> bytes:
-    """Overwrite, insert, remove, repeat or cut some bytes, more of them near the beginning; change numbers in texts."""
+    """Overwrite, insert, delete, repeat or truncate bytes, more often near the start, and replace numbers in text."""
     result = bytearray(content)
     for _ in range(rng.randint(1, 4)):
         at = int(rng.random() ** rng.choice((1, 4)) * len(result))
@@ -54,12 +54,12 @@ def damaged(content: bytes, rng: random.Random) -> bytes:
 
 
 def behind_gzip(content: bytes, rng: random.Random) -> bytes:
-    """Damage what is packed, mostly."""
+    """Damage the compressed content, or in 30 % of cases the compressed bytes themselves."""
     return gzip.compress(damaged(gzip.decompress(content), rng), 1) if rng.random() < 0.7 else damaged(content, rng)
 
 
 def behind_zip(entries: dict[str, bytes], rng: random.Random) -> bytes:
-    """Damage an entry of an archive, mostly."""
+    """Damage an entry of an archive, or in 20 % of cases the archive itself."""
     if rng.random() < 0.2:
         return damaged(zip_bytes(entries), rng)
     name = rng.choice(sorted(entries))
@@ -67,7 +67,7 @@ def behind_zip(entries: dict[str, bytes], rng: random.Random) -> bytes:
 
 
 def behind_checksums(png: bytes, rng: random.Random) -> bytes:
-    """Damage the chunks of a PNG, each of which gets a checksum that is right."""
+    """Damage the chunks of a PNG, and give each chunk a valid checksum."""
     result, at = png[:8], 8
     while at + 12 <= len(png):
         size = int.from_bytes(png[at : at + 4], "big")

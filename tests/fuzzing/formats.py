@@ -1,4 +1,4 @@
-"""Every format that strangers write: whole files, how they are damaged, and how they are read."""
+"""Every format of files from strangers: intact files, and functions that damage and read them."""
 
 import functools
 import gzip
@@ -54,23 +54,23 @@ from tests.scenes.samples import (
 )
 
 VARIANTS = 48
-"""Whole files of a format, which are made once."""
+"""Intact files per format, which are made once."""
 
 
 def _nothing(folder: Path) -> None:
-    """No file beside the damaged one."""
+    """Write no files around the damaged one."""
 
 
 @dataclass(frozen=True)
 class Format:
-    """Whole files of a format, how they are damaged and how they are read.
+    """A file format: functions that make intact files, damage them and read them.
 
     Attributes:
-        name: of the file, in the folder that is read.
-        whole: makes the content of an undamaged file.
-        read: reads the file; anything but a ValueError that names it, or what lies around it, is a fault.
-        damage: of that content.
-        around: writes what has to lie around the file.
+        name: file name, within the folder that is read.
+        whole: makes the content of an intact file.
+        read: reads the file; any exception is a fault, except a ValueError that names this file or one around it.
+        damage: damages that content.
+        around: writes the files that must lie around this one.
     """
 
     name: str
@@ -81,7 +81,7 @@ class Format:
 
     @functools.cached_property
     def wholes(self) -> list[Any]:
-        """Contents of undamaged files, as different as the format allows."""
+        """Contents of intact files, as varied as the format allows."""
         return [self.whole(random.Random(number)) for number in range(VARIANTS)]
 
 
@@ -233,7 +233,7 @@ def _clips(path: Path) -> None:
 def _blocks(path: Path) -> None:
     try:
         read_blocks(path.parent)
-    except FileNotFoundError as error:  # of a damaged name
+    except FileNotFoundError as error:  # a damaged name leads to no file
         raise ValueError(str(error)) from error
 
 
@@ -313,7 +313,7 @@ def _archive(path: Path) -> object:
 
 
 def _recorded(read: Callable[[Path], Recording], up: int = 0) -> Callable[[Path], None]:
-    """Read the folder of a file, or one so many folders above it, as a recording."""
+    """Return a function that reads a file's folder, or the one ``up`` levels above it, as a recording."""
 
     def checked(path: Path) -> None:
         check_recording(read(path.parents[up]))
@@ -322,7 +322,7 @@ def _recorded(read: Callable[[Path], Recording], up: int = 0) -> Callable[[Path]
 
 
 CAMERAS = struct.pack("<QIiQQ4d", 1, 1, 1, 12, 9, 10.0, 10.0, 6.0, 4.5)
-"""COLMAP's cameras.bin: one PINHOLE of 12 × 9 pixels."""
+"""COLMAP's cameras.bin: one PINHOLE camera of 12 × 9 pixels."""
 
 
 def _colmap_images(rng: random.Random) -> bytes:
@@ -375,7 +375,7 @@ def _with_mesh(path: Path) -> None:
 
 
 def frames(count: int, side: int) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What demonstrations hold of each frame, and of what comes after it."""
+    """Return what demonstrations store for each frame, and for the step that follows it."""
     last = np.arange(count)[:, None] == count - 1
     of_frames = {
         "episode": np.zeros(count, np.int64),
@@ -401,7 +401,7 @@ def _header(values: dict[str, Any]) -> bytes:
 
 
 def around_demonstrations(folder: Path, count: int = 2, side: int = 4) -> None:
-    """Write a folder of demonstrations: so many frames of square views."""
+    """Write a folder of demonstrations: ``count`` frames of ``side`` × ``side`` pixels."""
     (folder / "memmap" / "next").mkdir(parents=True)
     facts = {"version": 1, "fps": 10, "action_names": ["forward", "left"]}
     (folder / "demonstrations.json").write_text(json.dumps(facts))

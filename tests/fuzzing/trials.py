@@ -1,4 +1,4 @@
-"""Tries damaged files: counts what became of them, and tells what must never happen."""
+"""Trials of damaged files: count the outcomes, and detect what must never happen."""
 
 import contextlib
 import json
@@ -23,29 +23,29 @@ import torch
 from tests.fuzzing.formats import FORMATS, Format
 
 SLOW = 5.0
-"""Seconds of a processor that a file may take."""
+"""Maximum CPU seconds per file."""
 STUCK = 12 * SLOW
-"""Seconds of a processor after which the process of a file is ended; so many minutes pass where it only waits."""
+"""CPU seconds after which the process that reads a file is killed; after as many minutes if it only waits."""
 FIXED, EACH = 100 * 2**20, 4
-"""Bytes of memory that reading a file may take, and how many more for each byte of what it holds in float32."""
+"""Bytes of memory that reading a file may take, plus bytes per byte of its content as float32."""
 HEADERS = re.compile(
     r"header: |a header|magic: |version: |a ZIP bundle|File is not a zip|cannot identify|InvalidDataError|YAML|JSON|UTF"
     r"|got BadZipFile|ZIP archive|expected XML|expected LZFSE|a complete gzip|Failed to open|expected a COLMAP model"
 )
-"""Words of errors that come before the content of a file is reached."""
+"""Phrases of errors that are raised before the content of a file is reached."""
 
 
 @dataclass
 class Counts:
-    """What became of the files of a format.
+    """Outcomes of the files of a format.
 
     Attributes:
-        read: without an error.
-        header: refused before their content was reached.
-        behind: refused behind that.
-        slowest: seconds of a processor that a file took.
-        memory: bytes that a file took at most, beyond what it holds (``EACH`` times in float32).
-        faults: number of the file, and what happened that must not.
+        read: files read without an error.
+        header: files refused before their content was reached.
+        behind: files refused for their content.
+        slowest: maximum CPU seconds for a file.
+        memory: maximum bytes of memory for a file, beyond ``EACH`` times those of its content as float32.
+        faults: number of each faulty file, and what happened that must not.
     """
 
     read: int = 0
@@ -57,18 +57,18 @@ class Counts:
 
     @property
     def tried(self) -> int:
-        """The number of files."""
+        """Number of files tried."""
         return self.read + self.header + self.behind + len(self.faults)
 
     def add(self, other: "Counts") -> None:
-        """Add those of more files."""
+        """Add the outcomes of more files."""
         self.read, self.header = self.read + other.read, self.header + other.header
         self.behind, self.faults = self.behind + other.behind, self.faults + other.faults
         self.slowest, self.memory = max(self.slowest, other.slowest), max(self.memory, other.memory)
 
 
 def content(kind: Format, seed: int, number: int) -> bytes:
-    """A damaged file; the seed and its number say which."""
+    """Return a damaged file, which the seed and its number determine."""
     rng = random.Random(f"{seed} {number}")
     return kind.damage(rng.choice(kind.wholes), rng)
 
@@ -78,11 +78,11 @@ def try_files(kind: Format, count: int, seed: int, folder: Path, first: int = 0,
 
     Args:
         kind: the format.
-        count: of the files.
-        seed: of all of them.
-        folder: an empty one, to work in.
+        count: number of files.
+        seed: seed of all files.
+        folder: an empty folder to work in.
         first: number of the first file.
-        at: where to write the number of each file before it is read.
+        at: shared memory that receives the number of each file before it is read.
     """
     kind.around(folder)
     path, counts = folder / kind.name, Counts()
@@ -101,7 +101,7 @@ def try_files(kind: Format, count: int, seed: int, folder: Path, first: int = 0,
 
 
 def _try(kind: Format, path: Path, number: int, counts: Counts) -> None:
-    """Read one file and count it."""
+    """Read one file and count the outcome."""
     before = _resident("VmRSS") if _WATCHED else 0
     if _WATCHED:
         Path("/proc/self/clear_refs").write_text("5")
@@ -134,7 +134,7 @@ _WATCHED = sys.platform.startswith("linux")
 
 
 def _resident(name: str) -> int:
-    """Bytes of memory, as Linux counts them."""
+    """Return a memory figure of this process from Linux's /proc/self/status, in bytes."""
     status = Path("/proc/self/status").read_bytes()
     at = status.index(name.encode()) + len(name) + 1
     return 1024 * int(status[at : at + 20].split()[0])
@@ -142,13 +142,13 @@ def _resident(name: str) -> int:
 
 @contextlib.contextmanager
 def _silent() -> Iterator[None]:
-    """Nothing is shown of what readers print by Python."""
+    """Suppress what readers print through Python."""
     with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None):
         yield
 
 
 def held(value: Any) -> int:
-    """Bytes of all numbers in a value, as float32."""
+    """Return the bytes that all numbers in a value would take as float32."""
     if isinstance(value, torch.Tensor):
         return 4 * value.numel()
     if isinstance(value, np.ndarray):
@@ -163,13 +163,13 @@ def held(value: Any) -> int:
 
 
 def try_apart(name: str, count: int, seed: int, folder: Path, first: int = 0) -> Counts:
-    """Read damaged files of a format in processes of their own, which a file may end.
+    """Read damaged files of a format in subprocesses, which a file may crash.
 
     Args:
-        name: of the format.
-        count: of the files.
-        seed: of all of them.
-        folder: to work in.
+        name: name of the format.
+        count: number of files.
+        seed: seed of all files.
+        folder: folder to work in.
         first: number of the first file.
     """
     counts, last = Counts(), first + count
@@ -188,7 +188,7 @@ def try_apart(name: str, count: int, seed: int, folder: Path, first: int = 0) ->
             counts.add(Counts(**_plain(json.loads(said))))
             return counts
         number = int.from_bytes(at[:8], "little")
-        # the counts of those before are lost with the process, so these are tried again without it
+        # the counts of earlier files are lost with the process, so try those again without this one
         if number > first:
             counts.add(try_apart(name, number - first, seed, folder, first))
         ended = signal.Signals(-status).name if status < 0 else f"exit status {status}"
@@ -202,7 +202,7 @@ def _plain(found: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _tell(tell: int, name: str, count: int, seed: int, folder: Path, first: int, at: mmap) -> None:
-    """Try files in this process, write what became of them into a pipe, and end."""
+    """Try files in this process, write their counts to a pipe, and exit."""
     try:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         silence = os.open(os.devnull, os.O_WRONLY)

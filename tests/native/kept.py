@@ -1,4 +1,4 @@
-"""Machine code of kernels, which NVRTC makes once for all tests and runs."""
+"""Machine code of kernels, which NVRTC compiles only once for all tests and runs."""
 
 import hashlib
 import pickle
@@ -11,7 +11,7 @@ from tests.builds import built
 
 
 def kept(source: str, arch: str, defines: Mapping[str, int]) -> tuple[bytes, str]:
-    """The result of ``translated``, from an earlier run if neither sources nor compiler have changed since."""
+    """Return the result of ``translated``, from an earlier run if neither sources nor compiler have changed since."""
     recipe = f"{compiler._digest(source, arch, defines)} {Path(compiler.__file__).read_text()}"
     name = f"{source}-{arch}-{hashlib.sha256(recipe.encode()).hexdigest()[:24]}.pickle"
     path = built(name, lambda made: made.write_bytes(pickle.dumps(translated(source, arch, defines))))

@@ -22,7 +22,7 @@ SOURCES: dict[str, list[dict[str, int]]] = {
     "fit": [fit_defines(degree) for degree in range(4)],
     "place": [{}],
 }
-"""Every kernel, with every value of each of its macros."""
+"""Every source of kernels, with every value of each of its macros."""
 ARCHITECTURES = ("sm_80", "sm_90", "sm_120")
 CHOSEN = {
     "collide": [("sm_90", 0), ("sm_80", 1), ("sm_120", 2)],
@@ -30,9 +30,10 @@ CHOSEN = {
     "fit": [("sm_80", 0), ("sm_90", 1), ("sm_120", 2), *((arch, 3) for arch in ARCHITECTURES)],
     "place": [(arch, 0) for arch in ARCHITECTURES],
 }
-"""Each source for every architecture, and with every value of each macro, and of every two macros that are switches,
-for one of them; of the fit, the degree that needs most registers for all. Those for sm_90 of the renderer and the
-checker are what a dry run of benchmarks/gpu.py compiles."""
+"""What is compiled of each source: architectures, and indices into ``SOURCES``. Every architecture occurs, every value
+of each macro, and every combination of any two switches; for the fit, the degree that needs most registers occurs with
+all architectures. For the renderer and the collision checker, the sm_90 variants are those that a dry run of
+benchmarks/gpu.py compiles."""
 COMPILED = [(name, SOURCES[name][i], arch) for name, variants in CHOSEN.items() for arch, i in variants]
 
 pytest.importorskip("cuda.core", reason="needs the extra cuda")
@@ -40,14 +41,14 @@ pytest.importorskip("cuda.core", reason="needs the extra cuda")
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty cache."""
+    """An empty cache folder."""
     monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path / "cache"))
     return tmp_path / "cache"
 
 
 @pytest.fixture
 def sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with one kernel and one header in place of the package's."""
+    """A folder with one kernel and one header, in place of the package's sources."""
     folder = tmp_path / "sources"
     folder.mkdir()
     (folder / "double.cu").write_text('#include "factor.h"\nextern "C" __global__ void f(float* x) { *x *= FACTOR; }\n')
@@ -56,7 +57,7 @@ def sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_every_kernel_is_listed_here() -> None:
+def test_the_lists_cover_every_kernel_architecture_and_macro_value() -> None:
     assert set(SOURCES) == {path.stem for path in FOLDERS[0].glob("*.cu")}
     for name, many in SOURCES.items():
         assert {arch for arch, _ in CHOSEN[name]} == set(ARCHITECTURES), name
@@ -72,18 +73,20 @@ def test_every_kernel_compiles_for_every_architecture(source: str, defines: dict
 
 
 @pytest.mark.parametrize(("defines", "arch"), [(defines, arch) for name, defines, arch in COMPILED if name == "fit"])
-def test_the_fit_keeps_all_it_computes_in_registers(defines: dict[str, int], arch: str) -> None:
+def test_the_kernels_of_the_fit_spill_no_registers(defines: dict[str, int], arch: str) -> None:
     _, log = kept("fit", arch, defines)
     spilled = re.findall(r"(\d+) bytes stack frame, (\d+) bytes spill stores", log)
     assert spilled == [("0", "0")] * 8
 
 
-def test_where_shared_memory_is_small_a_block_has_registers_for_all_it_computes() -> None:
+def test_the_renderer_spills_no_registers_on_a_gpu_with_little_shared_memory() -> None:
     _, log = kept("render", "sm_120", SOURCES["render"][4])
     assert re.findall(r"(\d+) bytes stack frame, (\d+) bytes spill stores", log) == [("0", "0")] * 2
 
 
-def test_a_kernel_is_compiled_once_and_says_so(cache: Path, sources: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_kernel_is_compiled_once_and_a_message_says_so(
+    cache: Path, sources: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     first = compiled("double", "sm_90")
     assert "compiling double.cu for sm_90 (once)" in capsys.readouterr().err
     assert [path.suffix for path in cache.iterdir()] == [".cubin"]
@@ -91,7 +94,7 @@ def test_a_kernel_is_compiled_once_and_says_so(cache: Path, sources: Path, capsy
     assert capsys.readouterr().err == ""
 
 
-def test_another_header_architecture_or_macro_is_another_kernel(cache: Path, sources: Path) -> None:
+def test_a_change_of_header_architecture_or_macro_compiles_the_kernel_again(cache: Path, sources: Path) -> None:
     compiled("double", "sm_90")
     (sources / "factor.h").write_text("#define FACTOR 3.0f\n")
     compiled("double", "sm_90")
@@ -100,14 +103,14 @@ def test_another_header_architecture_or_macro_is_another_kernel(cache: Path, sou
     assert len(list(cache.iterdir())) == 4
 
 
-def test_a_source_that_is_wrong_is_refused_with_the_compilers_words(cache: Path, sources: Path) -> None:
+def test_a_source_with_an_error_is_refused_with_the_compilers_message(cache: Path, sources: Path) -> None:
     (sources / "factor.h").write_text("#define FACTOR nonsense\n")
     with pytest.raises(RuntimeError, match=r'double.cu for sm_90(.|\n)*"nonsense" is undefined'):
         compiled("double", "sm_90")
     assert not cache.exists() or not list(cache.iterdir())
 
 
-def test_where_nothing_can_be_kept_it_is_compiled_every_time(
+def test_without_a_writable_cache_a_kernel_is_compiled_every_time(
     tmp_path: Path, sources: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("")
@@ -116,7 +119,7 @@ def test_where_nothing_can_be_kept_it_is_compiled_every_time(
     assert capsys.readouterr().err.count("set SPLATRL_CACHE") == 2
 
 
-def test_without_the_extra_the_message_says_what_to_install(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_extra_cuda_the_error_says_what_to_install(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cuda.core", None)
     with pytest.raises(ImportError, match=r"pip install 'splatrl\[cuda\]'"):
         compiled("render", "sm_90")

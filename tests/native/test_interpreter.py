@@ -1,4 +1,4 @@
-"""The core and its interpreter: threads that cannot start, Ctrl-C, daemon threads at the end, bad numbers."""
+"""The core within a Python interpreter: threads that cannot start, Ctrl-C, daemon threads at exit, and bad numbers."""
 
 import copy
 import os
@@ -37,7 +37,7 @@ def work():
 
 
 def script(text: str, count: int = 500_000) -> Process:
-    """Code after ``LONG``, whose work takes about a microsecond for each of so many moves."""
+    """Start a program that runs ``LONG`` and this text; ``work`` checks ``count`` moves, about a microsecond each."""
     return start("-c", LONG.format(count=count) + text)
 
 
@@ -90,7 +90,7 @@ for name, (call, argument) in calls.items():
 """
 
 
-def test_long_calls_answer_signals_while_they_work() -> None:
+def test_long_calls_respond_to_signals_while_they_run() -> None:
     output, _ = (process := start("-c", STOPPED)).communicate(timeout=300)
     assert process.returncode == 0, output
     models = "add_model", "add_model with levels", "pack_model", "pack_model with levels", "flat_scene"
@@ -115,14 +115,14 @@ print("ends", flush=True)
     assert "ends\n" in output and "terminate" not in output
 
 
-def test_what_runs_at_exit_may_still_use_the_core() -> None:
+def test_functions_that_run_at_exit_can_still_use_the_core() -> None:
     text = "import atexit\natexit.register(lambda: print(checker.free_fraction(start, end).mean()))"
     output, _ = (process := script(text, count=4096)).communicate(timeout=60)
     assert process.returncode == 0 and "tensor(" in output
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc and a limit of the address space")
-def test_threads_that_cannot_start_are_done_without() -> None:
+def test_the_core_does_without_threads_that_cannot_start() -> None:
     text = """
 import resource
 checker.threads = 64  # the core is asked for more threads than there are
@@ -139,10 +139,10 @@ except RuntimeError as error:
 """
     output, _ = (process := script(text, count=100_000)).communicate(timeout=60)
     assert process.returncode == 0, (process.returncode, output)
-    assert "True\n" in output and "can't start new thread" in output  # so the limit was one
+    assert "True\n" in output and "can't start new thread" in output  # so the limit did take effect
 
 
-def test_a_child_of_a_process_at_work_ends() -> None:
+def test_a_child_forked_while_the_core_is_busy_exits_normally() -> None:
     text = """
 import os
 threading.Thread(target=work, daemon=True).start()
@@ -157,7 +157,7 @@ os._exit(0)  # torch's own waits for the lock, as the daemon thread frees its te
     assert process.returncode == 0 and output == "0\n", output
 
 
-def test_there_are_no_more_threads_than_cores() -> None:
+def test_the_core_uses_no_more_threads_than_there_are_cores() -> None:
     assert threads_of(None) == threads_of(1000) == usable_cores()
     assert threads_of(1) == 1
     assert NativeRenderer(tiny_gaussians(), threads=1000).threads == usable_cores()
@@ -166,7 +166,7 @@ def test_there_are_no_more_threads_than_cores() -> None:
             threads_of(wrong)  # type: ignore[arg-type]
 
 
-def test_an_environment_variable_bounds_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_environment_variable_limits_the_number_of_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SPLATRL_CORES", "1")
     assert usable_cores() == threads_of(None) == threads_of(8) == 1
     monkeypatch.setenv("SPLATRL_CORES", "1000000")
@@ -179,7 +179,7 @@ def test_an_environment_variable_bounds_the_cores(monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize("place", [3.4e38, -3.4e38, 1e30, 1e-45])
 @pytest.mark.parametrize("resolution", [1e-4, 1e3])
-def test_places_far_away_are_free_and_near_nothing(place: float, resolution: float) -> None:
+def test_extreme_coordinates_are_free_unless_they_are_close_to_the_voxels(place: float, resolution: float) -> None:
     occupancy = Occupancy.from_keys([[0, 0, 0], [3, 2, 1]], resolution)
     checker = NativeChecker(occupancy, Box((resolution, resolution, resolution)))
     points = torch.tensor([[place, 0.0, 0.0], [0.0, place, place], [place, -place, place]])
@@ -204,7 +204,7 @@ def test_the_core_refuses_lengths_that_it_cannot_count_in_voxels() -> None:
             _core.Collider(**{**right, **change})
 
 
-def test_a_turn_of_a_body_of_any_size_misses_nothing() -> None:
+def test_an_enormous_body_that_turns_hits_the_voxel_that_it_sweeps_over() -> None:
     occupancy = Occupancy.from_keys([[0, 0, 0]], 1e-4)
     checker = NativeChecker(occupancy, Box((1e6, 1e-3, 1e-3)))  # 10¹⁰ voxels long
     start, end = torch.eye(4).unsqueeze(0), torch.eye(4).unsqueeze(0)
@@ -213,7 +213,7 @@ def test_a_turn_of_a_body_of_any_size_misses_nothing() -> None:
     assert checker.sweeps(start, end).item() and checker.free_fraction(start, end).item() < 1
 
 
-def test_negated_views_and_arrays_are_right_or_refused() -> None:
+def test_negated_views_give_correct_results_and_numpy_arrays_are_refused() -> None:
     checker = NativeChecker(Occupancy.from_keys([[0, 0, 0]], 1.0), Box((0.5, 0.5, 0.5)))
     points = torch.tensor([[3.0, 0.5, 0.5], [-7.0, 0.5, 0.5]])
     torch.testing.assert_close(checker.clearance(torch._neg_view(points)), checker.clearance(-points))
@@ -252,7 +252,7 @@ def test_cameras_that_cannot_be_drawn_are_refused(renderer: type, message: str) 
 
 
 @pytest.mark.parametrize("size", [(2**31, 1), (0, 4), (4, 65537), (4.0, 4), (True, 4)])
-def test_images_have_a_whole_number_of_pixels(size: tuple[int, int]) -> None:
+def test_an_image_size_that_is_no_valid_number_of_pixels_is_refused(size: tuple[int, int]) -> None:
     with pytest.raises(ValueError, match="expected a whole number of pixels from 1 to 65536, got"):
         Cameras(torch.eye(4).unsqueeze(0), intrinsics(1.0, 8, 6), *size)
 
@@ -276,8 +276,10 @@ def test_gaussians_that_cannot_be_drawn_are_refused(renderer: type, field: str, 
         renderer(gaussians)
 
 
-@pytest.mark.parametrize("again", [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
-def test_renderers_are_copied_and_pickled_by_what_they_are_made_of(again: object) -> None:
+@pytest.mark.parametrize(
+    "again", [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))], ids=["copied", "pickled"]
+)
+def test_copied_and_pickled_renderers_draw_the_same(again: object) -> None:
     renderer = NativeRenderer(tiny_gaussians(), antialiased=False, background=(0.1, 0.2, 0.3), threads=1, tolerance=0.5)
     cameras = Cameras(torch.eye(4).unsqueeze(0), intrinsics(1.0, 8, 6), 8, 6)
     expected = renderer.pixels(cameras)

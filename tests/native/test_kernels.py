@@ -1,4 +1,4 @@
-"""How kernels are loaded and launched: by a fake driver, whose kernels the emulator runs."""
+"""Kernels are loaded and launched through the driver: here a fake one, whose kernels the emulator runs."""
 
 import ctypes
 import threading
@@ -21,7 +21,7 @@ pytest.importorskip("cuda.bindings", reason="needs the extra cuda")
 
 
 class Attribute(IntEnum):
-    """The one that is set."""
+    """The only function attribute that is set."""
 
     CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES = 8
 
@@ -30,15 +30,15 @@ PRIMARY, INVALID_CONTEXT = 11, 201
 
 
 class Context(threading.local):
-    """The context that is current in a thread; a new thread has none."""
+    """The CUDA context that is current in a thread; a new thread has none."""
 
     number = 0
 
 
 class PretendedDriver:
-    """Does what it is told, in the types that the real one takes, and records it.
+    """A fake driver that records what it is asked to do, with arguments of the types that the real one takes.
 
-    As the real one, it refuses to work in a thread without the context of the device.
+    Like the real one, it refuses to work in a thread where the device's context is not current.
     """
 
     CUfunction_attribute = Attribute
@@ -54,7 +54,7 @@ class PretendedDriver:
 
     @property
     def status(self) -> int:
-        """What a call that needs a context returns."""
+        """Status code of a call that needs a context."""
         return self.error if self.context.number == PRIMARY else INVALID_CONTEXT
 
     def cuDeviceGet(self, ordinal: int | None) -> tuple[int, str]:
@@ -96,7 +96,7 @@ class PretendedDriver:
 
 @pytest.fixture
 def driver(monkeypatch: pytest.MonkeyPatch) -> list[PretendedDriver]:
-    """A fake GPU: the fake drivers of all loaded kernels."""
+    """A fake GPU: the fake driver of each kernel source that is loaded, in order."""
     drivers: list[PretendedDriver] = []
 
     def pretend(source: str, arch: str, defines: dict[str, int]) -> bytes:
@@ -116,7 +116,7 @@ def driver(monkeypatch: pytest.MonkeyPatch) -> list[PretendedDriver]:
     return drivers
 
 
-def test_a_renderer_is_loaded_and_launched_as_the_driver_asks(driver: list[PretendedDriver]) -> None:
+def test_a_renderer_loads_and_launches_its_kernels_through_the_driver(driver: list[PretendedDriver]) -> None:
     scene, cameras = random_gaussians(3, 300, 1), random_cameras(4, 3, 70, 40)
     renderer = CudaRenderer(scene, tolerance=0.5, device="cpu")
     pixels = renderer.pixels(cameras)
@@ -125,11 +125,11 @@ def test_a_renderer_is_loaded_and_launched_as_the_driver_asks(driver: list[Prete
     name, blocks, threads, shared, stream = one.launched[0]
     assert one.images == [b"\x7fELF"] and one.allowed == {"draw_pixels": shared}
     assert (name, threads, stream) == ("draw_pixels", 256, 77)
-    assert blocks == 6 and shared > FREELY_SHARED  # three per multiprocessor, for 18 tiles
+    assert blocks == 6 and shared > FREELY_SHARED  # three on each of two multiprocessors, for 18 tiles
     assert one.launched[1:] == []
 
 
-def test_any_thread_may_load_and_launch(driver: list[PretendedDriver]) -> None:
+def test_any_thread_can_load_and_launch_kernels(driver: list[PretendedDriver]) -> None:
     scene, cameras = random_gaussians(3, 30), random_cameras(4, 2, 20, 30)
     with ThreadPoolExecutor(1) as first, ThreadPoolExecutor(1) as second:
         renderer = first.submit(CudaRenderer, scene, device="cpu").result()
@@ -144,7 +144,7 @@ def test_a_kernel_is_allowed_the_shared_memory_that_it_needs(driver: list[Preten
     assert driver[0].allowed == {"draw_images": FREELY_SHARED + 1}
 
 
-def test_what_the_driver_refuses_is_raised(driver: list[PretendedDriver]) -> None:
+def test_an_error_of_the_driver_is_raised(driver: list[PretendedDriver]) -> None:
     loaded = CudaKernels("render", "cpu", kernel_defines(True, 0, False))
     driver[0].error = 700
     with pytest.raises(RuntimeError, match="CUDA driver on cpu: 700"):

@@ -1,4 +1,4 @@
-"""Launches that share memory wait for each other across streams; streams are pretended."""
+"""Launches that share memory wait for each other across CUDA streams; most of the streams here are fakes."""
 
 import threading
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ from tests.renderers.cases import random_cameras, random_gaussians
 
 
 class Stream:
-    """A stream that records for which others it was made to wait."""
+    """A fake stream that records which other streams it was made to wait for."""
 
     def __init__(self) -> None:
         self.waited: list[Stream] = []
@@ -28,7 +28,7 @@ class Stream:
 
 
 class Streams(threading.local):
-    """The current stream of a thread, and whether it is captured."""
+    """The current stream of a thread, and whether it is being captured."""
 
     now: Stream
     captured = False
@@ -36,7 +36,7 @@ class Streams(threading.local):
 
 @pytest.fixture
 def streams(monkeypatch: pytest.MonkeyPatch) -> Streams:
-    """A pretended GPU's."""
+    """The streams of a fake GPU."""
     found = Streams()
     monkeypatch.setattr(torch.cuda, "device", lambda device: nullcontext())
     monkeypatch.setattr(torch.cuda, "current_stream", lambda device: found.now)
@@ -51,7 +51,7 @@ def on(streams: Streams, stream: Stream, turns: Turns, captured: bool = False) -
         pass
 
 
-def test_a_launch_waits_for_those_on_another_stream(streams: Streams) -> None:
+def test_a_launch_waits_for_earlier_launches_on_another_stream(streams: Streams) -> None:
     one, two, turns = Stream(), Stream(), Turns(torch.device("cuda", 0))
     for stream in (one, one, two, two, one):
         on(streams, stream, turns)
@@ -78,13 +78,13 @@ def test_a_thread_waits_until_the_launch_of_another_is_queued(streams: Streams) 
     assert two.waited == [one]
 
 
-def test_a_cpu_has_no_streams(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_turns_on_a_cpu_use_no_streams(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(torch.cuda, "current_stream")
     with Turns(torch.device("cpu")).taken():
         pass
 
 
-def test_a_renderer_launches_in_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_renderer_launches_its_kernel_within_a_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
 
     class Watched(Turns):
@@ -108,7 +108,7 @@ def test_a_renderer_launches_in_turns(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.gpu
-def test_frames_on_two_streams_are_those_of_one(cuda_device: torch.device) -> None:
+def test_frames_drawn_on_two_streams_equal_those_drawn_on_one(cuda_device: torch.device) -> None:
     cameras = random_cameras(4, 256, 64, 64)
     cameras = Cameras(cameras.camera_to_world.to(cuda_device), cameras.K.to(cuda_device), 64, 64)
     renderer = CudaRenderer(random_gaussians(3, 5000, 1), device=cuda_device)

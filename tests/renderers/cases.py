@@ -12,7 +12,7 @@ from splatrl.spherical_harmonics import C0
 from tests.tiny import CountingRenderer
 
 LIKENESS = 60.0
-"""The least PSNR of a fast renderer against the reference, decibels."""
+"""Minimum PSNR of a fast renderer against the reference, decibels."""
 
 
 def gaussians(
@@ -21,7 +21,7 @@ def gaussians(
     scale: float | list[float] = 0.05,
     opacity: float | list[float] = 0.8,
 ) -> Gaussians:
-    """A few Gaussians of degree 0, axis-aligned, in float64."""
+    """Return a few axis-aligned Gaussians of degree 0, in float64."""
     count = len(means)
     rgb = torch.tensor(colors or [[1.0, 1.0, 1.0]] * count, dtype=torch.float64)
     return Gaussians(
@@ -35,7 +35,7 @@ def gaussians(
 
 
 def random_gaussians(seed: int, count: int = 300, degree: int = 0) -> Gaussians:
-    """A cloud of radius about 1.5 m around the origin: dust, discs and needles, float32."""
+    """Return a cloud of dust, discs and needles with a radius of about 1.5 m around the origin, in float32."""
     g = torch.Generator().manual_seed(seed)
     return Gaussians(
         means=0.8 * torch.randn(count, 3, generator=g),
@@ -48,7 +48,7 @@ def random_gaussians(seed: int, count: int = 300, degree: int = 0) -> Gaussians:
 
 
 def dust(seed: int, opacity: float, scale: float, count: int = 3000) -> Gaussians:
-    """Tiny Gaussians 20 m away along x, which merge into few that cover more than the area of their members."""
+    """Return tiny Gaussians 20 m away along x, which merge into a few that cover more area than their members."""
     g = torch.Generator().manual_seed(seed)
     means = [[20.0, 0.0, 0.0]] * count
     cloud = gaussians(means, scale=scale, opacity=opacity).float()
@@ -57,12 +57,12 @@ def dust(seed: int, opacity: float, scale: float, count: int = 3000) -> Gaussian
 
 
 def ball(count: int = 800, radius: float = 0.15) -> Gaussians:
-    """Discs on a sphere at the origin whose colours change slowly, as the links of robots are drawn."""
+    """Return discs on a sphere at the origin whose colours vary slowly, as on the links of robots."""
     number = torch.arange(count) + 0.5
     height, turn = 1 - 2 * number / count, math.pi * (1 + math.sqrt(5)) * number
     around = (1 - height.square()).sqrt()
     normals = torch.stack([around * turn.cos(), around * turn.sin(), height], 1)
-    half = torch.stack([1 + height, -normals[:, 1], normals[:, 0], torch.zeros(count)], 1)  # turns z to the normal
+    half = torch.stack([1 + height, -normals[:, 1], normals[:, 0], torch.zeros(count)], 1)  # rotates z to the normal
     return Gaussians(
         means=radius * normals,
         quats=half / half.norm(dim=1, keepdim=True),
@@ -74,7 +74,7 @@ def ball(count: int = 800, radius: float = 0.15) -> Gaussians:
 
 
 def random_cameras(seed: int, batch: int = 3, width: int = 37, height: int = 22) -> Cameras:
-    """Cameras around and inside the cloud, with principal points off the centre and pixels that are not square."""
+    """Return cameras around and inside the cloud, with off-centre principal points and pixels that are not square."""
     g = torch.Generator().manual_seed(seed)
     positions = torch.nn.functional.normalize(torch.randn(batch, 3, generator=g), dim=1)
     positions = positions * torch.empty(batch, 1).uniform_(0.3, 3.0, generator=g)
@@ -85,13 +85,13 @@ def random_cameras(seed: int, batch: int = 3, width: int = 37, height: int = 22)
 
 
 def ahead(width: int = 41, height: int = 31, focal: float = 40.0) -> Cameras:
-    """One camera at the origin that looks along world x; the middle pixel is centred on its axis."""
+    """Return one camera at the origin that looks along world x; the middle pixel is centred on its axis."""
     K = torch.tensor([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
     return Cameras(look_at([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]).unsqueeze(0), K, width, height)
 
 
 def double(scene: Gaussians) -> Gaussians:
-    """The same values in float64."""
+    """Return the same Gaussians in float64."""
     return Gaussians(
         means=scene.means.double(),
         quats=scene.quats.double(),
@@ -103,13 +103,13 @@ def double(scene: Gaussians) -> Gaussians:
 
 
 def psnr(image: Tensor, reference: Tensor) -> float:
-    """Peak signal to noise ratio of images in [0, 1], decibels, of the worst image of the batch: [B, H, W, C]."""
+    """Return the peak signal-to-noise ratio, decibels, of the worst image of a batch [B, H, W, C] in [0, 1]."""
     errors = (image.double() - reference.double()).square().flatten(1).mean(1)
     return float(-10 * errors.clamp_min(1e-20).log10().max())
 
 
 class TwoModels(CountingRenderer):
-    """Two models in a renderer that counts the rows it is asked to draw."""
+    """A renderer of two models that counts the rows it is asked to draw."""
 
     def __init__(self) -> None:
         super().__init__(NativeRenderer([random_gaussians(0, 100), random_gaussians(1, 30)], threads=1))

@@ -1,4 +1,4 @@
-"""Levels of detail are built once for the same Gaussians, which many tests here draw again and again."""
+"""A cache of levels of detail: many tests here draw the same Gaussians again and again."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture(scope="session", autouse=True)
 def levels_once() -> Iterator[None]:
-    """Let renderers, of whatever kind, share the levels that were built of the same arrays."""
+    """Let renderers of every kind share the levels that were built from equal arrays."""
     from hashlib import sha1
 
     from splatrl.renderers import lod, packed

@@ -1,4 +1,4 @@
-"""A hilly place, whole and in blocks, that the tests of renderers share."""
+"""A hilly scene, whole and in blocks, that the tests of renderers share."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ SIZE = (48, 36)
 
 
 def hilly(count: int = 12_000) -> Gaussians:
-    """A hilly place of 24 × 16 m, in which a camera that stands in it sees all ranges."""
+    """Return hills of 24 × 16 m; a camera among them sees Gaussians at all ranges."""
     g = torch.Generator().manual_seed(7)
     cloud = random_gaussians(8, count)
     x, y = 24 * torch.rand(count, generator=g), 16 * torch.rand(count, generator=g)
@@ -25,12 +25,12 @@ def hilly(count: int = 12_000) -> Gaussians:
 
 
 def hills(count: int = 12_000) -> Scene:
-    """The place as one scene."""
+    """Return the hills as one scene."""
     return Scene("hills", hilly(count), ((0.0, 0.0, -1.0), (24.0, 16.0, 1.0)))
 
 
 def in_blocks(folder: Path, whole: Scene, edge: float) -> BlockScene:
-    """A scene cut into blocks, in a folder."""
+    """Write a scene to a folder in blocks with this edge length, and return it read back."""
     write_split(folder, whole, edge)
     scene = read_scene(folder)
     assert isinstance(scene, BlockScene)
@@ -38,7 +38,7 @@ def in_blocks(folder: Path, whole: Scene, edge: float) -> BlockScene:
 
 
 def walkers(seed: int = 1, batch: int = 24) -> Cameras:
-    """Cameras that stand in the place and look about."""
+    """Return cameras that stand among the hills and look around."""
     g = torch.Generator().manual_seed(seed)
     eyes = torch.rand(batch, 3, generator=g) * torch.tensor([24.0, 16.0, 0.5]) + torch.tensor([0.0, 0.0, 0.8])
     turns = 6.3 * torch.rand(batch, generator=g)

@@ -1,6 +1,6 @@
-"""The level-of-detail tree from its definition, slowly: the readable twin of ``splatrl/native/levels.cpp``.
+"""A slow level-of-detail tree, straight from its definition: the readable twin of ``splatrl/native/levels.cpp``.
 
-Here a merged Gaussian is the list of the Gaussians that it stands for, and all its values are computed from these in
+Here a merged Gaussian is the list of the Gaussians that it represents, and all its values are computed from these in
 float64. The C++ code merges in pairs, in float32.
 """
 
@@ -11,16 +11,16 @@ from splatrl.scenes.cache import Arrays
 from splatrl.spherical_harmonics import C0
 
 CAPACITY = 256
-"""The most Gaussians that a node holds."""
+"""Maximum number of Gaussians per node."""
 RUN = 16
-"""Neighbours that lie next to each other in memory, in any order."""
+"""Neighbours that are adjacent in memory, in any order."""
 BUCKET = 64
-"""Neighbours among which partners are sought."""
+"""Neighbours among which partners for merging are sought."""
 LEAST_CONTRAST = 0.2
-"""Contrast that is added to that of colours: even merging equal ones has a cost."""
+"""Contrast that is added to that of the colours, so that merging equal colours has a cost, too."""
 
 Numbers = NDArray[np.float64]
-Group = NDArray[np.int64]  # indices of the Gaussians that one stands for
+Group = NDArray[np.int64]  # indices of the Gaussians that a merged one represents
 
 
 def tree_of(means: Numbers, axes: Numbers, opacities: Numbers, sh: Numbers) -> Arrays:
@@ -39,7 +39,7 @@ class _Twin:
         self.top(self.build(np.arange(len(means))))
 
     def build(self, members: Group) -> list[Group]:
-        """Append the node over some Gaussians and all below it; returns what it shows."""
+        """Append the node over some Gaussians and all nodes below it, and return the groups that the node shows."""
         node = len(self.nodes)
         self.nodes.append([0, 0, 0, 0])
         self.errors.append(0.0)
@@ -54,11 +54,11 @@ class _Twin:
             self.nodes[node] = [len(self.merged), len(groups), 0, 0]
             self.errors[node] = self.error(groups)
             self.merged.extend(groups)
-        self.nodes[node][2] = len(self.nodes)  # the node after all those below this one
+        self.nodes[node][2] = len(self.nodes)  # the node after the subtree of this one
         return groups
 
     def top(self, groups: list[Group]) -> None:
-        """Put nodes above the root, each with three quarters of those below it, in whole runs."""
+        """Add nodes above the root, each with three quarters of the groups below it, rounded down to whole runs."""
         while (target := len(groups) * 3 // 4 // RUN * RUN) > 0:
             groups = self.merge(groups, target)
             self.nodes = [[first, count, skip + 1, leaf] for first, count, skip, leaf in self.nodes]
@@ -67,14 +67,14 @@ class _Twin:
             self.merged.extend(groups)
 
     def merge(self, groups: list[Group], target: int = CAPACITY) -> list[Group]:
-        """Merge the cheapest pair of neighbours repeatedly, until so many are left."""
+        """Merge the cheapest pair of neighbours repeatedly, until ``target`` groups are left."""
         groups = [groups[i] for i in in_space(self.centers(groups), BUCKET)]
         masses, centers, colors = (np.array(values) for values in zip(*map(self.summary, groups), strict=True))
         bucket = np.arange(len(groups)) // BUCKET
         alive = np.ones(len(groups), bool)
 
         def costs(i: int) -> Numbers:
-            """What merging i with each one loses: mass that moves · how far² · how different its colour is."""
+            """Return the cost of merging i with each group: mass that moves · distance² · contrast of colours²."""
             moved = masses[i] * masses / (masses[i] + masses)
             distances, contrasts = (((values[i] - values) ** 2).sum(1) for values in (centers, colors))
             possible = alive & (bucket == bucket[i]) & (np.arange(len(groups)) != i)
@@ -92,23 +92,23 @@ class _Twin:
         return [groups[i] for i in in_space(self.centers(groups), RUN)]
 
     def summary(self, group: Group) -> tuple[float, Numbers, Numbers]:
-        """Mass, mean and mean colour."""
+        """Return mass, mean and mean colour of a group."""
         return self.masses[group].sum(), self.mean(self.means, group), C0 * self.mean(self.sh[:, 0], group)
 
     def mean(self, values: Numbers, group: Group) -> Numbers:
-        """Mean over the group's members, by mass."""
+        """Return the mean over the group's members, weighted by mass."""
         return np.average(values[group], axis=0, weights=self.masses[group])
 
     def centers(self, groups: list[Group]) -> Numbers:
         return np.array([self.mean(self.means, group) for group in groups])
 
     def covariance(self, group: Group) -> Numbers:
-        """Covariance of the whole: the mean of the members' covariances plus the covariance of their means."""
+        """Return the group's covariance: the mean of its members' covariances plus the covariance of their means."""
         offsets = self.means - self.mean(self.means, group)
         return self.mean(self.covariances + offsets[:, :, None] * offsets[:, None], group)
 
     def error(self, groups: list[Group]) -> float:
-        """Root mean square distance of members from their merged mean, by mass, metres."""
+        """Return the root mean square distance of members from their merged mean, weighted by mass, metres."""
         squares = np.concatenate([((self.means[g] - self.mean(self.means, g)) ** 2).sum(1) for g in groups])
         return float(np.sqrt(np.average(squares, weights=self.masses[np.concatenate(groups)])))
 
@@ -129,15 +129,15 @@ class _Twin:
 
 
 def projected_area(covariances: Numbers) -> Numbers:
-    """The area, over π, of the ellipses that covariances project to: root mean square over all directions."""
+    """Return the area over π of the ellipses that covariances project to: root mean square over all directions."""
     minors = np.linalg.det(covariances) * np.trace(np.linalg.inv(covariances), axis1=1, axis2=2)
     return np.sqrt(minors / 3.0)
 
 
 def split(points: Numbers, multiple: int) -> tuple[Group, Group]:
-    """Split points along an axis, at a multiple, where the sum of counts times diagonals of boxes is least.
+    """Split points along an axis, at a multiple, such that the sum of count times box diagonal is minimal.
 
-    Neither part has less than a sixteenth of the leaves that all fill.
+    Neither part has less than a sixteenth of the leaves that all points fill.
     """
     leaves = -(-len(points) // multiple)
     fewest = max(1, leaves // 16)
@@ -151,7 +151,7 @@ def split(points: Numbers, multiple: int) -> tuple[Group, Group]:
 
 
 def halves(points: Numbers, multiple: int) -> tuple[Group, Group]:
-    """Split points along the longest axis of their box into two halves, at a multiple."""
+    """Split points into two halves along the longest axis of their bounding box, at a multiple."""
     along = points[:, np.ptp(points, axis=0).argmax()]
     parts = -(-len(points) // multiple)
     middle = (parts + 1) // 2 * multiple
@@ -160,7 +160,7 @@ def halves(points: Numbers, multiple: int) -> tuple[Group, Group]:
 
 
 def in_space(points: Numbers, run: int) -> Group:
-    """An order in which neighbours follow each other, by halving until runs are left."""
+    """Return an order in which neighbours follow each other, by halving until only runs are left."""
     if len(points) <= run:
         return np.arange(len(points))
     return np.concatenate([half[in_space(points[half], run)] for half in halves(points, run)])

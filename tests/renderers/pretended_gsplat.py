@@ -1,4 +1,4 @@
-"""A fake gsplat that draws by our reference and checks its arguments, so that a transposed matrix shows."""
+"""A fake gsplat that draws with our reference and checks its arguments, so that a transposed matrix is detected."""
 
 from types import ModuleType
 from typing import Any
@@ -33,12 +33,12 @@ def rasterization(
     render_mode: str = "RGB",
     rasterize_mode: str = "classic",
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    """The result that gsplat 1.5.3 promises, from checked arguments and the reference."""
+    """Check the arguments, and return with the reference what gsplat 1.5.3 promises."""
     count, batch = len(means), len(viewmats)
     assert (means.shape, quats.shape, scales.shape) == ((count, 3), (count, 4), (count, 3))
     assert opacities.shape == (count,) and viewmats.shape == (batch, 4, 4) and Ks.shape == (batch, 3, 3)
     assert sh_degree is not None and colors.shape == (count, (sh_degree + 1) ** 2, 3)
-    assert backgrounds is None or not packed  # it confuses the shape of the images with that of the packed means
+    assert backgrounds is None or not packed  # gsplat confuses the shape of the images with that of packed means
     assert batch > 0
     given = (means, quats, scales, opacities, colors, viewmats, Ks)
     assert all(value.dtype == torch.float32 and value.is_contiguous() and not value.requires_grad for value in given)
@@ -52,7 +52,7 @@ def rasterization(
 
 
 def modules(rasterization: Any = rasterization, extension: object = "compiled") -> dict[str, ModuleType]:
-    """The ``sys.modules`` of an installed gsplat like this; ``extension`` is None where it found no compiler."""
+    """Return the ``sys.modules`` of such an installed gsplat; ``extension`` is None if it found no compiler."""
     package, cuda, backend = (ModuleType(name) for name in ("gsplat", "gsplat.cuda", "gsplat.cuda._backend"))
     package.__version__, package.rasterization = "1.5.3", rasterization  # type: ignore[attr-defined]
     backend._C, cuda._backend = extension, backend  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""Scenes in blocks are drawn as if they were whole, whatever is in memory."""
+"""Scenes in blocks are drawn as if they were whole, whichever blocks are in memory."""
 
 import functools
 import pickle
@@ -34,13 +34,13 @@ def town(whole: Scene, tmp_path_factory: pytest.TempPathFactory) -> BlockScene:
 
 @pytest.fixture(autouse=True)
 def small_tops(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Blocks of 500 Gaussians would otherwise be in memory whole."""
+    """Keep tops small, since those of blocks of 500 Gaussians would otherwise be the whole blocks."""
     monkeypatch.setattr(blocks, "TOP_GROUPS", 20)
 
 
 @pytest.fixture(scope="module")
 def all_in_memory(town: BlockScene) -> Callable[[Cameras, float], Tensor]:
-    """Draws every block as a part, whole, with some tolerance."""
+    """A function that draws every block whole, as a part, with a given tolerance."""
     models = [block.read() for block in town.blocks]
     made = functools.cache(lambda tolerance: NativeRenderer(models, tolerance=tolerance))
     count = len(models)
@@ -54,12 +54,12 @@ def all_in_memory(town: BlockScene) -> Callable[[Cameras, float], Tensor]:
 
 
 def room_for(renderer: BlockRenderer, count: int) -> int:
-    """A budget for the tops and so many blocks."""
+    """Return a budget for the tops and ``count`` whole blocks."""
     return renderer._tops + count * max(kept.bytes for kept in renderer._whole.values())
 
 
 @pytest.mark.parametrize("antialiased", [True, False])
-def test_exact_pictures_across_borders_are_those_of_one_merged_file(
+def test_exact_images_across_borders_match_those_of_one_merged_file(
     whole: Scene, town: BlockScene, antialiased: bool
 ) -> None:
     cameras = walkers()
@@ -69,19 +69,19 @@ def test_exact_pictures_across_borders_are_those_of_one_merged_file(
     assert (drawn != expected).float().mean() < 1e-4
     assert expected.float().std() > 20
     for ours, theirs in zip(renderer.render(cameras), merged.render(cameras), strict=True):
-        apart = ~torch.isclose(ours, theirs, atol=5e-3, rtol=5e-3)  # files round, and ties are broken otherwise
+        apart = ~torch.isclose(ours, theirs, atol=5e-3, rtol=5e-3)  # files round, and ties are broken differently
         assert apart.float().mean() < 1e-4
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 1.0, 3.0])
-def test_pictures_have_the_bytes_of_all_blocks_in_memory(
+def test_images_have_the_same_bytes_as_with_all_blocks_in_memory(
     town: BlockScene, all_in_memory: Callable[[Cameras, float], Tensor], tolerance: float
 ) -> None:
     cameras = walkers()
     assert torch.equal(BlockRenderer(town, tolerance=tolerance).pixels(cameras), all_in_memory(cameras, tolerance))
 
 
-def test_what_is_far_is_shown_by_merged_gaussians_that_stay_in_memory(
+def test_distant_blocks_are_shown_by_merged_gaussians_that_stay_in_memory(
     town: BlockScene, all_in_memory: Callable[[Cameras, float], Tensor]
 ) -> None:
     above = Cameras(look_at([12.0, 8.0, 90.0], [12.0, 8.1, 0.0])[None], intrinsics(0.3, *SIZE), *SIZE)
@@ -110,7 +110,7 @@ def test_a_top_may_end_above_the_node_over_the_whole_block(
     assert read[0] > 0 and read[3] == 0
 
 
-def test_frames_have_the_same_bytes_whatever_the_batch_the_order_and_what_is_in_memory(town: BlockScene) -> None:
+def test_a_frame_has_the_same_bytes_in_any_batch_and_order_and_whatever_is_in_memory(town: BlockScene) -> None:
     cameras, g = walkers(), torch.Generator().manual_seed(3)
     roomy = BlockRenderer(town, tolerance=3.0)
     expected, depths = roomy.pixels(cameras), roomy.render(cameras).depth
@@ -127,13 +127,13 @@ def test_frames_have_the_same_bytes_whatever_the_batch_the_order_and_what_is_in_
 
 
 def slots_of(renderer: BlockRenderer, cameras: Cameras) -> list[list[int]]:
-    """What each row draws, by slots of the core."""
+    """Return the slots of the core that each row draws."""
     seen = Parts(torch.zeros(len(cameras), 1, dtype=torch.int64), torch.eye(4).expand(len(cameras), 1, 4, 4))
     slots: list[list[int]] = renderer._placed_blocks(cameras, seen).model.tolist()
     return slots
 
 
-def test_where_one_camera_needs_more_than_fits_its_picture_still_depends_on_nothing_drawn_before(
+def test_the_image_of_a_camera_that_needs_more_than_fits_does_not_depend_on_earlier_images(
     town: BlockScene,
 ) -> None:
     cameras = walkers()
@@ -147,11 +147,11 @@ def test_where_one_camera_needs_more_than_fits_its_picture_still_depends_on_noth
         assert torch.equal(used.pixels(cameras[torch.tensor(order)]), fresh[order])
     assert used.bytes_held <= budget
     exact = full.pixels(cameras[:6])
-    assert not torch.equal(fresh, exact)  # merged Gaussians in place of some blocks
+    assert not torch.equal(fresh, exact)  # some blocks are shown by merged Gaussians
     assert (fresh.float() - exact.float()).abs().mean() < 10
 
 
-def test_the_least_recently_used_block_makes_room(town: BlockScene) -> None:
+def test_the_least_recently_used_block_is_evicted(town: BlockScene) -> None:
     renderer = BlockRenderer(town, tolerance=1.0)
     a, b, c = sorted(renderer._whole)[:3]
     tight = BlockRenderer(town, tolerance=1.0, budget=room_for(renderer, 2))
@@ -194,7 +194,7 @@ def test_a_pickled_renderer_draws_the_same(town: BlockScene) -> None:
     assert again._room == renderer._room
 
 
-def test_too_small_a_budget_is_refused_by_what_it_would_take(town: BlockScene) -> None:
+def test_a_budget_that_is_too_small_is_refused_with_the_bytes_that_are_needed(town: BlockScene) -> None:
     with pytest.raises(
         ValueError, match=r"renderer.budget: expected at least [0-9,]+ bytes, for the top of each block's tree"
     ):

@@ -1,4 +1,4 @@
-"""The renderer for GPUs: its kernels' own source, emulated on the CPU and, where there is a GPU, run on it."""
+"""The renderer for GPUs: its kernels' own source is emulated on the CPU and, if there is a GPU, run on that as well."""
 
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +19,7 @@ Make = Callable[..., CudaRenderer]
 
 @pytest.fixture(params=["emulated", pytest.param("gpu", marks=pytest.mark.gpu)])
 def make(request: pytest.FixtureRequest) -> Make:
-    """Makes renderers on either machine."""
+    """A function that makes renderers, emulated or on a GPU."""
     if request.param == "gpu":
         device = request.getfixturevalue("cuda_device")
         return lambda scene, *args, **options: CudaRenderer(scene, *args, device=device, **options)
@@ -27,19 +27,19 @@ def make(request: pytest.FixtureRequest) -> Make:
 
 
 def emulated_renderer(scene: Scene | Gaussians, *args: Any, **options: Any) -> CudaRenderer:
-    """A renderer whose kernels the CPU runs."""
+    """Return a renderer whose kernels are emulated on the CPU."""
     return CudaRenderer(scene, *args, load=emulated, **options)
 
 
 def on(renderer: CudaRenderer, cameras: Cameras) -> Cameras:
-    """The cameras on the renderer's device."""
+    """Return the cameras on the renderer's device."""
     return Cameras(
         cameras.camera_to_world.to(renderer.device), cameras.K.to(renderer.device), cameras.width, cameras.height
     )
 
 
 def assert_like_native(renderer: CudaRenderer, native: NativeRenderer, cameras: Cameras) -> None:
-    """The agreement that is promised: 999 of 1000 bytes within one grey level, 60 dB."""
+    """Check the promised agreement: 999 of 1000 bytes within one grey level, and at least 60 dB."""
     views = on(renderer, cameras)
     pixels, expected = renderer.pixels(views).cpu(), native.pixels(cameras)
     assert float(((pixels.int() - expected.int()).abs() <= 1).float().mean()) >= 0.999
@@ -53,7 +53,7 @@ def assert_like_native(renderer: CudaRenderer, native: NativeRenderer, cameras: 
 
 
 @pytest.mark.parametrize(("antialiased", "degree"), [(True, 0), (False, 1), (True, 2), (False, 3)])
-def test_any_scene_and_camera_look_as_on_the_cpu(make: Make, antialiased: bool, degree: int) -> None:
+def test_any_scene_and_camera_look_the_same_as_on_the_cpu(make: Make, antialiased: bool, degree: int) -> None:
     for seed, size in ((degree, (37, 22)), (10 + degree, (31, 65)), (20 + degree, (1, 3))):
         scene, cameras = random_gaussians(seed, 700, degree), random_cameras(seed + 1, 2, *size)
         background = (0.2, 0.5, 0.9)
@@ -63,7 +63,9 @@ def test_any_scene_and_camera_look_as_on_the_cpu(make: Make, antialiased: bool, 
 
 
 @pytest.mark.parametrize(("tolerance", "antialiased"), [(0.0, True), (0.5, True), (0.5, False), (2.0, False)])
-def test_a_yard_looks_as_on_the_cpu_at_every_level_of_detail(make: Make, tolerance: float, antialiased: bool) -> None:
+def test_a_yard_looks_the_same_as_on_the_cpu_at_every_level_of_detail(
+    make: Make, tolerance: float, antialiased: bool
+) -> None:
     scene = backyard()
     cameras = Cameras(
         look_at([[0.3, -1.0, 0.5], [-1.8, 1.2, 0.6]], [[1.0, 0.4, 0.3], [2.0, -2.0, 0.4]]),
@@ -77,7 +79,7 @@ def test_a_yard_looks_as_on_the_cpu_at_every_level_of_detail(make: Make, toleran
 
 @pytest.mark.parametrize("antialiased", [True, False])
 @pytest.mark.parametrize(("opacity", "scale"), [(0.9, 1e-4), (0.5, 1e-3), (0.02, 1e-3)])
-def test_merged_dust_looks_as_on_the_cpu(make: Make, antialiased: bool, opacity: float, scale: float) -> None:
+def test_merged_dust_looks_the_same_as_on_the_cpu(make: Make, antialiased: bool, opacity: float, scale: float) -> None:
     scene = dust(0, opacity, scale)
     renderer = make(scene, antialiased, tolerance=64.0)
     aims = [[20.0, (-1) ** k * k * 0.35, k * 0.33] for k in range(6)]
@@ -86,20 +88,20 @@ def test_merged_dust_looks_as_on_the_cpu(make: Make, antialiased: bool, opacity:
 
 
 @pytest.mark.parametrize("count", [200, 800])
-def test_a_small_model_looks_as_on_the_cpu_from_any_distance(make: Make, count: int) -> None:
+def test_a_small_model_looks_the_same_as_on_the_cpu_from_any_distance(make: Make, count: int) -> None:
     poses = look_at([[-away, 0.1 * away, 0.2 * away] for away in (0.5, 1.0, 2.0, 4.0, 8.0)], [0.0, 0.0, 0.0])
     cameras = Cameras(poses, intrinsics(1.57, 48, 40), 48, 40)
     assert_like_native(make(ball(count), tolerance=0.5), NativeRenderer(ball(count), tolerance=0.5), cameras)
 
 
-def test_a_captured_room_looks_as_on_the_cpu(make: Make, kitchen: Gaussians) -> None:
+def test_a_captured_room_looks_the_same_as_on_the_cpu(make: Make, kitchen: Gaussians) -> None:
     cameras = Cameras(look_at([0.2, -0.1, 1.05], [1.0, 0.6, 1.0])[None], intrinsics(1.57, 40, 40), 40, 40)
     assert_like_native(make(kitchen), NativeRenderer(kitchen), cameras)
 
 
-def test_a_frame_has_the_same_bytes_alone_in_any_batch_and_order(make: Make) -> None:
+def test_a_frame_has_the_same_bytes_alone_and_in_any_batch_and_order(make: Make) -> None:
     scene = random_gaussians(3, 1500, 2)
-    renderer = make(scene, memory=1)  # one block draws all
+    renderer = make(scene, memory=1)  # a single thread block draws everything
     cameras = on(renderer, random_cameras(4, 5, 50, 33))
     together, views = renderer.pixels(cameras), renderer.render(cameras)
     order = torch.tensor([3, 0, 4, 2, 1], device=renderer.device)
@@ -111,7 +113,7 @@ def test_a_frame_has_the_same_bytes_alone_in_any_batch_and_order(make: Make) -> 
 
 
 @pytest.mark.gpu
-def test_thousands_of_frames_have_the_bytes_of_each_alone(cuda_device: torch.device) -> None:
+def test_thousands_of_frames_have_the_same_bytes_as_each_alone(cuda_device: torch.device) -> None:
     renderer = CudaRenderer(backyard(), tolerance=1.0, device=cuda_device)
     cameras = on(renderer, random_cameras(4, 64, 64, 64))
     rows = torch.randint(64, (4096,), generator=torch.Generator().manual_seed(0)).to(cuda_device)
@@ -130,7 +132,7 @@ def test_the_order_of_threads_between_barriers_changes_nothing(seed: int) -> Non
 
 
 def wall_of_equal_depths(count: int, degree: int = 0) -> Gaussians:
-    """Gaussians at one depth from a camera at the origin, in no spatial order, and some before and behind it."""
+    """Return Gaussians at one depth from a camera at the origin, in no spatial order, with some nearer and farther."""
     scene = random_gaussians(6, count, degree)
     scene.means[:, 0] = 2.0
     scene.means[: count // 50, 0] = torch.linspace(0.5, 900.0, count // 50)
@@ -138,19 +140,19 @@ def wall_of_equal_depths(count: int, degree: int = 0) -> Gaussians:
 
 
 @pytest.mark.parametrize("count", [500, 512, 513, 1500, 4000])
-def test_what_lies_at_one_depth_is_in_the_order_of_the_scene(make: Make, count: int) -> None:
+def test_gaussians_of_equal_depth_are_blended_in_the_order_of_the_scene(make: Make, count: int) -> None:
     scene = wall_of_equal_depths(count)
     assert_like_native(make(scene), NativeRenderer(scene), ahead())
 
 
-def test_depths_far_apart_and_close_together_are_in_order(make: Make) -> None:
+def test_depths_far_apart_and_close_together_are_sorted_correctly(make: Make) -> None:
     scene = random_gaussians(7, 3000)
     scene.means[:, 0] = 2.0 + 1e-9 * torch.randperm(3000, generator=torch.Generator().manual_seed(0))
     scene.means[:40, 0] = torch.logspace(-1.5, 6, 40)
     assert_like_native(make(scene), NativeRenderer(scene), ahead())
 
 
-def test_large_images_are_drawn_by_tiles(make: Make) -> None:
+def test_large_images_drawn_in_tiles_look_the_same_as_on_the_cpu(make: Make) -> None:
     scene, cameras = random_gaussians(3, 300, 2), random_cameras(8, 1, 150, 101)
     assert_like_native(make(scene), NativeRenderer(scene), cameras)
 
@@ -168,7 +170,7 @@ def test_only_the_rows_that_are_asked_for_are_drawn(make: Make) -> None:
 
 
 @pytest.mark.parametrize("fault", ["pose", "K", "focal", "scaled", "mirrored", "skew"])
-def test_a_camera_that_cannot_be_drawn_is_black_and_told_of_later(make: Make, fault: str) -> None:
+def test_the_image_of_an_invalid_camera_is_black_and_the_fault_is_reported_later(make: Make, fault: str) -> None:
     renderer = make(random_gaussians(3, 300), background=(1.0, 1.0, 1.0))
     cameras = random_cameras(4, 4)
     pose, K = cameras.camera_to_world[2], cameras.K[2]
@@ -189,25 +191,25 @@ def test_a_camera_that_cannot_be_drawn_is_black_and_told_of_later(make: Make, fa
     renderer.raise_faults()  # a fault is reported once
 
 
-def test_nothing_at_all_is_drawn(make: Make) -> None:
+def test_an_empty_batch_and_a_camera_that_sees_nothing_can_be_drawn(make: Make) -> None:
     renderer = make(gaussians([[-5.0, 0.0, 0.0]]), background=(0.0, 1.0, 0.0))
     empty = renderer.pixels(on(renderer, random_cameras(1, 0)))
     assert empty.shape == (0, 22, 37, 3)
-    unseen = renderer.pixels(on(renderer, ahead()))  # it is behind the camera
+    unseen = renderer.pixels(on(renderer, ahead()))  # the Gaussian is behind the camera
     assert (
         unseen.unique(dim=-2).tolist() == [[[[0, 255, 0]]] * 31]
         or (unseen == torch.tensor([0, 255, 0]).to(unseen)).all()
     )
 
 
-def test_efforts_count_what_was_done(make: Make) -> None:
+def test_efforts_count_projected_visible_and_blended_gaussians(make: Make) -> None:
     renderer = make(gaussians([[2.0, 0.0, 0.0], [3.0, 0.3, 0.0], [-2.0, 0.0, 0.0]], scale=0.01))
     projected, visible, blended = renderer.efforts(on(renderer, ahead()))[0].tolist()
-    assert 2 <= visible <= projected <= 8  # each counted on up to four tiles
+    assert 2 <= visible <= projected <= 8  # each is counted on up to four tiles
     assert visible <= blended <= 4 * visible
 
 
-def test_a_scene_without_level_of_detail_is_refused_a_wrong_one() -> None:
+def test_a_negative_tolerance_is_refused() -> None:
     with pytest.raises(ValueError, match="tolerance: expected a finite number of pixels, at least 0, got -1"):
         emulated_renderer(random_gaussians(0, 10), tolerance=-1)
 

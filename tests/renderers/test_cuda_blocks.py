@@ -1,4 +1,4 @@
-"""Scenes in blocks on a GPU: the kernels' own source, emulated on the CPU and, where there is a GPU, run on it."""
+"""Scenes in blocks on a GPU: the kernels' own source, emulated on the CPU and, if there is a GPU, run on that too."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -32,7 +32,7 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> BlockScene:
 
 @pytest.fixture(params=["emulated", pytest.param("gpu", marks=pytest.mark.gpu)])
 def make(request: pytest.FixtureRequest) -> Make:
-    """Makes renderers on either machine."""
+    """A function that makes renderers, emulated or on a GPU."""
     where = {"load": emulated} if request.param == "emulated" else {"device": request.getfixturevalue("cuda_device")}
 
     def make_there(scenes: Any, **settings: Any) -> CudaRenderer:
@@ -42,14 +42,16 @@ def make(request: pytest.FixtureRequest) -> Make:
 
 
 def all_blocks(town: BlockScene, rows: int) -> Parts:
-    """Rows that draw models 0, 1, … as the blocks, where they stand."""
+    """Return rows that draw the blocks as models 0, 1, …, where they stand."""
     count = len(town.blocks)
     model = torch.arange(count).expand(rows, count).contiguous()
     return Parts(model, IDENTITY.expand(rows, count, 4, 4))
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 1.0])
-def test_pictures_have_the_bytes_of_every_block_as_a_part(make: Make, town: BlockScene, tolerance: float) -> None:
+def test_images_have_the_same_bytes_as_with_every_block_drawn_as_a_part(
+    make: Make, town: BlockScene, tolerance: float
+) -> None:
     cameras = walkers(batch=4)
     renderer = make(town, tolerance=tolerance)
     parts = make([block.read() for block in town.blocks], tolerance=tolerance)
@@ -59,7 +61,7 @@ def test_pictures_have_the_bytes_of_every_block_as_a_part(make: Make, town: Bloc
 
 
 @pytest.mark.parametrize(("tolerance", "antialiased"), [(0.0, True), (1.0, True), (1.0, False)])
-def test_pictures_look_as_on_the_cpu_with_all_blocks_in_memory(
+def test_images_look_the_same_as_on_the_cpu_with_all_blocks_in_memory(
     make: Make, town: BlockScene, tolerance: float, antialiased: bool
 ) -> None:
     cameras, settings = walkers(batch=6), {"tolerance": tolerance, "antialiased": antialiased}
@@ -67,13 +69,13 @@ def test_pictures_look_as_on_the_cpu_with_all_blocks_in_memory(
     native = NativeRenderer([block.read() for block in town.blocks], background=BACKGROUND, **settings)
     expected = native.pixels(cameras, all_blocks(town, 6))
     assert ((pixels.int() - expected.int()).abs() <= 1).float().mean() >= 0.999
-    if tolerance == 0.0:  # those of the merged scene
+    if tolerance == 0.0:  # the merged scene looks the same, too
         merged = make(town.gaussians).pixels(cameras)
         assert (pixels != merged).float().mean() < 1e-4
     assert expected.float().std() > 20
 
 
-def test_a_scene_in_blocks_and_others_share_a_batch_and_models_move_through_it(make: Make, town: BlockScene) -> None:
+def test_a_scene_in_blocks_shares_a_batch_with_others_and_models_move_through_it(make: Make, town: BlockScene) -> None:
     ball, cameras = random_gaussians(9, 60), walkers(batch=4)
     whole = [random_gaussians(5, 300), town, ball]
     moving = random_poses(3, 4, 2)
@@ -93,7 +95,7 @@ def test_a_scene_in_blocks_and_others_share_a_batch_and_models_move_through_it(m
     assert torch.equal(drawn[2:3], make(town, tolerance=1.0).pixels(cameras[2:3]))
 
 
-def test_blocks_of_different_degrees_are_one_model(make: Make, tmp_path: Path) -> None:
+def test_blocks_of_different_degrees_are_drawn_as_one_model(make: Make, tmp_path: Path) -> None:
     blocks = []
     for number, degree in enumerate((0, 2, 1)):
         cloud = random_gaussians(40 + number, 200, degree)
@@ -103,14 +105,14 @@ def test_blocks_of_different_degrees_are_one_model(make: Make, tmp_path: Path) -
         blocks.append(Block(tmp_path / f"{number}.ply", ((2.0 * number, -1, -1), (2.0 * number + 2, 1, 1))))
     scene, cameras = BlockScene("mixed", blocks), walkers(batch=2)
     expected = make([block.read() for block in blocks]).render(cameras, all_blocks(scene, 2))
-    for _ in range(2):  # packed, and from the cache
+    for _ in range(2):  # first packed, then read from the cache
         for drawn, one in zip(make(scene).render(cameras), expected, strict=True):
             assert torch.equal(drawn, one)
 
 
 @pytest.mark.parametrize("memory", [1, 12_000])  # room for one block of threads, and for two
 @pytest.mark.parametrize("with_parts", [False, True])
-def test_tiles_with_more_candidates_than_blocks_have_room_for_are_drawn_after_the_others(
+def test_tiles_with_more_candidates_than_a_thread_block_has_room_for_are_drawn_correctly(
     make: Make, town: BlockScene, memory: int, with_parts: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cameras = walkers(batch=4)
@@ -127,7 +129,9 @@ def test_tiles_with_more_candidates_than_blocks_have_room_for_are_drawn_after_th
     assert torch.equal(pixels[only], roomy.pixels(cameras, parts)[only]) and not pixels[~only].any()
 
 
-def test_more_gaussians_than_a_key_can_number_are_refused(town: BlockScene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_gaussians_than_the_index_in_a_key_can_address_are_refused(
+    town: BlockScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(cuda_models, "MOST_INDICES", 4000)
     message = (
         r"scene\[1\]: expected at most 4,000 Gaussians, merged ones included, got [45],\d{3} in its first [4-6] blocks"
@@ -138,11 +142,11 @@ def test_more_gaussians_than_a_key_can_number_are_refused(town: BlockScene, monk
         CudaRenderer(town, tolerance=-1, load=emulated)
 
 
-def test_the_index_in_a_key_has_the_bits_that_the_limit_says() -> None:
+def test_the_index_in_a_key_has_as_many_bits_as_the_limit_on_gaussians_needs() -> None:
     assert f"INDEX_BITS = {cuda_models.MOST_INDICES.bit_length() - 1};" in (NATIVE / "cuda" / "tile.h").read_text()
 
 
-def test_a_tree_over_trees_bounds_them_and_opens_them_all() -> None:
+def test_a_tree_joined_from_several_trees_bounds_and_reaches_each_of_them() -> None:
     trees = []
     for number, nodes in enumerate((1, 3, 1, 5, 1)):
         clusters = np.zeros(nodes, CLUSTER)

@@ -1,4 +1,4 @@
-"""Placed models on a GPU: the kernels' own source, emulated on the CPU and, where there is a GPU, run on it."""
+"""Placed models on a GPU: the kernels' own source, emulated on the CPU and, if there is a GPU, run on that as well."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -35,13 +35,13 @@ from tests.renderers.parts_cases import (
 
 Make = Callable[..., CudaRenderer]
 MODES = [((0, 0, 0), True), ((1, 1, 1), False), ((2, 2, 2), True), ((3, 0, 1), False)]
-"""Degrees of models and whether images are antialiased. Each degree is drawn both ways, with parts and without, in
-detail and with less of it, in all tests together, but not in each: every combination would be compiled for seconds."""
+"""Degrees of models, and whether images are antialiased. All tests together draw each degree both ways, with parts and
+without, and with level of detail and without; no single test does, since each combination takes seconds to compile."""
 
 
 @pytest.fixture(params=["emulated", pytest.param("gpu", marks=pytest.mark.gpu)])
 def make(request: pytest.FixtureRequest) -> Make:
-    """Makes renderers on either machine."""
+    """A function that makes renderers, emulated or on a GPU."""
     where = {"load": emulated} if request.param == "emulated" else {"device": request.getfixturevalue("cuda_device")}
 
     def make_there(models: Sequence[Gaussians], antialiased: bool = True, **settings: Any) -> CudaRenderer:
@@ -51,7 +51,7 @@ def make(request: pytest.FixtureRequest) -> Make:
 
 
 def images(renderer: CudaRenderer, cameras: Cameras, parts: Parts | None = None) -> list[Tensor]:
-    """Everything that a renderer returns: pixels, rgb, depth and alpha. Cameras may be on another device."""
+    """Return everything that a renderer draws: pixels, rgb, depth and alpha. Cameras may be on another device."""
     return [renderer.pixels(cameras, parts), *renderer.render(cameras, parts)]
 
 
@@ -67,7 +67,7 @@ def test_parts_look_like_their_gaussians_moved_to_the_world(
     renderer = make(models, antialiased)
     expected, pixels = drawn_in_world(lambda model: make(model, antialiased), models, cameras, parts)
     assert_like(renderer.render(cameras, parts), expected, 1e-3)
-    turned = max(degrees) > 0  # harmonics are kept as half floats, so rotated ones round differently
+    turned = max(degrees) > 0  # harmonics are stored as half floats, so rotated ones round differently
     assert_same_bytes(renderer.pixels(cameras, parts), pixels, 0.02 if turned else 1e-4)
     renderer.raise_faults()
 
@@ -75,7 +75,7 @@ def test_parts_look_like_their_gaussians_moved_to_the_world(
 @pytest.mark.parametrize(
     ("degree", "tolerance", "antialiased"), [(2, 0.0, True), (3, 0.0, False), (1, 1.0, True), (2, 1.0, False)]
 )
-def test_one_part_at_home_is_the_scene_where_it_stands(
+def test_one_part_that_is_not_moved_has_the_same_bytes_as_the_scene_itself(
     make: Make, degree: int, tolerance: float, antialiased: bool
 ) -> None:
     models, cameras = random_models([degree] * 3, (900, 700, 40)), random_cameras(31, 3, 40, 35)
@@ -104,14 +104,16 @@ def test_a_part_is_drawn_at_the_level_of_detail_of_its_own_model(
 
 
 @pytest.mark.parametrize(("degrees", "antialiased"), [((1, 3, 0), True), ((2, 0, 1), False)])
-def test_parts_with_level_of_detail_look_as_on_the_cpu(make: Make, degrees: tuple[int, ...], antialiased: bool) -> None:
+def test_parts_with_level_of_detail_look_the_same_as_on_the_cpu(
+    make: Make, degrees: tuple[int, ...], antialiased: bool
+) -> None:
     models, cameras, parts = random_models(degrees, (3000, 2000, 600)), random_cameras(33, 4), random_parts(34, 4)
     image = make(models, antialiased, tolerance=2.0).render(cameras, parts)
     expected = NativeRenderer(models, antialiased, BACKGROUND, tolerance=2.0).render(cameras, parts)
     assert psnr(image.rgb, expected.rgb) >= LIKENESS and psnr(image.alpha, expected.alpha) >= LIKENESS
 
 
-def test_a_part_before_another_is_laid_over_it(make: Make) -> None:
+def test_a_part_in_front_of_another_is_composited_over_it(make: Make) -> None:
     models, cameras = random_models([1, 1, 0], (2500, 1500, 9)), ahead(41, 35)
     renderer = make(models, tolerance=1.0)
     near, far = (renderer.render(cameras, placed(1, part)) for part in ((1, at(6.0)), (0, at(20.0))))
@@ -122,12 +124,15 @@ def test_a_part_before_another_is_laid_over_it(make: Make) -> None:
 
 
 @pytest.mark.parametrize(("degrees", "tolerance"), [((2, 0, 1), 0.0), ((1, 0, 1), 1.0)])
-def test_a_frame_has_the_same_bytes_alone_in_any_batch_and_order(
+def test_a_frame_has_the_same_bytes_alone_and_in_any_batch_and_order(
     make: Make, degrees: tuple[int, ...], tolerance: float
 ) -> None:
     models, cameras = random_models(degrees, (900, 700, 300)), random_cameras(35, 5, 50, 33)
     parts, order = random_parts(36, 5), torch.tensor([3, 0, 4, 2, 1])
-    renderer, others = make(models, tolerance=tolerance, memory=1), make(models, tolerance=tolerance)  # one block
+    renderer, others = (
+        make(models, tolerance=tolerance, memory=1),
+        make(models, tolerance=tolerance),
+    )  # one thread block
     together = images(renderer, cameras, parts)
     assert_equal(images(others, cameras[order], parts.rows(order)), [image[order] for image in together])
     for row in range(5):
@@ -150,7 +155,9 @@ def test_the_order_of_threads_between_barriers_changes_nothing(seed: int) -> Non
 
 
 @pytest.mark.parametrize("counts", [(300, 200), (900, 700)])  # one slab, and several
-def test_equal_depths_go_by_part_then_index(make: Make, counts: tuple[int, int]) -> None:
+def test_gaussians_of_equal_depth_are_blended_in_the_order_of_part_and_index(
+    make: Make, counts: tuple[int, int]
+) -> None:
     g, flat = torch.Generator().manual_seed(1), []
     for count in counts:
         means = torch.cat([torch.full((count, 1), 2.0), 0.3 * torch.randn(count, 2, generator=g)], 1)
@@ -164,7 +171,7 @@ def test_equal_depths_go_by_part_then_index(make: Make, counts: tuple[int, int])
     assert not torch.equal(drawn[0][0], drawn[1][0])
 
 
-def test_what_is_nearer_hides_what_is_behind_it_whichever_part_it_is(make: Make) -> None:
+def test_the_nearer_part_hides_the_one_behind_it_whatever_their_order(make: Make) -> None:
     red, green = [0.9, 0.1, 0.1], [0.1, 0.9, 0.1]
     renderer, cameras = make(walls(red, green)), ahead(19, 13)
     for depths, expected in (((2.0, 3.0), red), ((3.0, 2.0), green), ((2.0, 2.0), red)):
@@ -173,7 +180,7 @@ def test_what_is_nearer_hides_what_is_behind_it_whichever_part_it_is(make: Make)
         assert image.depth[0, 6, 9].item() == pytest.approx(min(depths), abs=0.01)
 
 
-def test_as_many_parts_as_there_may_be_look_like_their_gaussians(make: Make) -> None:
+def test_the_maximum_number_of_parts_is_drawn_correctly_and_one_more_is_refused(make: Make) -> None:
     models, cameras = random_models([0, 0, 0], (60, 30, 9)), random_cameras(39, 1, 40, 35)
     numbers = torch.arange(MOST_PARTS) % 4 - 1  # a quarter of them absent
     parts = Parts(numbers[None], random_poses(42, 1, MOST_PARTS))
@@ -196,7 +203,7 @@ def test_a_row_without_parts_shows_the_background(make: Make) -> None:
     renderer.raise_faults()
 
 
-def test_only_some_rows_are_drawn_with_their_own_parts_and_the_others_are_not_looked_at(make: Make) -> None:
+def test_only_the_rows_that_are_asked_for_are_drawn_and_the_parts_of_others_are_not_read(make: Make) -> None:
     models, cameras, parts = random_models([2, 1, 1]), random_cameras(31, 4, 19, 13), random_parts(32, 4)
     renderer, only = make(models), torch.tensor([False, True, True, False])
     whole = images(renderer, cameras, parts)
@@ -217,7 +224,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_part_that_cannot_be_placed_shows_nothing_and_is_told_of_later(make: Make, fault: str) -> None:
+def test_a_part_that_cannot_be_placed_is_not_drawn_and_the_fault_is_reported_later(make: Make, fault: str) -> None:
     models, cameras = random_models([0, 0, 0]), random_cameras(31, 4, 19, 13)
     right, wrong = (placed(4, (0, IDENTITY), (ABSENT, IDENTITY), (2, at(0.3))) for _ in range(2))
     renderer = make(models)
@@ -229,7 +236,7 @@ def test_a_part_that_cannot_be_placed_shows_nothing_and_is_told_of_later(make: M
 
 
 @pytest.mark.parametrize("bound", ["memory", "index"])
-def test_a_row_with_more_gaussians_than_fit_shows_the_background_and_is_told_of_later(
+def test_a_row_with_more_gaussians_than_fit_shows_the_background_and_is_reported_later(
     make: Make, bound: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     models, cameras = random_models([0, 0, 0]), random_cameras(31, 3, 19, 13)  # of 250, 90 and 40 Gaussians
@@ -245,7 +252,7 @@ def test_a_row_with_more_gaussians_than_fit_shows_the_background_and_is_told_of_
         renderer.raise_faults()
 
 
-def test_a_camera_that_cannot_be_drawn_is_black_with_parts_too(make: Make) -> None:
+def test_the_image_of_an_invalid_camera_is_black_with_parts_too(make: Make) -> None:
     renderer, cameras, parts = make(random_models([0, 0, 0])), random_cameras(31, 4, 19, 13), random_parts(32, 4)
     cameras.camera_to_world[2, 0, 3] = torch.inf
     pixels = renderer.pixels(cameras, parts)
@@ -265,7 +272,7 @@ def test_efforts_of_parts_add_up(make: Make) -> None:
     assert torch.equal(renderer.efforts(cameras, parts)[:, 0], torch.stack(each).sum(0)[:, 0])
 
 
-def test_drawing_parts_reads_nothing_of_the_device() -> None:
+def test_drawing_parts_never_synchronises_with_the_host() -> None:
     renderer = CudaRenderer(random_models([0, 0, 0]), load=emulated)
     cameras, parts, only = random_cameras(31, 3, 9, 7), random_parts(32, 3), torch.tensor([True, False, True])
     with NoHostReads():
@@ -273,17 +280,17 @@ def test_drawing_parts_reads_nothing_of_the_device() -> None:
         renderer.render(cameras, parts, only)
 
 
-def test_parts_and_bounds_that_cannot_be_are_refused() -> None:
+def test_invalid_parts_models_and_limits_are_refused() -> None:
     renderer, cameras = CudaRenderer(random_gaussians(0, 9), load=emulated), random_cameras(31, 3, 9, 7)
     with pytest.raises(ValueError, match=r"parts\.model: expected \[3, M\] torch.int64"):
         renderer.pixels(cameras, placed(4, (0, IDENTITY)))
     with pytest.raises(ValueError, match="scene: expected at least one model, got none"):
         CudaRenderer([], load=emulated)
-    with pytest.raises(ValueError, match="most_gaussians: expected at least 1, at most 268,435,456, got 268,435,457"):
+    with pytest.raises(ValueError, match="most_gaussians: expected a number from 1 to 268,435,456, got 268,435,457"):
         CudaRenderer(random_gaussians(0, 9), most_gaussians=2**28 + 1, load=emulated)
 
 
-def test_a_model_that_no_key_has_room_for_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_model_with_more_gaussians_than_a_key_can_address_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cuda_models_module, "MOST_INDICES", 89)
     with pytest.raises(ValueError, match=r"scene\[1\]: expected at most 89 Gaussians, merged ones included, got 90"):
         CudaRenderer(random_models([0, 0, 0], (40, 90, 40)), load=emulated)

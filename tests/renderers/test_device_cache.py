@@ -1,4 +1,4 @@
-"""Views that a device remembers, found without the host."""
+"""Views cached on a device, which are looked up without synchronising with the host."""
 
 import pytest
 import torch
@@ -28,7 +28,7 @@ def test_pixels_are_those_of_the_renderer_and_each_view_is_drawn_once() -> None:
     assert 0 < lattice.bytes_held() <= 2**22
 
 
-def test_of_several_rows_with_one_view_one_is_remembered() -> None:
+def test_only_one_of_several_rows_with_the_same_view_is_cached() -> None:
     inner, cameras = TwoModels(), random_cameras(1, 3)
     lattice, rows = lattice_around(inner), torch.tensor([2, 0, 2, 2, 1, 0])
     for frames in (6, 6):
@@ -37,19 +37,19 @@ def test_of_several_rows_with_one_view_one_is_remembered() -> None:
     assert len(lattice) == 3
 
 
-def test_views_for_one_place_are_remembered_one_after_another_until_their_set_is_full() -> None:
+def test_views_of_one_set_are_cached_one_per_batch_until_the_set_is_full() -> None:
     inner, cameras = TwoModels(), random_cameras(1, WAYS + 4)
     lattice, expected = lattice_around(inner, WAYS * (37 * 22 * 3 + 4 * 25)), inner.renderer.pixels(cameras)
-    for turn in range(WAYS + 6):  # one set, so one view a turn
+    for turn in range(WAYS + 6):  # there is one set, so each batch stores one view
         assert torch.equal(lattice.pixels(cameras), expected)
         assert len(lattice) == min(turn + 1, WAYS)
-    for rows, drawn in ((slice(0, WAYS), 0), (slice(WAYS, WAYS + 4), 4)):  # the first row was first
+    for rows, drawn in ((slice(0, WAYS), 0), (slice(WAYS, WAYS + 4), 4)):  # the first rows were stored first
         before = inner.rendered
         assert torch.equal(lattice.pixels(cameras[rows]), expected[rows])
         assert inner.rendered == before + drawn
 
 
-def test_rows_that_are_not_asked_for_are_zero_and_not_remembered() -> None:
+def test_rows_that_are_not_asked_for_are_zero_and_not_cached() -> None:
     inner, cameras = TwoModels(), random_cameras(1, 4)
     lattice, expected = lattice_around(inner), inner.renderer.pixels(cameras)
     only = torch.tensor([True, False, True, False])
@@ -63,7 +63,7 @@ def test_rows_that_are_not_asked_for_are_zero_and_not_remembered() -> None:
         lattice.pixels(cameras, only=only.long())
 
 
-def test_another_lens_size_or_place_of_a_part_is_another_view() -> None:
+def test_another_lens_image_size_or_pose_of_a_part_is_another_view() -> None:
     inner, cameras = TwoModels(), random_cameras(1, 2, 16, 12)
     lattice = lattice_around(inner)
     wider = Cameras(cameras.camera_to_world, cameras.K, 17, 12)
@@ -76,7 +76,7 @@ def test_another_lens_size_or_place_of_a_part_is_another_view() -> None:
         assert inner.rendered == 2 * min(number + 1, len(shown))
 
 
-def test_where_an_absent_part_would_stand_makes_no_other_view() -> None:
+def test_the_pose_of_an_absent_part_makes_no_difference_to_the_view() -> None:
     inner, cameras = TwoModels(), random_cameras(1, 3)
     lattice, parts = lattice_around(inner), placed(3, (1, at(0.1)), (-1, at(0.0)))
     expected = lattice.pixels(cameras, parts)
@@ -86,7 +86,7 @@ def test_where_an_absent_part_would_stand_makes_no_other_view() -> None:
         lattice.pixels(cameras, random_parts(2, 4))
 
 
-def test_without_memory_or_rows_it_is_the_renderer() -> None:
+def test_without_memory_or_rows_the_cache_returns_what_the_renderer_draws() -> None:
     inner, cameras = TwoModels(), random_cameras(1, 3)
     for max_bytes in (0, 2**22):
         lattice = lattice_around(inner, max_bytes)
@@ -95,7 +95,7 @@ def test_without_memory_or_rows_it_is_the_renderer() -> None:
         assert len(lattice) == (3 if max_bytes else 0)
 
 
-def test_the_host_reads_nothing() -> None:
+def test_the_cache_never_synchronises_with_the_host() -> None:
     lattice, cameras = DeviceLatticeRenderer(Painter(), 2**22), random_cameras(1, 9)
     expected = Painter().pixels(cameras)
     with NoHostReads():
@@ -103,7 +103,7 @@ def test_the_host_reads_nothing() -> None:
     assert torch.equal(seen[0], expected) and torch.equal(lattice.pixels(cameras), expected)
 
 
-def test_keys_of_one_hash_are_told_apart() -> None:
+def test_keys_with_the_same_hash_are_told_apart() -> None:
     album = DeviceAlbum(2, torch.zeros(1, 1, 3, dtype=torch.uint8), 10**4)
     album._factors.zero_()  # every key has the same hash
     keys, images = torch.arange(10, dtype=torch.int32).view(5, 2), torch.arange(15, dtype=torch.uint8).view(5, 1, 1, 3)
@@ -115,12 +115,12 @@ def test_keys_of_one_hash_are_told_apart() -> None:
     assert not album.find(keys + 1)[1].any()
 
 
-def test_faults_are_those_of_the_renderer_if_it_records_any() -> None:
+def test_wrappers_pass_on_the_faults_of_a_renderer_if_it_records_any() -> None:
     class Recording(Painter):
         def raise_faults(self) -> None:
             raise ValueError("cameras[3]")
 
     for around in (LatticeRenderer, DeviceLatticeRenderer, lambda renderer: OneScene(renderer, 0)):
-        assert not isinstance(around(Painter()), Faulty)  # an env that asks for none is not captured in a graph
+        assert not isinstance(around(Painter()), Faulty)  # or its env's steps would be captured in graphs
         with pytest.raises(ValueError, match="3"):
             around(Recording()).raise_faults()

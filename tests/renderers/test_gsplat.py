@@ -1,4 +1,4 @@
-"""gsplat behind our interface: what it is passed, without a GPU; what it draws, on one."""
+"""gsplat behind our interface: without a GPU, the arguments that it gets; on a GPU, the images that it draws."""
 
 import sys
 from typing import Any
@@ -17,7 +17,7 @@ BACKGROUND = (0.2, 0.5, 0.9)
 
 @pytest.fixture
 def batches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """A fake gsplat that draws by the reference; returns how many cameras each of its calls got."""
+    """Install a fake gsplat that draws with the reference, and return how many cameras each of its calls gets."""
     calls: list[int] = []
 
     def noted(**arguments: Any) -> Any:
@@ -37,18 +37,18 @@ def pretend(monkeypatch: pytest.MonkeyPatch, **contents: Any) -> None:
 @pytest.mark.usefixtures("batches")
 @pytest.mark.parametrize("antialiased", [True, False])
 @pytest.mark.parametrize("degree", [0, 2])
-def test_it_is_handed_scene_and_cameras_in_its_own_conventions(antialiased: bool, degree: int) -> None:
+def test_gsplat_gets_scene_and_cameras_in_its_own_conventions(antialiased: bool, degree: int) -> None:
     scene, cameras = random_gaussians(1, 80, degree), random_cameras(2)
     renderer = GsplatRenderer(double(scene), antialiased, BACKGROUND, device="cpu")
     reference = ReferenceRenderer(scene, antialiased, BACKGROUND)
     image, expected = renderer.render(cameras), reference.render(cameras)
     assert all(part.dtype == torch.float32 for part in image)
     for part, truth in zip(image, expected, strict=True):
-        torch.testing.assert_close(part, truth, atol=1e-4, rtol=1e-4)  # poses were inverted twice
+        torch.testing.assert_close(part, truth, atol=1e-4, rtol=1e-4)  # not exact, since poses are inverted twice
     assert (renderer.pixels(cameras).int() - reference.pixels(cameras).int()).abs().max() <= 1
 
 
-def test_large_batches_are_drawn_in_parts_that_memory_holds(batches: list[int]) -> None:
+def test_large_batches_are_split_to_fit_into_memory(batches: list[int]) -> None:
     scene, cameras = random_gaussians(1, 80), random_cameras(2, 5)
     whole = GsplatRenderer(scene, device="cpu").pixels(cameras)
     renderer = GsplatRenderer(scene, device="cpu", memory=2 * 80 * 140)
@@ -86,13 +86,13 @@ def test_a_camera_that_is_not_finite_is_refused() -> None:
         GsplatRenderer(random_gaussians(1, 80), device="cpu").pixels(cameras)
 
 
-def test_a_missing_gsplat_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_gsplat_the_error_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gsplat", None)
     with pytest.raises(ImportError, match=r"pip install 'splatrl\[gsplat\]'"):
         GsplatRenderer(gaussians([[1.0, 0.0, 0.0]]), device="cpu")
 
 
-def test_a_gsplat_without_a_compiler_says_what_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_with_gsplat_but_no_compiler_the_error_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     pretend(monkeypatch, extension=None)
     with pytest.raises(ImportError, match=r"gsplat 1.5.3 is installed, but nvcc was not found"):
         GsplatRenderer(gaussians([[1.0, 0.0, 0.0]]), device="cpu")
@@ -100,7 +100,7 @@ def test_a_gsplat_without_a_compiler_says_what_it_needs(monkeypatch: pytest.Monk
 
 @pytest.mark.gpu
 @pytest.mark.parametrize("degree", [0, 3])
-def test_classic_images_are_those_of_the_reference(cuda_device: torch.device, degree: int) -> None:
+def test_classic_images_match_those_of_the_reference(cuda_device: torch.device, degree: int) -> None:
     pytest.importorskip("gsplat")
     scene, cameras = random_gaussians(3, 300, degree), random_cameras(4)
     try:

@@ -1,4 +1,4 @@
-"""The level-of-detail tree against its readable twin."""
+"""The level-of-detail tree, compared with its readable twin."""
 
 import numpy as np
 import pytest
@@ -10,11 +10,11 @@ from tests.renderers.cases import random_gaussians
 from tests.renderers.levels_twin import RUN, tree_of
 
 MERGED = {"means": (3,), "axes": (3, 3), "opacities": (), "sh": (-1, 3), "members": (), "sums": ()}
-"""The values of each merged Gaussian, by name, and their shapes."""
+"""Names of the values of each merged Gaussian, and their shapes; -1 is the number of harmonics."""
 
 
 def sorted_in_runs(nodes: NDArray[np.uint32], values: NDArray[np.float64], leaf: bool) -> NDArray[np.int64]:
-    """An order of rows that sorts each run, whose own order is free, by the first column."""
+    """Return an order of rows that sorts each run by value, since the order within a run is arbitrary."""
     order = np.arange(len(values))
     for first, count, _, kind in nodes.astype(np.int64):
         for start in range(first, first + count, RUN) if kind == leaf else ():
@@ -24,7 +24,7 @@ def sorted_in_runs(nodes: NDArray[np.uint32], values: NDArray[np.float64], leaf:
 
 
 def tidied(levels: Arrays, harmonics: int) -> Arrays:
-    """The same tree with its rows shaped, in an order that does not depend on which code built it."""
+    """Return the same tree with its rows reshaped, in an order that does not depend on which code built it."""
     nodes, order = levels["nodes"].reshape(-1, 4), levels["order"]
     rows = {
         name: levels[name].reshape(-1, *(harmonics if size < 0 else size for size in shape))
@@ -36,7 +36,7 @@ def tidied(levels: Arrays, harmonics: int) -> Arrays:
 
 
 @pytest.mark.parametrize(("seed", "count", "degree"), [(0, 200, 0), (1, 300, 2), (2, 800, 1)])
-def test_the_tree_is_that_of_its_readable_twin(seed: int, count: int, degree: int) -> None:
+def test_the_tree_equals_that_of_its_readable_twin(seed: int, count: int, degree: int) -> None:
     arrays = gaussian_arrays(random_gaussians(seed, count, degree))
     built = tidied(build_levels(arrays, degree), (degree + 1) ** 2)
     expected = tidied(tree_of(*(value.double().numpy() for value in arrays.values())), (degree + 1) ** 2)

@@ -19,13 +19,13 @@ from tests.renderers.cases import ahead, ball, dust, gaussians, psnr, random_cam
 
 
 def arrays_of(gaussians: Gaussians) -> dict[str, Tensor]:
-    """The arguments of ``build_levels``, with axes from the covariances."""
+    """Return the arguments of ``build_levels``, with axes from the covariances."""
     axes = torch.linalg.cholesky(gaussians.covariances().double()).float().contiguous()
     return {"means": gaussians.means, "axes": axes, "opacities": gaussians.opacities, "sh": gaussians.sh}
 
 
 def level_views(lower: list[float], upper: list[float], batch: int, size: int = 64) -> Cameras:
-    """Views 90 degrees wide from anywhere in a box, nearly level."""
+    """Return nearly level views, 90 degrees wide, from anywhere in a box."""
     g = torch.Generator().manual_seed(1)
     low, high = torch.tensor(lower), torch.tensor(upper)
     positions = low + torch.rand(batch, 3, generator=g) * (high - low)
@@ -37,7 +37,7 @@ def level_views(lower: list[float], upper: list[float], batch: int, size: int = 
 def psnrs(
     gaussians: Gaussians, cameras: Cameras, tolerance: float, antialiased: bool = True, exact: Tensor | None = None
 ) -> Tensor:
-    """PSNR of each view with level of detail against the exact one, decibels, at most 80."""
+    """Return the PSNR of each view with level of detail against the exact view, decibels, at most 80."""
     if exact is None:
         exact = NativeRenderer(gaussians, antialiased).render(cameras).rgb
     fast = NativeRenderer(gaussians, antialiased, tolerance=tolerance).render(cameras).rgb
@@ -54,7 +54,7 @@ def levels() -> Arrays:
     return build_levels(arrays_of(random_gaussians(3, 3000, 1)), 1)
 
 
-def test_every_gaussian_is_in_one_leaf_and_every_node_stands_for_all_below_it(levels: Arrays) -> None:
+def test_every_gaussian_is_in_one_leaf_and_only_inner_nodes_have_an_error(levels: Arrays) -> None:
     assert np.array_equal(np.sort(levels["order"]), np.arange(3000))
     nodes, errors = levels["nodes"].reshape(-1, 4), levels["errors"]
     leaves = nodes[:, 3] == 1
@@ -89,13 +89,13 @@ def test_merging_keeps_mass_mean_and_covariance(levels: Arrays) -> None:
     assert merged("members").min() >= 1
 
 
-def test_a_tolerance_that_nothing_meets_gives_the_bytes_of_exact_images() -> None:
+def test_a_tolerance_that_no_node_meets_gives_the_bytes_of_exact_images() -> None:
     scene, cameras = random_gaussians(3, 3000, 2), random_cameras(4, 5, 50, 33)
     exact = NativeRenderer(scene).pixels(cameras)
     assert torch.equal(NativeRenderer(scene, tolerance=1e-7).pixels(cameras), exact)
 
 
-def test_a_scene_of_one_group_and_an_empty_one_have_no_levels_to_choose_from() -> None:
+def test_a_scene_of_one_group_or_none_has_no_levels_to_choose_from() -> None:
     cameras = random_cameras(4, 2)
     for count in (0, 1, 16):
         scene = random_gaussians(3, count)
@@ -105,7 +105,7 @@ def test_a_scene_of_one_group_and_an_empty_one_have_no_levels_to_choose_from() -
 
 
 @pytest.mark.parametrize("count", [200, 800])
-def test_the_farther_a_small_model_is_the_fewer_gaussians_show_it(count: int) -> None:
+def test_a_small_model_is_shown_by_fewer_gaussians_the_farther_away_it_is(count: int) -> None:
     model, distances = ball(count), [0.5, 1.0, 2.0, 4.0, 8.0, 16.0]
     poses = look_at([[-away, 0.1 * away, 0.2 * away] for away in distances], [0.0, 0.0, 0.0])
     cameras = Cameras(poses, intrinsics(math.pi / 2, 64, 64), 64, 64)
@@ -115,7 +115,7 @@ def test_the_farther_a_small_model_is_the_fewer_gaussians_show_it(count: int) ->
     assert psnrs(model, cameras, 0.5).min() >= 33.0
 
 
-def test_a_frame_has_the_same_bytes_alone_in_any_batch_and_order_with_any_threads_and_remembered(
+def test_a_frame_has_the_same_bytes_in_any_batch_and_order_with_any_threads_and_when_cached(
     yard: Gaussians,
 ) -> None:
     cameras = level_views([-2, -2, 0.3], [2, 2, 1.0], 9, 44)
@@ -134,7 +134,7 @@ def test_a_frame_has_the_same_bytes_alone_in_any_batch_and_order_with_any_thread
 
 
 @pytest.mark.parametrize(("tolerance", "worst", "mean"), [(0.5, 38.0, 42.0), (1.0, 34.0, 40.0)])
-def test_the_worst_view_of_the_backyard_is_as_promised(
+def test_views_of_the_backyard_reach_the_promised_psnr(
     yard: Gaussians, tolerance: float, worst: float, mean: float
 ) -> None:
     cameras = level_views([-2.7, -2.7, 0.15], [2.7, 2.7, 1.5], 48)
@@ -143,7 +143,7 @@ def test_the_worst_view_of_the_backyard_is_as_promised(
 
 
 @pytest.mark.parametrize("size", [32, 160])
-def test_the_tolerance_is_in_pixels_of_the_image_that_is_asked_for(yard: Gaussians, size: int) -> None:
+def test_the_tolerance_is_in_pixels_of_images_of_any_size(yard: Gaussians, size: int) -> None:
     seen = psnrs(yard, level_views([-2.5, -2.5, 0.2], [2.5, 2.5, 1.2], 12, size), 0.5)
     assert seen.min() >= 36.0, seen
 
@@ -158,19 +158,19 @@ def test_every_instruction_set_draws_the_same_level_of_detail(
     assert psnr(NativeRenderer(yard, tolerance=1.0).render(cameras).rgb, fastest.rgb) >= 75.0
 
 
-def test_with_a_tolerance_the_splat_that_finishes_a_pixel_is_blended_and_none_behind_it() -> None:
+def test_with_a_tolerance_the_splat_that_saturates_a_pixel_is_blended_and_none_behind_it() -> None:
     sheets = gaussians([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [3.0, 0.0, 0.0]], scale=50.0, opacity=0.995)
 
     def alpha(tolerance: float, count: int) -> float:
         return float(NativeRenderer(sheets[:count], tolerance=tolerance).render(ahead(9, 6)).alpha[0, 3, 4])
 
-    assert alpha(0.0, 3) == pytest.approx(0.995, abs=1e-4)  # the second would leave less than 0.0001
+    assert alpha(0.0, 3) == pytest.approx(0.995, abs=1e-4)  # the second sheet would leave less than 0.0001
     assert alpha(1.0, 3) == pytest.approx(1 - 0.005**2, abs=5e-6)
     assert alpha(1.0, 3) == alpha(1.0, 2)
 
 
 def deep_cloud(opacity: float) -> Gaussians:
-    """Sixty thousand small Gaussians from 3 to 9 m ahead, behind two sheets of this opacity at 1 m."""
+    """Return sixty thousand small Gaussians 3 to 9 m ahead, behind two sheets of this opacity at 1 m."""
     g = torch.Generator().manual_seed(0)
     sheets = gaussians([[1.0, 0.0, 0.0], [1.1, 0.0, 0.0]], scale=50.0, opacity=opacity)
     cloud = gaussians([[6.0, 0.0, 0.0]], scale=0.01, opacity=0.5).expand(60_000).clone().float()
@@ -179,17 +179,17 @@ def deep_cloud(opacity: float) -> Gaussians:
     return torch.cat([sheets.float(), cloud])
 
 
-def test_what_is_behind_a_veil_is_drawn_with_fewer_gaussians_and_looks_as_it_did() -> None:
+def test_gaussians_behind_a_veil_are_drawn_with_less_detail_and_look_the_same() -> None:
     def effort(cloud: Gaussians) -> int:
         return int(NativeRenderer(cloud, tolerance=0.5).efforts(ahead(64, 64)).projected)
 
     veiled, clear = deep_cloud(0.9), effort(deep_cloud(0.1))
-    assert effort(deep_cloud(0.2)) == pytest.approx(clear, rel=0.01)  # half of the light and more comes through
+    assert effort(deep_cloud(0.2)) == pytest.approx(clear, rel=0.01)  # more than half of the light comes through
     assert effort(veiled) < 0.6 * clear
     assert psnrs(veiled, ahead(64, 64), 0.5).min() >= 50.0
 
 
-def test_a_frame_that_is_drawn_in_steps_has_the_same_bytes_with_any_threads_and_in_any_batch() -> None:
+def test_a_frame_drawn_in_steps_has_the_same_bytes_with_any_threads_and_in_any_batch() -> None:
     cloud, turns = deep_cloud(0.9), torch.tensor([-0.3, 0.0, 0.4])
     forward = torch.stack([turns.cos(), turns.sin(), torch.zeros(3)], 1)
     cameras = Cameras(look_at(torch.zeros(3, 3), forward), intrinsics(1.2, 96, 60), 96, 60)
@@ -225,7 +225,7 @@ def test_depths_a_tenth_of_a_millimetre_apart_are_told_apart(tolerance: float) -
 @pytest.mark.parametrize(
     ("tolerance", "antialiased", "levels"), [(0, True, 0.25), (0.5, True, 1), (9, True, 1), (1, False, 1)]
 )
-def test_with_a_tolerance_the_rim_of_a_splat_shows_down_to_a_level_for_half_a_pixel(
+def test_splats_fade_out_at_one_grey_level_with_a_tolerance_and_at_a_quarter_without(
     tolerance: float, antialiased: bool, levels: float
 ) -> None:
     disc = gaussians([[2.0, 0.0, 0.0]], scale=0.3, opacity=0.5)
@@ -243,7 +243,7 @@ def test_more_tolerance_draws_fewer_gaussians(yard: Gaussians) -> None:
 @pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("unit", [2.0**-6, 2.0**24])
 def test_level_of_detail_is_the_same_in_any_unit(unit: float, antialiased: bool) -> None:
-    """Merged Gaussians are kept in half floats, whose range is not that of lengths."""
+    """Merged Gaussians are stored as half floats, whose range is smaller than that of lengths."""
     pixels = []
     for scale in (1.0, unit):
         cloud = random_gaussians(3, 3000, 1)
@@ -255,8 +255,8 @@ def test_level_of_detail_is_the_same_in_any_unit(unit: float, antialiased: bool)
     assert torch.equal(*pixels) and pixels[0].float().std() > 20
 
 
-def test_by_how_much_rounding_moves_a_mean_a_node_is_displaced_more() -> None:
-    """Half floats are relative to the middle of a group, which is far from most where one of them is far away."""
+def test_the_error_of_a_node_includes_how_far_rounding_moves_its_means() -> None:
+    """Half floats are relative to the centre of a group, which is far from most members if one of them is far away."""
     cloud = random_gaussians(5, 300)
     cloud.means *= 0.02
     cloud.means[::100] += torch.tensor([40000.0, -30000.0, 500.0])
@@ -286,7 +286,7 @@ def test_classic_images_are_held_to_a_stricter_tolerance(yard: Gaussians) -> Non
     assert seen.min() >= 28.0 and seen.mean() >= 32.0, seen
 
 
-def test_the_worst_view_of_a_real_kitchen_is_as_promised(kitchen: Gaussians) -> None:
+def test_views_of_a_real_kitchen_reach_the_promised_psnr(kitchen: Gaussians) -> None:
     cameras = level_views([-0.8, -0.5, 0.6], [0.8, 0.5, 1.5], 64)
     exact = NativeRenderer(kitchen).render(cameras).rgb
     for tolerance, worst, mean in ((0.5, 38.0, 42.0), (1.0, 34.0, 40.0)):
@@ -294,7 +294,7 @@ def test_the_worst_view_of_a_real_kitchen_is_as_promised(kitchen: Gaussians) -> 
         assert seen.min() >= worst and seen.mean() >= mean, (tolerance, seen)
 
 
-def test_levels_are_built_once_for_a_scene_and_read_from_its_cache(
+def test_levels_are_built_once_for_a_scene_and_then_read_from_the_cache(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path))
@@ -322,7 +322,9 @@ def test_levels_are_built_once_for_a_scene_and_read_from_its_cache(
         ("errors", 0, 0),
     ],
 )
-def test_levels_that_lead_outside_are_refused(levels: Arrays, name: str, index: int, value: int) -> None:
+def test_levels_that_are_no_valid_tree_of_the_model_are_refused(
+    levels: Arrays, name: str, index: int, value: int
+) -> None:
     bad = {key: values.copy() for key, values in levels.items()}
     bad[name][index] = value
     renderer = _core.Renderer(True, (0, 0, 0), 1.0)
@@ -333,7 +335,7 @@ def test_levels_that_lead_outside_are_refused(levels: Arrays, name: str, index: 
 
 
 @pytest.mark.parametrize("tolerance", [-0.1, math.inf, math.nan])
-def test_a_tolerance_that_is_no_number_of_pixels_is_refused(tolerance: float) -> None:
+def test_a_negative_or_non_finite_tolerance_is_refused(tolerance: float) -> None:
     with pytest.raises(ValueError, match="tolerance: expected a finite number of pixels"):
         NativeRenderer(random_gaussians(0, 3), tolerance=tolerance)
 

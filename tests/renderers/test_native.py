@@ -16,9 +16,9 @@ from tests.renderers.cases import LIKENESS, ahead, double, gaussians, psnr, rand
 def assert_alike(fast: RenderOutput, reference: RenderOutput) -> None:
     assert psnr(fast.rgb, reference.rgb) >= LIKENESS
     assert psnr(fast.alpha, reference.alpha) >= LIKENESS
-    covered = reference.alpha > 0.05  # the mean over almost nothing is not stable
+    covered = reference.alpha > 0.05  # mean depth is unstable where almost nothing is blended
     errors = ((fast.depth - reference.depth).abs() / reference.depth)[covered]
-    few = errors.numel() < 16  # among them may be one that sees far past what is right before the camera
+    few = errors.numel() < 16  # one may see something far away past something right before the camera
     assert errors.numel() == 0 or errors.mean() < (1e-3 if few else 1e-4)
 
 
@@ -31,7 +31,7 @@ def assert_alike(fast: RenderOutput, reference: RenderOutput) -> None:
     size=st.tuples(st.integers(1, 40), st.integers(1, 40)),
     background=st.tuples(*[st.floats(0, 1)] * 3),
 )
-def test_any_scene_and_camera_look_as_the_reference_says(
+def test_any_scene_and_camera_look_like_the_reference(
     seed: int,
     count: int,
     degree: int,
@@ -46,7 +46,7 @@ def test_any_scene_and_camera_look_as_the_reference_says(
 
 @pytest.mark.parametrize("isa", _core.supported_isas())
 @pytest.mark.parametrize("antialiased", [False, True])
-def test_every_instruction_set_shows_what_the_reference_does(
+def test_every_instruction_set_draws_images_like_the_reference(
     isa: str, antialiased: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SPLATRL_ISA", isa)
@@ -62,7 +62,7 @@ def test_an_unknown_instruction_set_is_refused_with_the_choices(monkeypatch: pyt
         NativeRenderer(gaussians([[1.0, 0.0, 0.0]]))
 
 
-def test_a_frame_has_the_same_bytes_alone_in_any_batch_and_order_and_with_any_threads() -> None:
+def test_a_frame_has_the_same_bytes_alone_and_in_any_batch_and_order_with_any_threads() -> None:
     scene, cameras = random_gaussians(3, 2000, 2), random_cameras(4, 11, 50, 33)
     renderer = NativeRenderer(scene, threads=1)
     together, views = renderer.pixels(cameras), renderer.render(cameras)
@@ -76,7 +76,7 @@ def test_a_frame_has_the_same_bytes_alone_in_any_batch_and_order_and_with_any_th
 
 
 @pytest.mark.parametrize(("width", "height"), [(33, 41), (150, 70), (64, 3)])
-def test_few_frames_are_cut_into_tiles_for_the_threads_and_have_the_same_bytes(width: int, height: int) -> None:
+def test_a_few_frames_are_split_into_tiles_for_the_threads_and_have_the_same_bytes(width: int, height: int) -> None:
     scene, cameras = random_gaussians(3, 2000, 2), random_cameras(4, 2, width, height)
     renderer = NativeRenderer(scene, threads=1)
     whole, view = renderer.pixels(cameras), renderer.render(cameras)
@@ -86,7 +86,7 @@ def test_few_frames_are_cut_into_tiles_for_the_threads_and_have_the_same_bytes(w
         assert all(torch.equal(a, b) for a, b in zip(cut.render(cameras[1:]), [v[1:] for v in view], strict=True))
 
 
-def test_large_images_look_as_the_reference_says() -> None:
+def test_large_images_look_like_the_reference() -> None:
     scene, cameras = random_gaussians(3, 400, 1), random_cameras(8, 1, 300, 170)
     assert_alike(NativeRenderer(scene).render(cameras), ReferenceRenderer(double(scene)).render(cameras))
 
@@ -112,7 +112,7 @@ def test_a_tensor_that_pixels_cannot_be_drawn_into_is_refused(out: torch.Tensor)
         NativeRenderer(random_gaussians(3, 300)).pixels(random_cameras(4, 3), out=out)
 
 
-def test_efforts_count_what_was_done() -> None:
+def test_efforts_count_visible_projected_and_blended_gaussians() -> None:
     scene = gaussians([[2.0, 0.0, 0.0], [3.0, 0.3, 0.0], [-2.0, 0.0, 0.0]], scale=0.01)
     effort = NativeRenderer(scene, threads=1).efforts(ahead())
     assert effort.visible.tolist() == [2] and effort.projected.tolist() == [16]  # sixteen are projected at a time
@@ -122,7 +122,7 @@ def test_efforts_count_what_was_done() -> None:
 
 @pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("size", [1e6, 1e18, 1e30])
-def test_numbers_beyond_all_reason_do_no_harm(size: float, antialiased: bool) -> None:
+def test_absurdly_large_positions_and_scales_give_finite_images(size: float, antialiased: bool) -> None:
     scene = random_gaussians(7, 600, 1)
     scene.means[::3] *= size
     scene.scales[1::3] *= size
@@ -146,8 +146,8 @@ def test_pixels_are_the_rounded_colours_of_render() -> None:
     assert torch.equal(renderer.pixels(cameras), to_pixels(renderer.render(cameras).rgb))
 
 
-def test_more_gaussians_on_a_block_than_one_slab_holds_are_all_blended() -> None:
-    count = 3000  # each covers all 35 · 25 blocks: more pairs than are dealt at once
+def test_more_gaussians_on_a_block_of_pixels_than_one_slab_holds_are_all_blended() -> None:
+    count = 3000  # each covers all 35 · 25 blocks: more pairs than are binned at once
     g = torch.Generator().manual_seed(0)
     means = torch.cat([1 + torch.rand(count, 1, generator=g), 0.1 * torch.randn(count, 2, generator=g)], 1)
     scene = gaussians(means.tolist(), torch.rand(count, 3, generator=g).tolist(), 3.0, opacity=0.005)
@@ -167,7 +167,7 @@ def test_gaussians_of_equal_depth_are_blended_in_the_order_of_the_scene(run: int
 
 
 @pytest.mark.parametrize("isa", _core.supported_isas())
-def test_splats_of_every_size_show_on_all_that_they_touch(isa: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_splats_of_every_size_show_on_all_pixels_that_they_touch(isa: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SPLATRL_ISA", isa)
     g = torch.Generator().manual_seed(2)
     for scale in (0.01, 0.03, 0.06, 0.1, 0.2, 0.5):  # from one block of 4×4 pixels to more than 4×4 blocks
@@ -180,25 +180,25 @@ def test_splats_of_every_size_show_on_all_that_they_touch(isa: str, monkeypatch:
 
 @pytest.mark.parametrize("isa", _core.supported_isas())
 @pytest.mark.parametrize("faint", [0, 1, 2, 3])
-def test_a_splat_that_would_finish_a_pixel_of_an_exact_image_is_left_out_wherever_in_the_list(
+def test_in_exact_images_the_splat_that_would_saturate_a_pixel_is_left_out(
     isa: str, faint: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SPLATRL_ISA", isa)
     sheets = gaussians([[1.0 + 0.1 * i, 0.0, 0.0] for i in range(faint + 3)], scale=50.0, opacity=0.995)
     sheets.opacities[:faint] = 0.01
-    sheets.opacities[-1] = 0.5  # is behind the pixel that is finished
+    sheets.opacities[-1] = 0.5  # lies behind the sheet that finishes the pixel
     alpha = NativeRenderer(sheets).render(ahead(9, 6)).alpha[0, 3, 4]
     assert float(alpha) == pytest.approx(1 - 0.99**faint * 0.005, abs=1e-4)
 
 
-def test_no_splat_is_more_opaque_than_the_most_that_alpha_can_be() -> None:
+def test_the_alpha_of_a_splat_is_capped_at_its_maximum() -> None:
     for opacity in (0.998, 0.999, 1.0):
         sheet = gaussians([[1.0, 0.0, 0.0]], scale=50.0, opacity=opacity)
         alpha = NativeRenderer(sheet).render(ahead(9, 6)).alpha
         assert alpha.flatten().tolist() == pytest.approx([min(opacity, 0.999)] * 54, abs=1e-4)
 
 
-def test_an_opaque_splat_changes_no_byte_where_it_does_not_show() -> None:
+def test_an_opaque_splat_changes_nothing_outside_the_pixels_that_it_covers() -> None:
     g = torch.Generator().manual_seed(3)
     means = torch.cat([1.5 + torch.rand(300, 1, generator=g), 0.4 + 0.2 * torch.randn(300, 2, generator=g)], 1)
     scene = gaussians(means.tolist(), torch.rand(300, 3, generator=g).tolist(), 0.05)
@@ -217,16 +217,16 @@ def test_an_opaque_splat_changes_no_byte_where_it_does_not_show() -> None:
         ("dust at the lens", gaussians([[0.011, 0.0, 0.0]], scale=1e-4)),
         ("a planet", gaussians([[1.0, 0.0, 0.0]], scale=1e3)),
         ("a planet beside the camera", gaussians([[0.02, 300.0, 0.0]], scale=1e3)),
-        ("a needle along the sight", gaussians([[3.0, 0.1, 0.0]], scale=[10.0, 1e-4, 1e-4])),
-        ("a needle across the sight", gaussians([[3.0, 0.0, 0.1]], scale=[1e-4, 10.0, 1e-4])),
+        ("a needle along the line of sight", gaussians([[3.0, 0.1, 0.0]], scale=[10.0, 1e-4, 1e-4])),
+        ("a needle across the line of sight", gaussians([[3.0, 0.0, 0.1]], scale=[1e-4, 10.0, 1e-4])),
         ("a tilted needle", gaussians([[2.0, 0.0, 0.0]], scale=[1e-5, 5.0, 1e-3]).transformed(similarity())),
         ("a wall of opacity one", gaussians([[1.0, 0.0, 0.0]], scale=2.0, opacity=1.0)),
-        ("next to invisible", gaussians([[1.0, 0.0, 0.0]], scale=2.0, opacity=1.001 / 255)),
+        ("almost invisible", gaussians([[1.0, 0.0, 0.0]], scale=2.0, opacity=1.001 / 255)),
         ("invisible", gaussians([[1.0, 0.0, 0.0]], scale=2.0, opacity=0.0)),
     ],
 )
 @pytest.mark.parametrize("antialiased", [False, True])
-def test_extreme_gaussians_look_as_the_reference_says(name: str, scene: Gaussians, antialiased: bool) -> None:
+def test_extreme_gaussians_look_like_the_reference(name: str, scene: Gaussians, antialiased: bool) -> None:
     cameras = Cameras(
         torch.stack([look_at([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]), look_at([0.0, 0.1, 0.1], [1.0, 0.3, 0.4])]),
         intrinsics(1.4, 45, 30),
@@ -295,7 +295,7 @@ def test_wrong_settings_are_refused_by_name() -> None:
 
 
 @pytest.mark.parametrize("antialiased", [False, True])
-def test_views_of_a_real_kitchen_look_as_the_reference_says(kitchen: Gaussians, antialiased: bool) -> None:
+def test_views_of_a_real_kitchen_look_like_the_reference(kitchen: Gaussians, antialiased: bool) -> None:
     positions = torch.tensor([[0.0, 0.0, 1.05], [0.7, -0.3, 1.05], [-0.6, 0.4, 0.9]])
     targets = positions + torch.tensor([[1.0, 0.2, 0.0], [-0.5, 1.0, -0.1], [0.1, -1.0, -0.4]])
     cameras = Cameras(look_at(positions, targets), intrinsics(math.pi / 2, 24, 17), 24, 17)

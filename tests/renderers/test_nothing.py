@@ -10,7 +10,7 @@ from splatrl.renderers import NoRenderer
 from tests.tiny import tiny_gaussians, tiny_overrides
 
 
-def test_every_image_is_black_whatever_stands_there() -> None:
+def test_every_image_is_black_whatever_the_scene() -> None:
     cameras = Cameras(torch.eye(4).repeat(3, 1, 1), intrinsics(1.0, 7, 5), 7, 5)
     renderer = NoRenderer([tiny_gaussians()], antialiased=True)
     rgb, depth, alpha = renderer.render(cameras)
@@ -20,7 +20,7 @@ def test_every_image_is_black_whatever_stands_there() -> None:
     assert pixels.shape == (3, 5, 7, 3) and pixels.dtype == torch.uint8 and not pixels.any()
 
 
-def test_an_env_without_pictures_moves_as_one_with_them(tmp_path: Path) -> None:
+def test_robots_move_the_same_with_and_without_images(tmp_path: Path) -> None:
     blind, seeing = (make_env([*tiny_overrides(tmp_path), *more], [3]) for more in (["renderer=none"], []))
     moved = []
     for env in (blind, seeing):

@@ -1,4 +1,4 @@
-"""Some rows of a batch are drawn as in the whole batch, and nothing else is."""
+"""Selected rows of a batch are drawn as in the whole batch, and no others are drawn."""
 
 from collections.abc import Callable
 
@@ -18,7 +18,7 @@ MAKERS: list[Callable[[], Renderer]] = [
 
 @pytest.mark.parametrize("make", MAKERS, ids=["reference", "native", "lattice"])
 @pytest.mark.parametrize("rows", [[], [2], [0, 3], [0, 1, 2, 3]])
-def test_rows_that_are_not_asked_for_are_zero_and_the_others_as_ever(
+def test_rows_that_are_not_asked_for_are_zero_and_the_others_unchanged(
     make: Callable[[], Renderer], rows: list[int]
 ) -> None:
     renderer, cameras = make(), random_cameras(6, 4, 19, 13)
@@ -33,7 +33,7 @@ def test_rows_that_are_not_asked_for_are_zero_and_the_others_as_ever(
 
 @pytest.mark.parametrize("only", [torch.zeros(3, dtype=torch.bool), torch.zeros(4), torch.tensor([0, 1, 0, 1])])
 @pytest.mark.parametrize("make", MAKERS, ids=["reference", "native", "lattice"])
-def test_what_is_not_a_mask_over_the_batch_is_refused(make: Callable[[], Renderer], only: torch.Tensor) -> None:
+def test_anything_but_a_mask_over_the_batch_is_refused(make: Callable[[], Renderer], only: torch.Tensor) -> None:
     with pytest.raises(ValueError, match=r"only: expected \[4\] torch.bool, got"):
         make().pixels(random_cameras(6, 4, 19, 13), only=only)
 
@@ -48,7 +48,7 @@ def test_gradients_reach_the_scene_through_the_rows_that_are_drawn() -> None:
     assert scene.opacities.grad.any()
 
 
-def test_a_tensor_to_draw_into_takes_no_mask() -> None:
+def test_a_tensor_to_draw_into_cannot_be_combined_with_a_mask() -> None:
     cameras, out = random_cameras(6, 3, 19, 13), torch.zeros(3, 13, 19, 3, dtype=torch.uint8)
     with pytest.raises(ValueError, match="out: cannot be combined with only"):
         NativeRenderer(SCENE).pixels(cameras, only=torch.ones(3, dtype=torch.bool), out=out)

@@ -1,4 +1,4 @@
-"""Placed models: drawn into one image as if they were one scene."""
+"""Placed models are drawn into one image as if they were one scene."""
 
 import pytest
 import torch
@@ -32,7 +32,7 @@ every_maker = pytest.mark.parametrize("maker", MAKERS.values(), ids=MAKERS)
 
 
 def images(renderer: Renderer, cameras: Cameras, parts: Parts | None = None) -> list[torch.Tensor]:
-    """Everything that a renderer returns: pixels, rgb, depth and alpha."""
+    """Return everything that a renderer draws: pixels, rgb, depth and alpha."""
     return [renderer.pixels(cameras, parts), *renderer.render(cameras, parts)]
 
 
@@ -53,8 +53,8 @@ def test_parts_look_like_their_gaussians_moved_to_the_world(maker: Maker, degree
 
 @every_maker
 @pytest.mark.parametrize("degree", [1, 3])
-def test_parts_that_are_not_turned_differ_in_no_byte_but_one_in_ten_thousand(maker: Maker, degree: int) -> None:
-    """Only turned harmonics, which a renderer keeps rounded, may differ in more."""
+def test_parts_that_are_not_rotated_differ_in_at_most_one_byte_in_ten_thousand(maker: Maker, degree: int) -> None:
+    """Only rotated harmonics, which a renderer may store rounded, may make more bytes differ."""
     models, cameras, parts = random_models([degree] * 3), random_cameras(31, 4, 45, 28), random_parts(32, 4)
     parts.model_to_world[..., :3, :3] = torch.eye(3)
     expected, pixels = drawn_in_world(lambda model: maker.make(model), models, cameras, parts)
@@ -63,7 +63,7 @@ def test_parts_that_are_not_turned_differ_in_no_byte_but_one_in_ten_thousand(mak
 
 
 @every_maker
-def test_one_part_at_home_is_the_scene_where_it_stands(maker: Maker) -> None:
+def test_one_part_that_is_not_moved_has_the_same_bytes_as_the_scene_itself(maker: Maker) -> None:
     models, cameras = random_models([1, 2, 3]), random_cameras(31, 4)
     renderer = maker.make(models)
     assert_equal(images(renderer, cameras, placed(4, (0, IDENTITY))), images(renderer, cameras))
@@ -73,9 +73,9 @@ def test_one_part_at_home_is_the_scene_where_it_stands(maker: Maker) -> None:
 
 
 @every_maker
-def test_parts_at_home_are_one_scene_to_the_byte_and_equal_depths_go_by_part_then_index(maker: Maker) -> None:
+def test_parts_that_are_not_moved_equal_one_scene_and_blend_equal_depths_in_their_order(maker: Maker) -> None:
     g = torch.Generator().manual_seed(1)
-    flat = []  # too many Gaussians of one depth for any sort to order by chance, and of two depths
+    flat = []  # two depths, each with too many Gaussians to be in order by chance
     for count in (300, 200):
         means = torch.cat([torch.full((count, 1), 2.0), 0.3 * torch.randn(count, 2, generator=g)], 1)
         means[::7, 0] = 2.5
@@ -89,7 +89,7 @@ def test_parts_at_home_are_one_scene_to_the_byte_and_equal_depths_go_by_part_the
 
 
 @every_maker
-def test_what_is_nearer_hides_what_is_behind_it_whichever_part_it_is(maker: Maker) -> None:
+def test_the_nearer_part_hides_the_one_behind_it_whatever_their_order(maker: Maker) -> None:
     red, green = [0.9, 0.1, 0.1], [0.1, 0.9, 0.1]
     renderer, cameras = maker.make(walls(red, green)), ahead(19, 13)
     for depths, expected in (((2.0, 3.0), red), ((3.0, 2.0), green), ((2.0, 2.0), red)):
@@ -97,7 +97,7 @@ def test_what_is_nearer_hides_what_is_behind_it_whichever_part_it_is(maker: Make
         image = renderer.render(cameras, parts)
         assert (image.rgb[0, 6, 9] - torch.tensor(expected)).abs().max() < 2e-3
         assert image.depth[0, 6, 9].item() == pytest.approx(min(depths), abs=0.01)
-    turned = placed(1, (1, at(2.0)), (0, at(2.0)))  # of equal depths the first part is in front
+    turned = placed(1, (1, at(2.0)), (0, at(2.0)))  # at equal depth, the first part is in front
     assert (renderer.render(cameras, turned).rgb[0, 6, 9] - torch.tensor(green)).abs().max() < 2e-3
 
 
@@ -113,7 +113,7 @@ def test_a_row_without_parts_shows_the_background(maker: Maker) -> None:
 
 
 @every_maker
-def test_only_some_rows_are_drawn_with_their_own_parts(maker: Maker) -> None:
+def test_only_the_rows_that_are_asked_for_are_drawn_each_with_its_own_parts(maker: Maker) -> None:
     models, cameras, parts = random_models([1, 1, 1]), random_cameras(31, 4, 19, 13), random_parts(32, 4)
     renderer, only = maker.make(models), torch.tensor([False, True, True, False])
     whole = images(renderer, cameras, parts)
@@ -155,7 +155,7 @@ def test_parts_of_another_shape_or_type_are_refused(maker: Maker, wrong: Parts, 
 
 @every_maker
 @pytest.mark.parametrize("model", [-2, 3])
-def test_a_model_that_there_is_not_is_refused_by_row_and_part(maker: Maker, model: int) -> None:
+def test_a_model_that_does_not_exist_is_refused_by_row_and_part(maker: Maker, model: int) -> None:
     parts = random_parts(32, 4)
     parts.model[2, 1] = model
     with pytest.raises(ValueError, match=rf"parts\.model\[2, 1\]: expected -1 or a model in \[0, 3\), got {model}$"):
@@ -179,7 +179,7 @@ def test_a_pose_that_is_not_rigid_is_refused_by_row_and_part(maker: Maker, pose:
         maker.make(random_models([0, 0, 0])).pixels(random_cameras(31, 4, 9, 7), parts)
 
 
-def test_the_core_finds_the_first_part_that_is_wrong_and_ignores_poses_of_none() -> None:
+def test_the_core_finds_the_first_invalid_part_and_ignores_poses_of_absent_ones() -> None:
     model, poses = torch.zeros(4, 3, dtype=torch.int64), random_poses(33, 4, 3)
     model[0, 1], poses[0, 1] = ABSENT, torch.nan
     assert _core.first_bad_part(model, poses, 1) == -1
@@ -193,14 +193,14 @@ def test_the_core_finds_the_first_part_that_is_wrong_and_ignores_poses_of_none()
 
 
 @every_maker
-def test_no_model_at_all_is_refused(maker: Maker) -> None:
+def test_an_empty_list_of_models_is_refused(maker: Maker) -> None:
     with pytest.raises(ValueError, match="scene: expected at least one model, got none"):
         maker.make([])
 
 
 @pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("degrees", [(0, 0, 0), (3, 0, 1), (0, 2, 3)])
-def test_models_of_different_degrees_look_as_the_reference_says(degrees: tuple[int, ...], antialiased: bool) -> None:
+def test_models_of_different_degrees_look_like_the_reference(degrees: tuple[int, ...], antialiased: bool) -> None:
     models, cameras, parts = random_models(degrees), random_cameras(33, 8, 50, 33), random_parts(34, 8)
     fast = make_native(models, antialiased).render(cameras, parts)
     reference = make_reference(models, antialiased).render(cameras, parts)
@@ -211,7 +211,7 @@ def test_models_of_different_degrees_look_as_the_reference_says(degrees: tuple[i
 
 @pytest.mark.parametrize("tolerance", [0.0, 1.0])
 @pytest.mark.parametrize(("width", "height"), [(50, 33), (150, 70)])
-def test_a_frame_has_the_same_bytes_alone_in_any_batch_and_order_with_any_threads_and_tiles(
+def test_a_frame_has_the_same_bytes_in_any_batch_and_order_with_any_threads_and_tiles(
     width: int, height: int, tolerance: float
 ) -> None:
     models, cameras = random_models([2, 0, 1], (2000, 700, 300)), random_cameras(35, 7, width, height)
@@ -273,7 +273,7 @@ def test_a_frame_does_not_depend_on_how_many_parts_were_drawn_before() -> None:
     assert_equal(images(renderer, cameras, few), before)
 
 
-def test_more_parts_than_one_slab_holds_splats_look_like_their_gaussians() -> None:
+def test_parts_with_more_splats_than_one_slab_holds_look_like_their_gaussians() -> None:
     models, cameras = random_models([0, 0, 0]), random_cameras(39, 2, 70, 45)
     parts = placed(2, *[(number % 3, pose) for number, pose in enumerate(random_poses(42, 60))])
     expected, pixels = drawn_in_world(make_native, models, cameras, parts)
@@ -282,7 +282,7 @@ def test_more_parts_than_one_slab_holds_splats_look_like_their_gaussians() -> No
 
 
 @pytest.mark.parametrize("far", [1e6, 1e18, 1e38])
-def test_parts_beyond_all_reason_do_no_harm(far: float) -> None:
+def test_parts_absurdly_far_away_give_finite_images(far: float) -> None:
     cameras, parts = random_cameras(39, 4), random_parts(40, 4)
     parts.model_to_world[:, :, 0, 3] *= far
     view = make_native(random_models([1, 2, 0])).render(cameras, parts)
@@ -307,7 +307,7 @@ def test_pixels_of_parts_are_drawn_into_the_tensor_that_is_given() -> None:
     assert torch.equal(out, renderer.pixels(cameras, parts))
 
 
-def test_a_camera_in_a_model_that_stands_at_the_origin_is_itself_and_any_other_sees_the_same() -> None:
+def test_cameras_moved_into_models_are_exact_for_the_identity_and_can_be_moved_back() -> None:
     cameras, poses = random_cameras(43, 9), random_poses(44, 9, 2)
     poses[:, 0] = IDENTITY
     in_models = camera_to_models(cameras, Parts(torch.zeros(9, 2, dtype=torch.int64), poses))
@@ -316,7 +316,7 @@ def test_a_camera_in_a_model_that_stands_at_the_origin_is_itself_and_any_other_s
     assert torch.allclose(back, cameras.camera_to_world.double(), atol=1e-6)
 
 
-def test_the_core_places_cameras_in_models_as_its_readable_twin_does() -> None:
+def test_the_core_moves_cameras_into_models_as_its_readable_twin_does() -> None:
     cameras, poses = random_cameras(45, 7), random_poses(46, 7, 3)
     poses[:, 0] = IDENTITY
     parts = Parts(torch.zeros(7, 3, dtype=torch.int64), poses)
@@ -327,6 +327,6 @@ def test_the_core_places_cameras_in_models_as_its_readable_twin_does() -> None:
         _core.camera_to_models(cameras.camera_to_world[:5], poses, placed_by_core)
 
 
-def test_gaussians_and_scenes_are_models_by_themselves() -> None:
+def test_gaussians_by_themselves_are_accepted_as_one_model() -> None:
     model, cameras = random_gaussians(0, 60), random_cameras(1)
     assert_equal(images(NativeRenderer(model), cameras), images(NativeRenderer([model]), cameras))

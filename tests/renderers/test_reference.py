@@ -25,7 +25,7 @@ def test_left_of_the_robot_is_left_in_the_image_and_up_is_up() -> None:
     assert (row, column) == (10, 10)  # 0.25 · 40 / 2 = 5 rows above and 10 columns left of the middle (15, 20)
 
 
-def test_the_width_on_the_image_is_the_projected_deviation_and_the_dilation() -> None:
+def test_the_variance_in_the_image_is_the_projected_variance_plus_the_dilation() -> None:
     scene = gaussians([[2.0, 0.0, 0.0]], scale=0.1, opacity=0.9)
     alpha = ReferenceRenderer(scene, antialiased=False).render(ahead()).alpha[0]
     variance = (0.1 * 40 / 2) ** 2 + 0.3
@@ -34,7 +34,7 @@ def test_the_width_on_the_image_is_the_projected_deviation_and_the_dilation() ->
         assert alpha[15, 20 + offset].item() == pytest.approx(expected, rel=1e-6)
 
 
-def test_antialiasing_takes_from_the_opacity_what_the_dilation_adds_in_area() -> None:
+def test_antialiasing_lowers_the_opacity_as_much_as_the_dilation_adds_to_the_area() -> None:
     scene = gaussians([[2.0, 0.0, 0.0]], scale=0.01, opacity=0.9)
     alpha = ReferenceRenderer(scene, antialiased=True).render(ahead()).alpha[0, 15, 20]
     variance = (0.01 * 40 / 2) ** 2
@@ -62,7 +62,7 @@ def test_gaussians_of_equal_depth_are_blended_in_the_order_of_the_scene() -> Non
     assert rgb.tolist() == pytest.approx([0.6, 0.0, 0.24])
 
 
-def test_a_colour_with_degree_one_is_brightest_from_the_side_that_its_sign_says() -> None:
+def test_a_colour_of_degree_one_is_brightest_from_the_side_that_its_sign_gives() -> None:
     scene = gaussians([[0.0, 0.0, 0.0]], [[0.5, 0.5, 0.5]], scale=0.3)
     sh = torch.zeros(1, 4, 3, dtype=torch.float64)
     sh[0, 3, 0] = -0.5  # the basis is -0.4886 x: red grows with x of the viewing direction
@@ -80,7 +80,7 @@ def test_a_surface_of_gaussians_each_fainter_than_a_grey_level_shows_in_an_antia
     y, z = torch.meshgrid(side, side, indexing="ij")
     points = torch.stack([torch.full((10_000,), 40.0), y.flatten(), z.flatten()], 1).tolist()
     alphas = []
-    for scale in (0.01, 0.03):  # a pixel is 1 m wide there: 2500 of them around its centre
+    for scale in (0.01, 0.03):  # a pixel is 1 m wide there, with 2500 Gaussians around its centre
         view = ReferenceRenderer(gaussians(points, scale=scale, opacity=0.99)).render(ahead())
         alphas.append(float(view.alpha[0, 15, 20]))
     single = [0.99 * scale**2 / (scale**2 + 0.3) for scale in (0.01, 0.03)]
@@ -96,25 +96,25 @@ def test_the_background_shows_where_nothing_covers_it() -> None:
     assert view.depth[0, 0, 0] == 0 and view.alpha[0, 0, 0] == 0
 
 
-def test_a_pixel_is_finished_before_the_gaussian_that_would_close_it() -> None:
+def test_a_pixel_is_finished_before_the_gaussian_that_would_saturate_it() -> None:
     scene = gaussians([[1.0 + i, 0.0, 0.0] for i in range(3)], scale=2.0, opacity=[0.99, 0.995, 0.9])
     alpha = ReferenceRenderer(scene, antialiased=False).render(ahead()).alpha[0, 15, 20]
-    assert alpha.item() == pytest.approx(0.99)  # 0.01 · 0.005 would leave less than 1e-4; the third would not
+    assert alpha.item() == pytest.approx(0.99)  # the second would leave 0.01 · 0.005 < 1e-4; the third would not
 
 
-def test_an_opacity_of_one_lets_a_thousandth_through() -> None:
+def test_an_opacity_of_one_lets_a_thousandth_of_the_light_through() -> None:
     scene = gaussians([[1.0, 0.0, 0.0]], scale=2.0, opacity=1.0)
     assert ReferenceRenderer(scene).render(ahead()).alpha[0, 15, 20].item() == pytest.approx(0.999)
 
 
-def test_what_is_nearer_than_the_near_plane_is_not_shown() -> None:
+def test_gaussians_nearer_than_the_near_plane_are_not_shown() -> None:
     for depth, shown in ((0.011, True), (0.009, False), (-1.0, False)):
         scene = gaussians([[depth, 0.0, 0.0]], scale=0.01)
         assert bool(ReferenceRenderer(scene).render(ahead()).alpha.any()) == shown
 
 
 @pytest.mark.parametrize("antialiased", [False, True])
-def test_turning_the_scene_with_the_camera_changes_nothing(antialiased: bool) -> None:
+def test_moving_the_scene_together_with_the_camera_changes_nothing(antialiased: bool) -> None:
     scene, cameras = double(random_gaussians(3, degree=3)), random_cameras(4)
     move = rigid(axis_rotations(0, torch.tensor(0.7)) @ axis_rotations(2, torch.tensor(2.1)), torch.tensor([1.0, 2, 3]))
     moved = Cameras(move @ cameras.camera_to_world, cameras.K, cameras.width, cameras.height)
@@ -124,7 +124,7 @@ def test_turning_the_scene_with_the_camera_changes_nothing(antialiased: bool) ->
     torch.testing.assert_close(after.alpha, before.alpha, atol=1e-3, rtol=0)
 
 
-def test_scaling_the_scene_with_the_camera_scales_the_depth_alone() -> None:
+def test_scaling_the_scene_together_with_the_camera_scales_only_the_depth() -> None:
     scene, cameras = double(random_gaussians(5)), random_cameras(6)
     poses = cameras.camera_to_world.clone()
     poses[:, :3, 3] *= 2

@@ -9,7 +9,7 @@ from tests.renderers.parts_cases import at, placed, random_parts
 
 
 class Counting(TwoModels):
-    """Counts the frames that it draws, of which there are no others in a batch."""
+    """Counts the frames that it draws, and accepts no mask, so the batch must hold only frames that are needed."""
 
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         assert only is None, "the cache asks only for what it lacks"
@@ -33,7 +33,7 @@ def test_duplicates_within_a_batch_are_rendered_once() -> None:
     assert inner.rendered == 3
 
 
-def test_a_full_memory_still_gives_the_right_bytes_and_grows_no_further() -> None:
+def test_a_full_cache_still_gives_the_right_bytes_and_grows_no_further() -> None:
     inner, cameras = Counting(), random_cameras(1, 12)
     image_bytes = 37 * 22 * 3
     lattice, expected = LatticeRenderer(inner, max_bytes=5 * image_bytes + 1), inner.renderer.pixels(cameras)
@@ -47,7 +47,7 @@ def test_a_full_memory_still_gives_the_right_bytes_and_grows_no_further() -> Non
     assert inner.rendered == before + 7
 
 
-def test_no_memory_at_all_is_the_renderer_itself() -> None:
+def test_without_memory_every_view_is_rendered_each_time() -> None:
     inner, cameras = Counting(), random_cameras(1, 4)
     lattice = LatticeRenderer(inner, max_bytes=0)
     for _ in range(2):
@@ -65,7 +65,7 @@ def test_another_lens_or_image_size_is_another_view() -> None:
     assert inner.rendered == 6
 
 
-def test_all_image_sizes_share_one_bound() -> None:
+def test_all_image_sizes_share_one_memory_bound() -> None:
     inner = Counting()
     lattice = LatticeRenderer(inner, max_bytes=3000)
     for width in (8, 9, 10):
@@ -74,7 +74,7 @@ def test_all_image_sizes_share_one_bound() -> None:
     assert 0 < len(lattice) < 12
 
 
-def test_what_the_caller_does_to_the_images_is_not_remembered() -> None:
+def test_changes_that_the_caller_makes_to_images_are_not_cached() -> None:
     lattice, cameras = LatticeRenderer(Counting()), random_cameras(1, 3)
     first = lattice.pixels(cameras)
     expected = first.clone()
@@ -84,7 +84,7 @@ def test_what_the_caller_does_to_the_images_is_not_remembered() -> None:
     assert torch.equal(lattice.pixels(cameras), expected)
 
 
-def test_render_passes_through() -> None:
+def test_render_bypasses_the_cache() -> None:
     inner, cameras = Counting(), random_cameras(1, 3)
     views = LatticeRenderer(inner).render(cameras)
     assert all(torch.equal(a, b) for a, b in zip(views, inner.render(cameras), strict=True))
@@ -97,12 +97,12 @@ def test_an_empty_batch_gives_no_images() -> None:
     assert lattice.pixels(cameras[:0]).shape == (0, 22, 37, 3)
 
 
-def test_a_negative_bound_is_refused() -> None:
+def test_a_negative_memory_bound_is_refused() -> None:
     with pytest.raises(ValueError, match="max_bytes"):
         LatticeRenderer(Counting(), max_bytes=-1)
 
 
-def test_another_part_or_another_place_of_it_is_another_view() -> None:
+def test_another_part_or_another_pose_of_it_is_another_view() -> None:
     inner, cameras = Counting(), random_cameras(1, 2)
     lattice = LatticeRenderer(inner)
     here, there = placed(2, (0, at(0.0)), (1, at(0.2))), placed(2, (0, at(0.0)), (1, at(0.3)))
@@ -113,7 +113,7 @@ def test_another_part_or_another_place_of_it_is_another_view() -> None:
         assert inner.rendered == 2 * min(number + 1, len(shown))
 
 
-def test_where_an_absent_part_would_stand_makes_no_other_view() -> None:
+def test_the_pose_of_an_absent_part_makes_no_difference_to_the_view() -> None:
     inner, cameras = Counting(), random_cameras(1, 3)
     lattice, parts = LatticeRenderer(inner), placed(3, (1, at(0.1)), (-1, at(0.0)))
     expected = lattice.pixels(cameras, parts)
@@ -121,7 +121,7 @@ def test_where_an_absent_part_would_stand_makes_no_other_view() -> None:
     assert torch.equal(lattice.pixels(cameras, parts), expected) and inner.rendered == 3
 
 
-def test_rows_with_parts_are_remembered_in_any_batch() -> None:
+def test_views_with_parts_are_cached_across_batches() -> None:
     inner, cameras, parts = Counting(), random_cameras(1, 12), random_parts(2, 12, models=2)
     lattice, expected = LatticeRenderer(inner), inner.renderer.pixels(cameras, parts)
     g = torch.Generator().manual_seed(2)
