@@ -196,10 +196,7 @@ def test_an_empty_batch_and_a_camera_that_sees_nothing_can_be_drawn(make: Make) 
     empty = renderer.pixels(on(renderer, random_cameras(1, 0)))
     assert empty.shape == (0, 22, 37, 3)
     unseen = renderer.pixels(on(renderer, ahead()))  # the Gaussian is behind the camera
-    assert (
-        unseen.unique(dim=-2).tolist() == [[[[0, 255, 0]]] * 31]
-        or (unseen == torch.tensor([0, 255, 0]).to(unseen)).all()
-    )
+    assert (unseen == torch.tensor([0, 255, 0]).to(unseen)).all()
 
 
 def test_efforts_count_projected_visible_and_blended_gaussians(make: Make) -> None:
