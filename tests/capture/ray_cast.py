@@ -1,4 +1,4 @@
-"""Images of rooms with noise on their walls, cast ray by ray, and videos of them, for tests of the capture."""
+"""Ray-cast images of rooms with noise on their walls, and videos of them, for tests of capture."""
 
 from functools import cache
 from pathlib import Path
@@ -12,22 +12,22 @@ from splatrl.capture.base import Photos
 WIDTH, HEIGHT = 320, 240
 K = np.array([[260.0, 0, 163], [0, 260, 118], [0, 0, 1]])
 HALF = np.array([2.5, 2.0, 1.3])
-"""Half the sides of a room, metres."""
+"""Half the side lengths of a room, metres."""
 
 
 def room_image(
     camera_to_world: np.ndarray, seed: int = 0, K: np.ndarray = K, size: tuple[int, int] = (WIDTH, HEIGHT)
 ) -> np.ndarray:
-    """What a camera within a room sees.
+    """Return the image that a camera inside a room sees.
 
     Args:
         camera_to_world: [4, 4], metres, OpenCV axes; the room's centre is the origin.
-        seed: of the walls' noise; each is another room.
+        seed: seed of the noise on the walls; each seed gives a different room.
         K: [3, 3] intrinsics, pixels.
         size: width and height of the image, pixels.
 
     Returns:
-        [H, W, 3] uint8, drawn once and read-only.
+        [H, W, 3] uint8, cached and therefore read-only.
     """
     return _image(np.asarray(camera_to_world, float).tobytes(), seed, np.asarray(K, float).tobytes(), size)
 
@@ -47,12 +47,12 @@ def _image(camera: bytes, seed: int, intrinsics: bytes, size: tuple[int, int]) -
 
 
 def room_depth(camera_to_world: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """How far the walls are along a camera's axis, metres; arguments as for ``room_image``: [H, W]."""
+    """Return the depth of the walls along a camera's axis, metres; arguments as for ``room_image``: [H, W]."""
     return _cast(camera_to_world, K, size)[1].min(-1)
 
 
 def walk(count: int) -> np.ndarray:
-    """Poses of a camera that walks sideways, sways, and looks into a corner: [N, 4, 4]."""
+    """Return poses of a camera that walks sideways, sways and looks into a corner: [N, 4, 4]."""
     poses = np.tile(np.eye(4), (count, 1, 1))
     for number, pose in enumerate(poses):
         t = number / 23
@@ -65,7 +65,7 @@ def walk(count: int) -> np.ndarray:
 
 
 def turning(count: int) -> np.ndarray:
-    """Poses of a camera that turns on the spot: [N, 4, 4]."""
+    """Return poses of a camera that turns on the spot: [N, 4, 4]."""
     poses = walk(count)
     for number, pose in enumerate(poses):
         turn = 0.04 * number
@@ -77,7 +77,7 @@ def turning(count: int) -> np.ndarray:
 
 
 def photos_of(folder: Path, images: list[np.ndarray], seconds: list[float] | None = None) -> Photos:
-    """Write images and say that they are photos."""
+    """Write images to a new folder and return them as photos; ``seconds`` are their capture times."""
     from PIL import Image
 
     folder.mkdir(parents=True)
@@ -92,10 +92,10 @@ def write_video(path: Path, images: list[np.ndarray], rate: int = 10, quarter_tu
     """Write a video as H.264 in MP4.
 
     Args:
-        path: of the file.
+        path: the file to write.
         images: [H, W, 3] uint8 each.
-        rate: images a second.
-        quarter_turn: whether the file says that a player must turn the images clockwise by 90°, as phones do.
+        rate: frames per second.
+        quarter_turn: whether the file tells players to rotate the frames clockwise by 90°, as videos of phones do.
     """
     with av.open(str(path), "w") as container:
         stream = container.add_stream("h264", rate=rate)
@@ -114,7 +114,7 @@ def write_video(path: Path, images: list[np.ndarray], rate: int = 10, quarter_tu
 
 
 def _cast(camera_to_world: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Rays of length 1 along the camera's axis, and how long they are to each pair of walls: [H, W, 3] each."""
+    """Return rays of depth 1 along the camera's axis, and the depths where they meet each pair of walls: [H, W, 3]."""
     x, y = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
     rays = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], -1) @ camera_to_world[:3, :3].T
     with np.errstate(divide="ignore"):
@@ -132,7 +132,7 @@ def _walls(seed: int) -> np.ndarray:
 
 
 def _sampled(walls: np.ndarray, wall: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Bilinear samples, for nearest ones would crawl."""
+    """Sample the walls bilinearly: with nearest-neighbour samples, the texture would crawl between images."""
     left, top = np.floor(u).astype(int), np.floor(v).astype(int)
     a, b = (u - left)[..., None], (v - top)[..., None]
     corner = [[walls[wall, (left + i) % 256, (top + j) % 256] for j in (0, 1)] for i in (0, 1)]

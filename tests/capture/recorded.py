@@ -1,7 +1,7 @@
-"""Recordings of a room with noise on its walls, as apps of phones with a depth sensor write them.
+"""Recordings of a room with noise on its walls, in the formats of apps for phones with a depth sensor.
 
-The phone is held upright, so that the images, as they are stored, lie on their side; its autofocus and its image
-stabiliser change the intrinsics from image to image.
+The phone is held upright, so the images lie on their side as stored; autofocus and image stabilisation change the
+intrinsics from image to image.
 """
 
 import csv
@@ -18,22 +18,22 @@ from scipy.spatial.transform import Rotation
 from tests.capture.ray_cast import HEIGHT, WIDTH, room_depth, room_image, walk, write_video
 
 SENSOR = (64, 48)
-"""Width and height of the depth sensor."""
+"""Width and height of the depth images, pixels."""
 ARKIT_FROM_ROOM = np.array([[1.0, 0, 0, 0.3], [0, 0, 1, -0.2], [0, -1, 0, 0.1], [0, 0, 0, 1]])
-"""From the room (z up) to a world with +y up."""
+"""Transform from the room (z up) to ARKit's world (+y up)."""
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 UNTRUSTED = (slice(0, 5), slice(0, 7))
-"""Rows and columns of the sensor that are of low confidence, and wrong."""
+"""Rows and columns of the depth images that have low confidence and wrong depth."""
 
 
 @dataclass(frozen=True)
 class Taken:
-    """One image and what the phone knows of it.
+    """One image and the data that the phone stores with it.
 
     Attributes:
         pose: [4, 4] camera_to_world in the room, OpenCV axes.
-        K: [3, 3] pixels.
-        image: [H, W, 3] uint8, as it is stored.
+        K: [3, 3] intrinsics, pixels.
+        image: [H, W, 3] uint8, as stored.
         depth: [48, 64] uint16, millimetres.
         confidence: [48, 64] uint8, 0 to 2.
     """
@@ -51,7 +51,12 @@ class Taken:
 
 
 def taken(count: int, steady: bool = False) -> list[Taken]:
-    """Images of a walk through the room, the phone held so that the right edge of what is stored is up."""
+    """Return images of a walk through the room, the phone held so that the right edge of a stored image is up.
+
+    Args:
+        count: number of images.
+        steady: whether all images have the same intrinsics.
+    """
     rolled = np.eye(4)
     rolled[:2, :2] = [[0, 1], [-1, 0]]
     result = []
@@ -68,13 +73,13 @@ def taken(count: int, steady: bool = False) -> list[Taken]:
 
 
 def write_polycam(folder: Path, images: list[Taken], corrected: bool = False) -> Path:
-    """Polycam's raw data."""
+    """Write Polycam's raw data; ``corrected`` uses the folder names of its corrected images and cameras."""
     keyframes, names = folder / "keyframes", ("images", "cameras", "depth", "confidence")
     names = tuple(f"corrected_{name}" if corrected and name in names[:2] else name for name in names)
     for name in names:
         (keyframes / name).mkdir(parents=True)
     for number, one in enumerate(images):
-        stem = str(998_000_000 + number * 10_000_000)  # microseconds: numbers of different lengths
+        stem = str(998_000_000 + number * 10_000_000)  # microseconds, with varying numbers of digits
         Image.fromarray(one.image).save(keyframes / names[0] / f"{stem}.jpg", quality=97, subsampling=0)
         pose = one.arkit @ OPENGL
         camera = {f"t_{i}{j}": pose[i, j] for i in range(3) for j in range(4)}
@@ -89,7 +94,7 @@ def write_polycam(folder: Path, images: list[Taken], corrected: bool = False) ->
 
 
 def write_stray(folder: Path, images: list[Taken]) -> Path:
-    """A recording of Stray Scanner, whose video says that a player must turn it."""
+    """Write a recording of Stray Scanner; its video tells players to rotate the frames."""
     for name in ("depth", "confidence"):
         (folder / name).mkdir(parents=True)
     write_video(folder / "rgb.mp4", [one.image for one in images], quarter_turn=True)
@@ -109,7 +114,7 @@ def write_stray(folder: Path, images: list[Taken]) -> Path:
 
 
 def write_record3d(folder: Path, images: list[Taken], **changes: object) -> Path:
-    """The folder of a recording of Record3D."""
+    """Write the folder of a Record3D recording; ``changes`` replace entries of its metadata, None removes them."""
     import imagecodecs
 
     (folder / "rgbd").mkdir(parents=True)
@@ -139,7 +144,7 @@ def write_record3d(folder: Path, images: list[Taken], **changes: object) -> Path
 
 
 def write_r3d(path: Path, images: list[Taken]) -> Path:
-    """The same as one file."""
+    """Write a Record3D recording as a single .r3d file."""
     folder = write_record3d(path.with_suffix(""), images)
     with zipfile.ZipFile(path, "w") as archive:
         for file in sorted(file for file in folder.rglob("*") if file.is_file()):
@@ -148,7 +153,7 @@ def write_r3d(path: Path, images: list[Taken]) -> Path:
 
 
 def write_nerfstudio(folder: Path, images: list[Taken]) -> Path:
-    """What nerfstudio makes of Polycam's raw data: one camera for each image, z up, depth as large as the images."""
+    """Write what nerfstudio makes of Polycam's raw data: one camera per image, z up, depth as large as the images."""
     for name in ("images", "depth"):
         (folder / name).mkdir(parents=True)
     frames = []
@@ -181,4 +186,4 @@ KINDS: dict[str, Callable[[Path, list[Taken]], Path]] = {
     "record3d": write_record3d,
     "r3d": lambda path, images: write_r3d(path.with_suffix(".r3d"), images),
 }
-"""Apps that record depth and gravity."""
+"""Writers of the formats that record depth and gravity, by name."""

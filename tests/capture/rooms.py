@@ -1,4 +1,4 @@
-"""The tiny room as a capture: cameras that stand around the block, and what they see."""
+"""The tiny room as a capture: cameras placed around the block, and the images that they take."""
 
 from pathlib import Path
 
@@ -16,12 +16,12 @@ WIDTH, HEIGHT = 96, 64
 CAMERAS = 24
 ABOVE = 0.5
 FLOATER = (0.9, 0.0, 0.5)
-"""On the cameras' path, and nothing is there."""
+"""Centre of an added blob: a place on the cameras' path where the room is empty."""
 HAZE = (0.7, 1.2, 0.5)
 
 
 def tiny_capture(folder: Path, exposure: float = 1.0) -> Placed:
-    """Cameras that go round the block in the world frame, their images written to a folder, darker by an exposure."""
+    """Return cameras that circle the block, world frame; write their images, scaled by an exposure, to a folder."""
     turn = torch.linspace(0, 6.0, CAMERAS)
     eyes = torch.stack([0.9 * turn.cos(), 1.3 * turn.sin(), torch.full((CAMERAS,), ABOVE)], 1)
     aims = torch.stack([1.5 * (turn + 0.9).cos(), 2.0 * (turn + 0.9).sin(), torch.full((CAMERAS,), 0.45)], 1)
@@ -47,14 +47,14 @@ def tiny_capture(folder: Path, exposure: float = 1.0) -> Placed:
 
 
 def hidden(eye: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
-    """Whether the block, or the air above it, is between an eye and points [P, 3]."""
+    """Return whether the block, or the air above it, lies between an eye and each of the points [P, 3]: [P] bool."""
     along = torch.linspace(0.02, 0.9, 60).double()[:, None, None]
     places = eye + along * (points - eye)
     return (places[..., :2].abs() < 0.3).all(2).any(0)
 
 
 def with_cloud(middle: tuple[float, float, float], reach: int, scale: float, opacity: float) -> Gaussians:
-    """The room and black Gaussians around a place in mid-air, 5 cm apart, so many to each side."""
+    """Return the room with a cube of black Gaussians in mid-air, 5 cm apart, ``reach`` of them to each side."""
     steps = 0.05 * torch.cartesian_prod(*[torch.arange(-reach, reach + 1.0)] * 3)
     count = len(steps)
     cloud = Gaussians(
@@ -69,10 +69,10 @@ def with_cloud(middle: tuple[float, float, float], reach: int, scale: float, opa
 
 
 def with_floater() -> Gaussians:
-    """The room with a dense blob in mid-air."""
+    """Return the room with a dense blob in mid-air."""
     return with_cloud(FLOATER, 1, 0.05, 0.95)
 
 
 def with_haze() -> Gaussians:
-    """The room with a cloud before a wall that no image shows: many faint Gaussians, dense together."""
+    """Return the room with haze in front of a wall: many Gaussians that no image shows, yet whose density adds up."""
     return with_cloud(HAZE, 2, 0.004, 0.75)

@@ -33,7 +33,7 @@ def test_a_perfect_fit_scores_high_and_its_path_is_free(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("longer", [1.0, 12.0])
-def test_the_maps_fill_their_picture_however_long_the_place(longer: float, tmp_path: Path) -> None:
+def test_the_maps_fill_their_picture_however_long_the_place_is(longer: float, tmp_path: Path) -> None:
     placed = tiny_capture(tmp_path / "images")
     area = survey_area(tiny_gaussians(), placed)
     (x0, y0, z0), (x1, y1, z1) = area.bounds
@@ -54,20 +54,20 @@ def test_the_map_shows_the_ground_far_below_a_drone(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("bare_report")
-def test_a_darker_photo_is_forgiven_by_the_corrected_figures_alone(tmp_path: Path) -> None:
+def test_only_the_colour_corrected_figures_ignore_a_change_of_exposure(tmp_path: Path) -> None:
     quality = check(tiny_gaussians(), tiny_capture(tmp_path / "images", exposure=0.7), HELD_OUT, tmp_path)
     assert quality.psnr is not None and quality.psnr_corrected is not None
     assert quality.psnr < 25 and quality.psnr_corrected > 40
 
 
-def test_something_solid_on_the_path_shows_in_the_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_figures_reveal_something_solid_on_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("splatrl.capture.check.draw_map", lambda *_: None)
     quality = check(with_floater(), tiny_capture(tmp_path / "images"), [], tmp_path)
     assert 0.8 < quality.path_free < 1.0 and quality.floating >= 20
     assert quality.psnr is None and not (tmp_path / "held_out.png").exists()
 
 
-def test_what_cameras_saw_through_is_found_and_what_they_saw_stays(tmp_path: Path) -> None:
+def test_floaters_that_cameras_saw_through_are_removed_and_surfaces_stay(tmp_path: Path) -> None:
     placed = tiny_capture(tmp_path)
     solid = dense_voxels(with_floater(), placed)
     carved = seen_through(solid, placed.reconstruction)
@@ -80,7 +80,7 @@ def test_what_cameras_saw_through_is_found_and_what_they_saw_stays(tmp_path: Pat
     assert sum(tuple(row) not in means for row in tiny_gaussians().means.tolist()) < 5
 
 
-def test_haze_that_no_image_shows_is_free_and_surfaces_stay(tmp_path: Path) -> None:
+def test_haze_that_no_image_shows_counts_as_free_and_surfaces_stay_solid(tmp_path: Path) -> None:
     placed = tiny_capture(tmp_path)
     dense = dense_voxels(with_haze(), placed)
     hazy = hazy_voxels(dense, with_haze(), placed.reconstruction)
@@ -91,13 +91,13 @@ def test_haze_that_no_image_shows_is_free_and_surfaces_stay(tmp_path: Path) -> N
     assert area.free.count == hazy.sum() and area.occupancy.count == dense.count - hazy.sum()
 
 
-def test_an_empty_place_has_nothing_to_see_through(tmp_path: Path) -> None:
+def test_an_empty_occupancy_has_no_floaters_and_no_haze(tmp_path: Path) -> None:
     capture = tiny_capture(tmp_path).reconstruction
     assert seen_through(Occupancy.empty(), capture).sum() == 0
     assert hazy_voxels(Occupancy.empty(), tiny_gaussians(), capture).sum() == 0
 
 
-def test_figures_of_images_are_those_of_their_definitions() -> None:
+def test_psnr_ssim_and_colour_correction_match_their_definitions() -> None:
     generator = np.random.default_rng(0)
     image = generator.uniform(0.2, 0.8, (40, 30, 3))
     assert psnr(image, image) == 100.0 and ssim(image, image) == pytest.approx(1.0)
@@ -111,7 +111,7 @@ def test_figures_of_images_are_those_of_their_definitions() -> None:
     assert math.isfinite(psnr(colour_corrected(flat, image), image))
 
 
-def test_an_image_of_another_size_or_none_is_named(tmp_path: Path) -> None:
+def test_an_image_of_the_wrong_size_or_a_missing_one_is_named_in_the_error(tmp_path: Path) -> None:
     placed = tiny_capture(tmp_path)
     wrong = replace(placed, reconstruction=replace(placed.reconstruction, width=90))
     with pytest.raises(CaptureError, match=r"03\.png: expected 90 × 64 pixels, got 96 × 64"):

@@ -1,4 +1,4 @@
-"""A film that lost its scale half-way, or was joined wrongly, is told from one that was not."""
+"""Films that lost their scale half-way or were joined wrongly are distinguished from sound ones."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from tests.capture.walks import CAMERAS, walk
 
 
 @pytest.mark.parametrize(("scale", "lost"), [(1.0, False), (0.6, False), (0.2, True)])
-def test_a_scale_that_is_lost_half_way_is_found(scale: float, lost: bool) -> None:
+def test_only_a_large_change_of_scale_half_way_counts_as_lost_scale(scale: float, lost: bool) -> None:
     first = walk()
     about = np.eye(4)
     about[:3, :3] *= scale
@@ -37,7 +37,7 @@ HALF = 40
 
 
 def _film(jump: float) -> Placed:
-    """A walk, the second half of which is ``jump`` metres beside its first."""
+    """Return a walk whose second half is shifted sideways by ``jump`` metres."""
     first = walk()
     rows = torch.arange(2 * HALF) % CAMERAS
     poses = first.camera_to_world[rows].clone()
@@ -49,13 +49,13 @@ def _film(jump: float) -> Placed:
 
 
 @pytest.mark.parametrize("scale", [1.0, 5.0])
-def test_a_camera_that_leaps_is_told_with_when(scale: float) -> None:
+def test_a_camera_that_jumps_is_reported_with_the_time_of_the_jump(scale: float) -> None:
     film = _film(1.5)
     film = replace(film, reconstruction=moved(film.reconstruction, np.diag([scale] * 3 + [1.0])))
     assert "jump at 10 s" in str(leap(film))
     assert leap(_film(0.0)) is None
 
 
-def test_photos_do_not_leap() -> None:
+def test_photos_without_times_are_never_reported_as_jumping() -> None:
     film = _film(1.5)
     assert leap(replace(film, reconstruction=replace(film.reconstruction, seconds=None))) is None

@@ -1,4 +1,4 @@
-"""The fit: its views and slopes against the reference, its loss against torch, and tiny fits from end to end."""
+"""Fits: views and gradients against the reference, the loss against torch, and tiny fits from end to end."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +29,7 @@ SETTINGS = FitSettings(
 
 
 def random_values(degree: int) -> Tensor:
-    """Parameters of a cloud, with quaternions that are not unit."""
+    """Return raw parameters of random Gaussians, with quaternions that are not normalised: [R, STRIDE]."""
     cloud = random_gaussians(3, COUNT, degree)
     values = torch.zeros(11 + 3 * (degree + 1) ** 2, STRIDE)
     values[0:3, :COUNT] = cloud.means.T
@@ -41,7 +41,7 @@ def random_values(degree: int) -> Tensor:
 
 
 def activated(values: Tensor) -> Gaussians:
-    """Gaussians of parameters [R, n]."""
+    """Return the Gaussians that raw parameters [R, n] describe."""
     return Gaussians(
         means=values[0:3].T,
         quats=torch.nn.functional.normalize(values[6:10].T, dim=1),
@@ -53,7 +53,7 @@ def activated(values: Tensor) -> Gaussians:
 
 
 def reference_images(gaussians: Gaussians, cameras: Cameras) -> Tensor:
-    """Colour, agreement with ``known_depths`` and alpha, not clamped: [B, H, W, 5]."""
+    """Return the reference's colour, agreement with ``known_depths`` and alpha, unclamped: [B, H, W, 5]."""
     reference = ReferenceRenderer(gaussians)
     images = []
     for row in range(len(cameras)):
@@ -66,14 +66,14 @@ def reference_images(gaussians: Gaussians, cameras: Cameras) -> Tensor:
 
 
 def known_depths(count: int) -> Tensor:
-    """Inverse depths that are known left of the seam: [count, H, W]."""
+    """Return inverse depths that are known left of the seam and 0 elsewhere: [count, H, W]."""
     known = torch.zeros(count, HEIGHT, WIDTH)
     known[:, :, :SEAM] = torch.tensor(INVERSE_DEPTH[:count])[:, None, None]
     return known
 
 
 def moved_cameras(cameras: Cameras, moves: Tensor) -> Cameras:
-    """Cameras turned in their places by small angles about the world's axes, then shifted: [B, 6] float64."""
+    """Return cameras turned in place by small angles about the world's axes, then shifted; moves: [B, 6] float64."""
     zero = torch.zeros(len(moves), dtype=torch.float64)
     x, y, z = moves[:, :3].unbind(1)
     turn = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], 1).view(-1, 3, 3)
@@ -97,7 +97,7 @@ def fitter(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> _
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_views_and_slopes_are_those_of_the_reference_under_autograd(fitter: _core.Fitter, degree: int) -> None:
+def test_views_and_gradients_match_the_reference_under_autograd(fitter: _core.Fitter, degree: int) -> None:
     values, cameras = random_values(degree), random_cameras(5, 2, WIDTH, HEIGHT)
     leaf = values[:, :COUNT].double().requires_grad_()
     moves = torch.zeros(2, 6, dtype=torch.float64, requires_grad=True)
@@ -125,7 +125,7 @@ def test_views_and_slopes_are_those_of_the_reference_under_autograd(fitter: _cor
 
 
 def torch_loss(images: Tensor, photo: Tensor, exposure: Tensor, ignored: Tensor) -> Tensor:
-    """L1 and structural similarity with a padded window: [H, W, 3] against [H, W, 3], but for some pixels [H, W]."""
+    """Return L1 and structural dissimilarity, padded window, of [H, W, 3] images; some pixels [H, W] are ignored."""
     x, t = (images * exposure[:, 0] + exposure[:, 1]).movedim(-1, 0), photo.movedim(-1, 0)
     x, t = torch.where(ignored, x.detach(), x), torch.where(ignored, x.detach(), t)
     distance = torch.arange(-5.0, 6.0, dtype=torch.float64)
@@ -141,8 +141,8 @@ def torch_loss(images: Tensor, photo: Tensor, exposure: Tensor, ignored: Tensor)
     return 0.8 * (x - t).abs().mean() + 0.2 * (1 - similar.mean())
 
 
-@pytest.mark.parametrize("ignored", [slice(0, 0), slice(6, 15)], ids=["all counts", "a part is ignored"])
-def test_the_loss_and_its_slopes_are_those_of_torch(fitter: _core.Fitter, ignored: slice) -> None:
+@pytest.mark.parametrize("ignored", [slice(0, 0), slice(6, 15)], ids=["every pixel counts", "some pixels are ignored"])
+def test_the_loss_and_its_gradients_match_torch(fitter: _core.Fitter, ignored: slice) -> None:
     values, cameras = random_values(1), random_cameras(5, 1, WIDTH, HEIGHT)
     random = torch.Generator().manual_seed(2)
     photos = torch.randint(0, 256, (3, HEIGHT, WIDTH, 3), dtype=torch.uint8, generator=random)
@@ -166,7 +166,7 @@ def test_the_loss_and_its_slopes_are_those_of_torch(fitter: _core.Fitter, ignore
     assert cosine(losses[0, 4:10], light.grad) > 0.9999
 
 
-def test_copies_that_share_an_opacity_blend_to_it() -> None:
+def test_copies_of_a_gaussian_blend_to_its_original_opacity() -> None:
     opacities, factors = share(torch.tensor([0.9, 0.5, 0.2]).double(), torch.tensor([1, 3, 51]))
     assert torch.allclose(1 - (1 - opacities) ** torch.tensor([1, 3, 51]), torch.tensor([0.9, 0.5, 0.2]).double())
     assert float(factors[0]) == pytest.approx(1.0)
@@ -174,7 +174,7 @@ def test_copies_that_share_an_opacity_blend_to_it() -> None:
 
 
 def tiny_capture(folder: Path) -> Reconstruction:
-    """Twenty photos, from a ring, of a handful of coloured blobs."""
+    """Return twenty photos of 40 coloured blobs, taken from a ring around them."""
     blobs = random_gaussians(7, 40)
     blobs.scales.clamp_(min=0.08, max=0.3)
     blobs.opacities.clamp_(min=0.8)
@@ -206,7 +206,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Reconstruction:
 
 
 def held_out_psnr(gaussians: Gaussians, capture: Reconstruction) -> float:
-    """Mean over the views that were not trained on."""
+    """Return the mean PSNR over the held-out views, dB."""
     rows = held_out(len(capture.paths))
     cameras = Cameras(capture.camera_to_world[rows].float(), capture.K.float(), capture.width, capture.height)
     photos = torch.stack([torch.tensor(list(Image.open(capture.paths[row]).tobytes())) for row in rows.tolist()])
@@ -215,7 +215,9 @@ def held_out_psnr(gaussians: Gaussians, capture: Reconstruction) -> float:
 
 
 def same_bytes(a: Gaussians, b: Gaussians) -> bool:
-    return all(torch.equal(getattr(a, name), getattr(b, name)) for name in ("means", "quats", "scales", "sh"))
+    return all(
+        torch.equal(getattr(a, name), getattr(b, name)) for name in ("means", "quats", "scales", "opacities", "sh")
+    )
 
 
 def test_a_tiny_fit_looks_like_its_held_out_photos(capture: Reconstruction) -> None:
@@ -226,13 +228,13 @@ def test_a_tiny_fit_looks_like_its_held_out_photos(capture: Reconstruction) -> N
     assert fitted.sh_degree == 0 and len(fitted) <= SETTINGS.cap
 
 
-def test_a_fit_has_the_same_bytes_whatever_the_threads(capture: Reconstruction) -> None:
+def test_a_fit_depends_on_its_seed_and_not_on_the_number_of_threads(capture: Reconstruction) -> None:
     short = replace(SETTINGS, views=90, sh_degree=1)
     assert same_bytes(fit(capture, short), fit(capture, replace(short, threads=2)))
     assert not same_bytes(fit(capture, short), fit(capture, replace(short, seed=1)))
 
 
-def test_held_out_photos_are_never_looked_at(capture: Reconstruction, tmp_path: Path) -> None:
+def test_held_out_photos_never_influence_a_fit(capture: Reconstruction, tmp_path: Path) -> None:
     paths = list(capture.paths)
     for row in held_out(len(paths)).tolist():
         paths[row] = tmp_path / f"{row}.png"
@@ -241,7 +243,7 @@ def test_held_out_photos_are_never_looked_at(capture: Reconstruction, tmp_path: 
     assert same_bytes(fit(capture, short), fit(replace(capture, paths=paths), short))
 
 
-def test_a_fit_follows_the_unit_and_the_place_of_its_cameras(capture: Reconstruction) -> None:
+def test_a_fit_works_in_any_unit_and_far_from_the_origin(capture: Reconstruction) -> None:
     moved = torch.tensor([100.0, -50.0, 3.0]).double()
     poses = capture.camera_to_world.clone()
     poses[:, :3, 3] = 7 * poses[:, :3, 3] + moved
@@ -249,7 +251,7 @@ def test_a_fit_follows_the_unit_and_the_place_of_its_cameras(capture: Reconstruc
     assert held_out_psnr(fit(far, SETTINGS), far) > 25.0
 
 
-def test_poses_that_are_a_little_off_are_put_right(capture: Reconstruction) -> None:
+def test_small_errors_of_the_poses_are_corrected(capture: Reconstruction) -> None:
     off = 0.02 * torch.randn(20, 6, generator=torch.Generator().manual_seed(3))
     off[held_out(20)] = 0.0
     fitting = Fitting(
@@ -259,14 +261,14 @@ def test_poses_that_are_a_little_off_are_put_right(capture: Reconstruction) -> N
         fitting.step(step, 320)
     rows = fitting.trained
 
-    def error(moves: Tensor) -> float:  # of turns, but for what all cameras have in common
+    def error(moves: Tensor) -> float:  # norm of the rotation errors, apart from what all cameras share
         left = (off + moves)[rows, :3]
         return float((left - left.mean(0)).norm())
 
     assert error(fitting.moves.values) < 0.5 * error(torch.zeros(20, 6))
 
 
-def test_what_cannot_be_fitted_is_refused_in_one_line(capture: Reconstruction) -> None:
+def test_invalid_settings_and_captures_are_refused_in_one_line(capture: Reconstruction) -> None:
     with pytest.raises(ValueError, match=r"^sh_degree: expected 0 to 3, got 4$"):
         FitSettings(sh_degree=4)
     with pytest.raises(ValueError, match=r"^cap: expected at least 1, got 0$"):

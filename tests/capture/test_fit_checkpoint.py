@@ -1,4 +1,4 @@
-"""A fit that was killed goes on from within, with the bytes of one that was not."""
+"""A killed fit resumes from its checkpoint, with the same bytes as an uninterrupted one."""
 
 import signal
 from dataclasses import replace
@@ -15,10 +15,10 @@ from tests.capture.test_fit import SETTINGS, same_bytes, tiny_capture
 from tests.preloaded import start
 
 FULL = replace(SETTINGS, views=120, views_a_step=2, sh_degree=1, poses=1e-3)
-"""Every kind of thing that a fit learns; 60 steps, moved and added to after 20 and 40."""
+"""Settings that learn everything a fit can learn: 60 steps; Gaussians are relocated and added after steps 20 and 40."""
 
 SHORT = replace(FULL, views=60)
-"""Moved and added to once."""
+"""Half as many steps: Gaussians are relocated and added once."""
 
 KILLED = """
 import os, signal, sys
@@ -43,26 +43,26 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Reconstruction:
 
 @pytest.fixture(scope="module")
 def whole(capture: Reconstruction) -> Gaussians:
-    """Of a fit that was never killed."""
+    """Result of a full fit that was never interrupted."""
     return fit(capture, FULL)
 
 
 @pytest.fixture(scope="module")
 def short(capture: Reconstruction) -> Gaussians:
-    """Of a shorter fit that was never killed."""
+    """Result of a short fit that was never interrupted."""
     return fit(capture, SHORT)
 
 
 @pytest.fixture(scope="module")
 def begun(capture: Reconstruction, tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """The file of the shorter fit, which ended after 20 views."""
+    """Checkpoint of a short fit that was interrupted after 20 views."""
     path = tmp_path_factory.mktemp("begun") / "fit.npz"
     interrupted(capture, Checkpoint(path, "one", every=0), 20, SHORT)
     return path.read_bytes()
 
 
 def interrupted(capture: Reconstruction, checkpoint: Checkpoint, last: int, settings: FitSettings = FULL) -> None:
-    """A fit that ends with an exception once so many views were drawn."""
+    """Run a fit that an exception interrupts after ``last`` views."""
 
     def told(done: int, total: int, loss: float) -> None:
         if done == last:
@@ -73,20 +73,20 @@ def interrupted(capture: Reconstruction, checkpoint: Checkpoint, last: int, sett
 
 
 def resumed(capture: Reconstruction, checkpoint: Checkpoint, settings: FitSettings = FULL) -> tuple[Gaussians, int]:
-    """The rest of a fit, and after how many views it was heard of first."""
+    """Run the rest of a fit; return its result and the number of views at its first progress report."""
     heard: list[int] = []
     return fit(capture, settings, lambda done, total, loss: heard.append(done), None, checkpoint), heard[0]
 
 
-def test_a_fit_that_was_killed_goes_on_with_the_same_bytes(tmp_path: Path, whole: Gaussians) -> None:
+def test_a_killed_fit_resumes_with_the_same_bytes(tmp_path: Path, whole: Gaussians) -> None:
     assert start("-c", KILLED, str(tmp_path), "70").wait() == -signal.SIGKILL
     found, first = resumed(tiny_capture(tmp_path), Checkpoint(tmp_path / "fit.npz", "one"))
-    assert first == 70  # the step that was killed, 35 of 60, and no other, is done again
+    assert first == 70  # only the step that was killed, 35 of 60, is repeated
     assert same_bytes(found, whole)
 
 
 @pytest.mark.parametrize("last", [4, 40, 42, 118])
-def test_it_goes_on_from_any_step_with_the_same_bytes(
+def test_a_fit_resumes_from_any_step_with_the_same_bytes(
     capture: Reconstruction, whole: Gaussians, last: int, tmp_path: Path
 ) -> None:
     interrupted(capture, Checkpoint(tmp_path / "fit.npz", "one", every=0), last)
@@ -94,7 +94,7 @@ def test_it_goes_on_from_any_step_with_the_same_bytes(
     assert first == last and same_bytes(found, whole)
 
 
-def test_all_that_a_fit_changes_is_in_its_state(capture: Reconstruction) -> None:
+def test_the_state_of_a_fit_holds_everything_that_a_step_changes(capture: Reconstruction) -> None:
     fitting, other = Fitting(capture, FULL), Fitting(capture, FULL)
     for step in range(30):
         fitting.step(step, 60)
@@ -105,7 +105,7 @@ def test_all_that_a_fit_changes_is_in_its_state(capture: Reconstruction) -> None
         assert value.equal(other.state(60)[name]), name
 
 
-def test_of_another_fit_nothing_is_taken(
+def test_a_checkpoint_of_another_fit_is_ignored(
     capture: Reconstruction, short: Gaussians, begun: bytes, tmp_path: Path
 ) -> None:
     (tmp_path / "fit.npz").write_bytes(begun)
@@ -135,7 +135,7 @@ def damaged(path: Path, how: str) -> None:
 
 
 @pytest.mark.parametrize("how", ["cut", "a bit", "empty", "a shape", "a count", "an order", "a generator"])
-def test_a_damaged_file_is_named_and_the_fit_begins_anew(
+def test_a_damaged_checkpoint_is_named_and_the_fit_starts_over(
     capture: Reconstruction, short: Gaussians, begun: bytes, how: str, tmp_path: Path
 ) -> None:
     said: list[str] = []
@@ -147,10 +147,12 @@ def test_a_damaged_file_is_named_and_the_fit_begins_anew(
     assert said[0].endswith("; the fit starts over") and "\n" not in said[0]
 
 
-def test_it_is_written_at_intervals(capture: Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_checkpoint_is_written_before_the_interval_has_passed(
+    capture: Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     clock = iter(range(0, 10_000, 3))
     monkeypatch.setattr("splatrl.capture.fit_checkpoint.time.monotonic", lambda: next(clock))
     written: list[int] = []
     monkeypatch.setattr(Checkpoint, "write", lambda self, state: written.append(int(state["step"])))
     fit(capture, replace(FULL, views=16), None, None, Checkpoint(tmp_path / "fit.npz", "one", every=10.0))
-    assert written == [4, 5, 6, 7, 8]  # none in the first ten seconds; nothing was written, so all are due
+    assert written == [4, 5, 6, 7, 8]  # none in the first 10 s; the stub never resets the timer, so all others are due

@@ -1,4 +1,4 @@
-"""A capture's folder is a scene to train in at once, written whole or not at all, with a report that says what is."""
+"""A capture's folder is a scene that is ready for training, written completely or not at all, with a report."""
 
 import re
 import shutil
@@ -47,13 +47,13 @@ SMALL = [
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Placed, Quality]:
-    """The folder of a good capture, the capture, and how good it is."""
+    """The folder of a good capture, the capture itself, and its quality."""
     folder = tmp_path_factory.mktemp("written")
     placed = tiny_capture(folder / "images")
     return folder / "garden", placed, write_scene(folder / "garden", tiny_gaussians(), placed, HELD_OUT)
 
 
-def test_a_policy_trains_in_a_written_folder_and_nothing_else_is_said(
+def test_a_policy_trains_in_a_written_folder_without_further_scene_settings(
     written: tuple[Path, Placed, Quality], tmp_path: Path
 ) -> None:
     folder, _, quality = written
@@ -69,13 +69,13 @@ def test_a_policy_trains_in_a_written_folder_and_nothing_else_is_said(
     assert (tmp_path / "run" / "checkpoints" / "last.pt").is_file()
 
 
-def test_a_written_folder_says_where_the_camera_was(written: tuple[Path, Placed, Quality]) -> None:
+def test_a_written_folder_holds_the_path_of_the_camera(written: tuple[Path, Placed, Quality]) -> None:
     folder, placed, _ = written
     walk = placed.reconstruction.camera_to_world[:, :3, 3]
     np.testing.assert_allclose(read_points(folder / PATH), walk, atol=1e-6)
 
 
-def test_haze_is_named_in_the_folder_and_is_not_solid_to_robots(tmp_path: Path) -> None:
+def test_haze_is_listed_in_the_folder_and_is_not_solid_to_robots(tmp_path: Path) -> None:
     folder = tmp_path / "hazy"
     write_scene(folder, with_haze(), tiny_capture(tmp_path / "images"), HELD_OUT)
     assert {file.name for file in folder.iterdir()} == FILES | {"free.ply"}
@@ -87,7 +87,7 @@ def test_haze_is_named_in_the_folder_and_is_not_solid_to_robots(tmp_path: Path) 
     assert build_world(load_config([f"scene={folder}/", *SMALL])).occupancy.contains(place).all()
 
 
-def test_a_goal_is_free_and_faces_something_and_the_thing_has_room(tmp_path: Path) -> None:
+def test_suggested_goals_are_free_and_walkable_and_the_suggested_object_is_free(tmp_path: Path) -> None:
     placed = tiny_capture(tmp_path)
     area = survey_area(tiny_gaussians(), placed)
     found = suggest(seen_by_cameras(placed), area)
@@ -101,7 +101,7 @@ def test_a_goal_is_free_and_faces_something_and_the_thing_has_room(tmp_path: Pat
         assert (high - low) / 0.2 == pytest.approx(round((high - low) / 0.2))
 
 
-def test_where_nothing_is_free_no_goal_is_made_up(tmp_path: Path) -> None:
+def test_no_goal_is_suggested_where_nothing_is_free(tmp_path: Path) -> None:
     placed = tiny_capture(tmp_path / "images")
     solid = survey_area(tiny_gaussians(), placed).occupancy.with_boxes([[-2.0, -2.0, 0.0]], [[2.0, 2.0, 1.0]])
     found = suggest(seen_by_cameras(placed), replace(survey_area(tiny_gaussians(), placed), occupancy=solid))
@@ -128,25 +128,25 @@ def test_the_report_is_one_static_page_that_says_what_went_wrong(tmp_path: Path)
 
 
 @pytest.mark.usefixtures("bare_report")
-def test_what_moved_is_shown_and_said(tmp_path: Path) -> None:
+def test_moving_things_are_pictured_and_mentioned_in_the_report(tmp_path: Path) -> None:
     folder, placed = tmp_path / "garden", tiny_capture(tmp_path / "images")
     moving = torch.zeros(CAMERAS, 32, 48, dtype=torch.bool)
     moving[5, 8:24, 12:36] = True  # a quarter of one image of 24
     write_scene(folder, tiny_gaussians(), placed, HELD_OUT, moving=moving)
     assert "1 % of the image area shows moving things and was masked out" in (folder / "report.html").read_text()
     page = np.asarray(Image.open(folder / "moving.png")).astype(int)
-    assert page.shape[0] == 320, "one image, the only one that shows something"
+    assert page.shape[0] == 320, "the picture has one image, the only one with a moving thing"
     red = (page[..., 0] > page[..., 1] + 60).reshape(page.shape[0], 2, -1).mean((0, 2))
     assert red.max() > 0.02 and red.min() < 0.005
     write_scene(folder, tiny_gaussians(), placed, HELD_OUT, force=True)
     assert not (folder / "moving.png").exists()
 
 
-def test_a_good_capture_has_nothing_to_complain_of(written: tuple[Path, Placed, Quality]) -> None:
+def test_the_report_on_a_good_capture_lists_no_problems(written: tuple[Path, Placed, Quality]) -> None:
     assert "Problems and notes" not in (written[0] / "report.html").read_text(encoding="utf-8")
 
 
-def test_a_folder_is_written_whole_or_not_at_all(
+def test_a_folder_is_written_completely_or_not_at_all(
     written: tuple[Path, Placed, Quality], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     placed, folder = written[1], tmp_path / "garden"
@@ -170,15 +170,17 @@ def test_a_folder_is_written_whole_or_not_at_all(
     (folder / "mine.txt").write_text("kept")
     write_scene(folder, tiny_gaussians(), placed, HELD_OUT, force=True)
     after = {file.name: file.read_bytes() for file in folder.iterdir()}
-    assert after == {**before, "mine.txt": b"kept"}, "the same bytes again, and what else was there"
+    assert after == {**before, "mine.txt": b"kept"}, "the same bytes again, and other files are kept"
     assert [file.name for file in tmp_path.iterdir()] == ["garden"]
 
 
-def test_a_small_splat_takes_the_place_of_a_large_one(written: tuple[Path, Placed, Quality], tmp_path: Path) -> None:
+def test_a_compressed_splat_replaces_the_uncompressed_one(
+    written: tuple[Path, Placed, Quality], tmp_path: Path
+) -> None:
     placed, folder = written[1], shutil.copytree(written[0], tmp_path / "garden")
     quality = write_scene(folder, tiny_gaussians(), placed, HELD_OUT, force=True, splat="splat.spz")
     assert {file.name for file in folder.iterdir()} == FILES - {"splat.ply"} | {"splat.spz"}
-    assert quality.psnr is not None and 25 < quality.psnr < 50, "what was rounded is what was checked"
+    assert quality.psnr is not None and 25 < quality.psnr < 50, "the quality is that of the rounded splat"
     scene = read_scene(folder)
     np.testing.assert_allclose(scene.gaussians.means, tiny_gaussians().means, atol=2**-12)
     assert read_description(folder)["quality"]["psnr"] == pytest.approx(quality.psnr, abs=0.01)
@@ -195,7 +197,7 @@ def test_a_large_place_gets_larger_steps_and_voxels(tmp_path: Path) -> None:
     assert sides / area.step == pytest.approx(np.round(sides / area.step)) and (sides / area.step).max() <= 41
 
 
-def test_pictures_of_a_capture_show_something(written: tuple[Path, Placed, Quality]) -> None:
+def test_no_picture_of_a_capture_is_blank(written: tuple[Path, Placed, Quality]) -> None:
     for file in written[0].glob("*.png"):
         with Image.open(file) as image:
             assert np.asarray(image.convert("L"), float).std() > 10, file.name

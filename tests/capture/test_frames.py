@@ -1,4 +1,4 @@
-"""Frames of videos and photos: the sharpest, upright, kept, and nothing read but the source."""
+"""Frames of videos and photos: the sharpest are chosen, upright and cached, and no file but the source is read."""
 
 from fractions import Fraction
 from pathlib import Path
@@ -28,7 +28,7 @@ def _read(path: Path) -> np.ndarray:
     return np.asarray(Image.open(path).convert("RGB")).astype(float)
 
 
-def test_the_sharpest_frame_of_each_stretch_is_taken(tmp_path: Path) -> None:
+def test_the_sharpest_frame_of_each_interval_is_chosen(tmp_path: Path) -> None:
     images = _images(24)
     sharp = {1, 5, 9, 14, 16, 23}
     blurred = [
@@ -40,10 +40,10 @@ def test_the_sharpest_frame_of_each_stretch_is_taken(tmp_path: Path) -> None:
     assert [round(10 * seconds) for seconds in photos.seconds.tolist()] == sorted(sharp)
     assert (photos.width, photos.height) == (320, 240)
     for number, path in zip(sorted(sharp), photos.paths, strict=True):
-        assert np.abs(_read(path) - images[number]).mean() < 12  # its colours are halved in resolution
+        assert np.abs(_read(path) - images[number]).mean() < 12  # the video stores colours at half the resolution
 
 
-def test_a_frame_of_a_turned_phone_is_upright_and_scaled(tmp_path: Path) -> None:
+def test_frames_of_a_rotated_phone_are_turned_upright_and_scaled(tmp_path: Path) -> None:
     image = np.full((240, 320, 3), 60, np.uint8)
     image[:60, :80] = (250, 20, 20)  # top left as recorded: top right once turned clockwise
     write_video(tmp_path / "a.mov", [image] * 8, quarter_turn=True)
@@ -60,18 +60,18 @@ def test_frames_of_an_anamorphic_film_have_square_pixels(tmp_path: Path) -> None
     assert _read(photos.paths[0])[:, :40, 0].min() > 200 > 100 > _read(photos.paths[0])[:, 46:].max()
 
 
-def test_what_was_trimmed_off_a_film_takes_no_part(tmp_path: Path) -> None:
+def test_frames_that_were_trimmed_off_a_film_are_not_used(tmp_path: Path) -> None:
     write_video(tmp_path / "whole.mov", _images(24))
     with av.open(str(tmp_path / "whole.mov")) as whole, av.open(str(tmp_path / "a.mov"), "w") as trimmed:
         film = whole.streams.video[0]
         stream, before = trimmed.add_stream_from_template(film), round(1.6 / film.time_base)
-        for packet in whole.demux(film):  # as editors trim without encoding anew: what is before time 0 is not shown
+        for packet in whole.demux(film):  # trimmed without re-encoding: frames before time 0 are hidden
             if packet.dts is not None:
                 packet.pts, packet.dts, packet.stream = packet.pts - before, packet.dts - before, stream
                 trimmed.mux(packet)
     photos = read_photos(tmp_path / "a.mov", tmp_path / "out", count=(4, 4))
     seconds = photos.seconds.tolist()
-    assert [round(10 * second) // 2 for second in seconds] == [0, 1, 2, 3], "one of each quarter of what is left"
+    assert [round(10 * second) // 2 for second in seconds] == [0, 1, 2, 3], "one frame of each remaining quarter"
     for second, path in zip(seconds, photos.paths, strict=True):
         assert np.abs(_read(path) - _images(24)[16 + round(10 * second)]).mean() < 12
 
@@ -102,7 +102,7 @@ def test_black_bars_around_a_film_are_cut_off(tmp_path: Path) -> None:
     assert read_photos(tmp_path / "b.mp4", tmp_path / "dark", count=(4, 4)).height == 240
 
 
-def test_a_second_call_reads_what_the_first_kept_and_other_settings_do_not(tmp_path: Path) -> None:
+def test_a_second_call_reuses_the_frames_unless_the_settings_or_the_video_changed(tmp_path: Path) -> None:
     write_video(tmp_path / "a.mp4", _images(8))
     first = read_photos(tmp_path / "a.mp4", tmp_path / "out", count=(4, 4))
     stamp = first.paths[0].stat().st_mtime_ns
@@ -116,7 +116,7 @@ def test_a_second_call_reads_what_the_first_kept_and_other_settings_do_not(tmp_p
     assert np.abs(_read(other.paths[0]) - _images(8)[0]).mean() > 10
 
 
-def test_a_read_that_breaks_leaves_nothing(tmp_path: Path) -> None:
+def test_an_interrupted_read_leaves_no_files(tmp_path: Path) -> None:
     write_video(tmp_path / "a.mp4", _images(8))
 
     def stop(what: str, done: int, total: int) -> None:
@@ -128,7 +128,7 @@ def test_a_read_that_breaks_leaves_nothing(tmp_path: Path) -> None:
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_a_folder_that_is_not_ours_is_not_removed(tmp_path: Path) -> None:
+def test_a_frames_folder_that_holds_other_files_is_not_removed(tmp_path: Path) -> None:
     write_video(tmp_path / "a.mp4", _images(4))
     (tmp_path / "frames").mkdir()
     (tmp_path / "frames" / "mine.txt").write_text("dear")
@@ -138,7 +138,7 @@ def test_a_folder_that_is_not_ours_is_not_removed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", PLAYLISTS)
-def test_a_playlist_in_the_guise_of_a_video_reads_no_other_file(tmp_path: Path, kind: str) -> None:
+def test_a_playlist_disguised_as_a_video_reads_no_other_file(tmp_path: Path, kind: str) -> None:
     write_video(tmp_path / "secret.mp4", _images(4))
     (tmp_path / "a.mp4").write_text(PLAYLISTS[kind].format(tmp_path / "secret.mp4"))
     with pytest.raises(CaptureError, match="expected a complete video"):
@@ -146,14 +146,14 @@ def test_a_playlist_in_the_guise_of_a_video_reads_no_other_file(tmp_path: Path, 
 
 
 @pytest.mark.parametrize("content", [b"", b"no video at all", b"\x00\x00\x00\x18ftypmp42" + bytes(64)])
-def test_what_is_no_video_is_refused(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_video_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.mp4").write_bytes(content)
     with pytest.raises(CaptureError, match=r"a\.mp4"):
         read_photos(tmp_path / "a.mp4", tmp_path / "out")
 
 
 @pytest.mark.parametrize("name", ["a.JPG", "a.heic"])
-def test_a_single_photo_is_refused_by_its_kind(name: str, tmp_path: Path) -> None:
+def test_a_single_photo_is_refused_with_the_advice_to_name_its_folder(name: str, tmp_path: Path) -> None:
     Image.new("RGB", (8, 8)).save(tmp_path / name, "JPEG")
     with pytest.raises(
         CaptureError, match="expected a video or a folder of photos, got a single photo; name its folder"
@@ -161,12 +161,12 @@ def test_a_single_photo_is_refused_by_its_kind(name: str, tmp_path: Path) -> Non
         read_photos(tmp_path / name, tmp_path / "out")
 
 
-def test_photos_come_upright_in_the_order_of_their_numbers_with_the_focal_length_of_their_exif(tmp_path: Path) -> None:
+def test_photos_are_upright_in_numeric_order_and_take_their_focal_length_from_exif(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     for number in (9, 10):
         image = np.full((60, 80, 3), 10 * number, np.uint8)
         exif = Image.Exif()
-        exif[0x0112] = 6  # to be turned clockwise
+        exif[0x0112] = 6  # to be rotated clockwise
         exif.get_ifd(0x8769)[0xA405] = 26
         Image.fromarray(image).save(tmp_path / "in" / f"IMG{number}.jpg", exif=exif)
     photos = read_photos(tmp_path / "in", tmp_path / "out")
@@ -177,7 +177,7 @@ def test_photos_come_upright_in_the_order_of_their_numbers_with_the_focal_length
     assert photos.K[:2, 2].tolist() == [30, 40]
 
 
-def test_photos_through_several_lenses_are_refused_by_name(tmp_path: Path) -> None:
+def test_photos_taken_through_several_lenses_are_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     for number, millimetres in enumerate((26, 27, None, 26, 13)):
         exif = Image.Exif()
@@ -193,7 +193,7 @@ def test_photos_through_several_lenses_are_refused_by_name(tmp_path: Path) -> No
     assert K is not None and K[0, 0].item() == pytest.approx(26 / np.hypot(36, 24) * 100)
 
 
-def test_photos_tell_where_they_were_taken(tmp_path: Path) -> None:
+def test_photos_take_their_gps_positions_from_exif(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     image = Image.new("RGB", (80, 60))
     told = [{1: "N", 2: (46.0, 30.0, 36.0), 3: "W", 4: (91.0, 0.0, 18.0)}, {}, {1: "S", 2: (46.0, 30.0, 36.0)}]
@@ -212,7 +212,7 @@ def test_photos_tell_where_they_were_taken(tmp_path: Path) -> None:
     assert read_photos(tmp_path / "in", tmp_path / "out").gps is None
 
 
-def test_photos_of_another_size_are_refused_by_name(tmp_path: Path) -> None:
+def test_photos_of_different_sizes_are_refused_and_the_odd_one_is_named(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     for name, size in (("a.png", (60, 80)), ("b.png", (60, 90)), ("c.png", (60, 80)), ("d.png", (60, 80))):
         Image.new("RGB", size).save(tmp_path / "in" / name)
@@ -220,11 +220,11 @@ def test_photos_of_another_size_are_refused_by_name(tmp_path: Path) -> None:
         read_photos(tmp_path / "in", tmp_path / "out")
 
 
-def test_photos_across_among_upright_ones_lie_on_their_side(tmp_path: Path) -> None:
+def test_portrait_photos_among_landscape_ones_are_turned_on_their_side(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     image = np.full((60, 80, 3), 60, np.uint8)
     image[:15, :20] = 250  # top left
-    for name, turn, orientation in (("a", 0, 1), ("b", 90, 6), ("c", 90, 1), ("d", 0, 1)):  # b is across too, by EXIF
+    for name, turn, orientation in (("a", 0, 1), ("b", 90, 6), ("c", 90, 1), ("d", 0, 1)):  # EXIF makes b landscape
         exif = Image.Exif()
         exif[0x0112] = orientation
         Image.fromarray(image).rotate(turn, expand=True).save(tmp_path / "in" / f"{name}.png", exif=exif)
@@ -233,17 +233,17 @@ def test_photos_across_among_upright_ones_lie_on_their_side(tmp_path: Path) -> N
     assert photos.turned is not None and photos.turned.tolist() == [False, False, True, False]
     for number, path in enumerate(photos.paths):
         assert _read(path)[5, 5, 0] > 200, number  # c was turned counter-clockwise, and is turned back
-    assert read_photos(tmp_path / "in", tmp_path / "out").turned is not None, "what was kept says so too"
+    assert read_photos(tmp_path / "in", tmp_path / "out").turned is not None, "the cached photos record it, too"
 
 
-def test_photos_that_cannot_be_read_are_named_with_what_to_do(tmp_path: Path) -> None:
+def test_photos_that_cannot_be_read_are_named_with_advice(tmp_path: Path) -> None:
     folder = tmp_path / "DCIM"
     folder.mkdir()
     (folder / "IMG1.HEIC").write_bytes(b"x")
     with pytest.raises(CaptureError, match=r"got IMG1\.HEIC; convert them to JPEG"):
         read_photos(folder, tmp_path / "out")
     Image.new("RGB", (80, 60)).save(folder / "IMG2.jpg")
-    with pytest.raises(CaptureError, match=r"got IMG1\.HEIC; convert"):  # and IMG2 alone is not taken for all
+    with pytest.raises(CaptureError, match=r"got IMG1\.HEIC; convert"):  # IMG2 is not taken for the whole set
         read_photos(folder, tmp_path / "out")
     Image.new("RGB", (80, 60)).save(folder / "IMG1.jpg")
     assert len(read_photos(folder, tmp_path / "out").paths) == 2, "IMG1 is there as a JPEG too"
@@ -251,9 +251,9 @@ def test_photos_that_cannot_be_read_are_named_with_what_to_do(tmp_path: Path) ->
         read_photos(tmp_path, tmp_path / "out")
 
 
-def test_photos_of_several_kinds_are_read_together(tmp_path: Path) -> None:
+def test_photos_of_several_formats_are_read_together(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
-    (tmp_path / "in" / "old.jpg").mkdir()  # no photo
+    (tmp_path / "in" / "old.jpg").mkdir()  # a folder, not a photo
     for number, kind in enumerate(("png", "jpg", "webp", "JPEG")):
         Image.new("RGB", (80, 60), (40 * number,) * 3).save(tmp_path / "in" / f"{number}.{kind}")
     (tmp_path / "in" / "2.webp").rename(tmp_path / "in" / "2.jpg")  # as browsers save them
@@ -262,7 +262,7 @@ def test_photos_of_several_kinds_are_read_together(tmp_path: Path) -> None:
     assert [round(_read(path).mean() / 40) for path in photos.paths] == [0, 1, 2, 3, 4]
 
 
-def test_buckets_are_four_a_second_within_the_bounds() -> None:
+def test_buckets_are_four_per_second_within_the_bounds() -> None:
     for length, expected in ((10, 120), (40, 160), (300, 200)):
         times = np.arange(0, length, 1 / 30)
         assert len(buckets(times, (120, 200))) + 1 == pytest.approx(expected, abs=1)

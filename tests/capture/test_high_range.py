@@ -1,4 +1,4 @@
-"""Films of high dynamic range come in the colours that they mean."""
+"""Films of high dynamic range are converted to the colours that they represent."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ MEANT = np.array([[200, 60, 60], [60, 180, 60], [60, 60, 200], [255, 255, 255], 
 
 
 def _signal(light: np.ndarray, transfer: int) -> np.ndarray:
-    """What a camera writes of light, of which 1 is paper white (ITU-R BT.2100)."""
+    """Return the signal that a camera writes for light, where 1 is paper white (ITU-R BT.2100)."""
     if transfer == PQ:
         root = (light * 203 / 10_000) ** 0.1593017578125
         return ((0.8359375 + 18.8515625 * root) / (1 + 18.6875 * root)) ** 78.84375
@@ -25,7 +25,7 @@ def _signal(light: np.ndarray, transfer: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("transfer", [HLG, PQ])
-def test_colours_of_a_high_range_are_those_that_were_meant(transfer: int) -> None:
+def test_high_dynamic_range_is_converted_to_the_intended_colours(transfer: int) -> None:
     written = _signal((MEANT / 255.0) ** 2.2 @ FROM_SRGB.T, transfer)
     image = Image.fromarray((255 * written).round().astype(np.uint8)[None])
     assert np.abs(np.asarray(usual_range(image, transfer))[0].astype(int) - MEANT).max() <= 8
@@ -34,13 +34,13 @@ def test_colours_of_a_high_range_are_those_that_were_meant(transfer: int) -> Non
 
 
 @pytest.mark.parametrize(("transfer", "shown"), [(UNKNOWN, 173), (HLG, 220)])
-def test_a_film_says_of_itself_which_range_it_has(transfer: int, shown: int, tmp_path: Path) -> None:
+def test_the_dynamic_range_of_a_film_is_read_from_its_metadata(transfer: int, shown: int, tmp_path: Path) -> None:
     with av.open(str(tmp_path / "a.mp4"), "w") as container:
         stream = container.add_stream("h264", rate=10)
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
         stream.codec_context.color_trc = transfer
         for _ in range(3):
-            grey = np.full((48, 64, 3), 173, np.uint8)  # paper white, a little darkened, in HLG
+            grey = np.full((48, 64, 3), 173, np.uint8)  # slightly darker than paper white in HLG
             container.mux(stream.encode(av.VideoFrame.from_ndarray(grey, format="rgb24")))
         container.mux(stream.encode())
     photos = read_photos(tmp_path / "a.mp4", tmp_path / "out", count=(3, 3))

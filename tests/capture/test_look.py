@@ -1,4 +1,4 @@
-"""A look tells what is wrong with a capture, with its own cause for each fault, and lets good ones pass."""
+"""The look at a capture refuses each fault with its own cause and lets good captures pass."""
 
 import dataclasses
 import math
@@ -35,17 +35,17 @@ GOOD = Look(60, 120.0, 900.0, 0.98, 0.1, 0.2, math.radians(20))
         ({"angle": math.radians(1.5)}, "hardly moved: .* only 1.5° apart"),
     ],
 )
-def test_each_fault_has_its_own_cause_with_figures(change: dict, cause: str) -> None:
+def test_each_fault_is_refused_with_its_own_cause_and_figures(change: dict, cause: str) -> None:
     with pytest.raises(CaptureError, match=cause):
         dataclasses.replace(GOOD, **change).refuse()
 
 
 def test_a_good_capture_passes() -> None:
     GOOD.refuse()
-    dataclasses.replace(GOOD, turned=0.65, angle=math.radians(9)).refuse()  # stood and panned at several places
+    dataclasses.replace(GOOD, turned=0.65, angle=math.radians(9)).refuse()  # a film that pans at several places
 
 
-def test_figures_are_those_of_the_pairs() -> None:
+def test_the_figures_are_computed_from_the_images_and_their_pairs() -> None:
     seen = [
         Features(np.zeros((count + 7, 2)), np.zeros((count + 7, 128)), count, 50.0, (64, 48))
         for count in (100, 200, 300, 400, 500)
@@ -62,7 +62,7 @@ def test_figures_are_those_of_the_pairs() -> None:
     assert summed(seen, found, few=True).verified == pytest.approx(1 / 5)
 
 
-def test_bare_views_do_not_pass_for_fast_motion() -> None:
+def test_bare_images_are_not_mistaken_for_fast_motion() -> None:
     points = [500, 500, 20, 500, 500, 99, 500, 500, 100, 500]
     seen = [Features(np.zeros((count, 2)), np.zeros((count, 128)), count, 50.0, (64, 48)) for count in points]
     moved, none = Pair("moved", 0.2, 0.3), Pair("none")
@@ -82,7 +82,7 @@ def test_faint_points_connect_images_and_do_not_count_as_distinct(tmp_path: Path
     assert seen.verified == 1.0 and "textureless" in (seen.cause() or "")
 
 
-def test_of_a_long_video_neighbours_are_looked_at_in_groups() -> None:
+def test_a_long_video_is_sampled_in_groups_of_neighbours() -> None:
     short, group = _chosen(np.arange(120) / 6)
     assert len(short) == group == 60 and short[-1] == 119 and np.diff(short).max() <= 3
     long, group = _chosen(np.arange(180) / 3)
@@ -94,7 +94,7 @@ def test_of_a_long_video_neighbours_are_looked_at_in_groups() -> None:
     assert len(near) == 10 * (5 + 4 + 3) and all(first // 6 == second // 6 for first, second in near)
 
 
-def test_a_homography_of_a_turn_is_told_from_that_of_a_plane() -> None:
+def test_the_homography_of_a_rotation_is_told_from_that_of_a_plane() -> None:
     angle = 0.2
     turn = np.array([[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]])
     assert unlike_rotation(5 * K @ turn @ np.linalg.inv(K), (326, 236)) < 0.01
@@ -136,7 +136,9 @@ def _filmed(shared_scenes: Path, name: str, folder: Path) -> Photos:
         ("kitchen_textureless", "textureless"),
     ],
 )
-def test_bad_videos_are_refused_each_with_its_cause(shared_scenes: Path, tmp_path: Path, name: str, cause: str) -> None:
+def test_bad_videos_are_each_refused_with_their_own_cause(
+    shared_scenes: Path, tmp_path: Path, name: str, cause: str
+) -> None:
     with pytest.raises(CaptureError, match=cause):
         look(_filmed(shared_scenes, name, tmp_path)).refuse()
 

@@ -8,13 +8,13 @@ RANDOM = np.random.default_rng(0)
 
 
 def seen(place: int) -> np.ndarray:
-    """Descriptors of an image of a place: some that every image of it has, with noise, and some of its own."""
+    """Return descriptors of an image of a place: noisy copies of those that all its images share, and new ones."""
     common = np.random.default_rng(place).gamma(0.6, 30, (120, 128))
     own = RANDOM.gamma(0.6, 30, (60, 128))
     return np.concatenate([common + RANDOM.normal(0, 8, common.shape), own]).clip(0, 255).astype(np.uint8)
 
 
-def test_images_of_one_place_are_paired_and_neighbours_are_not() -> None:
+def test_images_of_the_same_place_are_paired_and_neighbours_are_not() -> None:
     places = [*range(30), *range(30)]
     images = [seen(place) for place in places]
     assert loop_pairs(images, partners=1, apart=9) == [(place, place + 30) for place in range(30)]
@@ -23,7 +23,7 @@ def test_images_of_one_place_are_paired_and_neighbours_are_not() -> None:
     assert all(second - first >= 9 for first, second in near) and len(near) >= 45
 
 
-def test_an_image_is_like_itself_and_one_without_features_like_none() -> None:
+def test_an_image_resembles_itself_and_one_without_features_resembles_none() -> None:
     images = [seen(0), seen(1), np.zeros((0, 128), np.uint8)]
     alike = likeness(images)
     np.testing.assert_allclose(np.diag(alike)[:2], 1.0, atol=1e-5)

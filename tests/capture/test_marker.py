@@ -1,5 +1,6 @@
-"""A printed marker tells the scale, and the page to print it holds it at its size."""
+"""A printed marker gives the scale, and the page to print it on is A4."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,11 +15,11 @@ from splatrl.capture.world import place
 from tests.capture.walks import HEIGHT, WIDTH, K, strewn, walk
 
 CORNERS = np.array([[-0.08, 0.08, 0.5], [0.08, 0.08, 0.5], [0.08, -0.08, 0.5], [-0.08, -0.08, 0.5]])
-"""Of a marker on a table in the middle of the yard, world, metres."""
+"""Corners of a marker on a table in the middle of the yard, world frame, metres."""
 
 
 def sightings(noise: float) -> dict[int, np.ndarray]:
-    """Where the cameras of the walk see the corners, pixels with noise."""
+    """Return where each camera of the walk sees the corners, pixels, with noise."""
     generator = np.random.default_rng(0)
     seen = {}
     for image, pose in enumerate(walk().camera_to_world.numpy()):
@@ -28,7 +29,7 @@ def sightings(noise: float) -> dict[int, np.ndarray]:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_corners_in_many_images_tell_the_scale(seed: int) -> None:
+def test_corners_in_many_images_give_the_scale(seed: int) -> None:
     lying, transform = strewn(seed)
     found = scale_by_corners(lying, {7: sightings(0.3)}, MARKER_SIDE)
     assert found is not None and (found.markers, found.views) == (1, 40)
@@ -36,7 +37,7 @@ def test_corners_in_many_images_tell_the_scale(seed: int) -> None:
     assert 0.0 < found.error < 0.05
 
 
-def test_what_is_no_square_or_hardly_seen_does_not_count() -> None:
+def test_markers_that_are_not_square_or_are_rarely_seen_give_no_scale() -> None:
     seen = sightings(0.1)
     assert scale_by_corners(walk(), {7: {image: seen[image] for image in (0, 5)}}, MARKER_SIDE) is None
     assert scale_by_corners(walk(), {}, MARKER_SIDE) is None
@@ -46,7 +47,7 @@ def test_what_is_no_square_or_hardly_seen_does_not_count() -> None:
     assert scale_by_corners(walk(), {7: wrong}, MARKER_SIDE) is None
 
 
-def test_a_view_that_is_off_is_left_out() -> None:
+def test_an_outlier_view_of_the_marker_is_left_out() -> None:
     seen = sightings(0.1)
     seen[4] = seen[4] + 40.0
     found = scale_by_corners(walk(), {7: seen}, MARKER_SIDE)
@@ -54,7 +55,7 @@ def test_a_view_that_is_off_is_left_out() -> None:
 
 
 def paper(cv2: object, seen: np.ndarray, scale: int) -> np.ndarray:
-    """An image of a marker on white paper, seen at four corners of a larger image."""
+    """Return a ``scale`` times larger image of a marker on white paper, with its corners at ``scale * seen``."""
     cells = np.full((80, 80), 255, np.uint8)
     cells[10:70, 10:70] = marker._dictionary(cv2).generateImageMarker(7, 60)  # type: ignore[attr-defined, arg-type]
     source = np.array([[10, 10], [70, 10], [70, 70], [10, 70]], np.float32) - 0.5
@@ -63,7 +64,7 @@ def paper(cv2: object, seen: np.ndarray, scale: int) -> np.ndarray:
     return np.asarray(large)
 
 
-def test_a_marker_in_images_is_found_and_tells_the_scale(tmp_path: Path) -> None:
+def test_a_marker_is_found_in_images_and_gives_the_scale(tmp_path: Path) -> None:
     cv2 = pytest.importorskip("cv2")
     scale, paths = 6, []
     for image, seen in list(sightings(0.0).items())[:8]:
@@ -86,18 +87,18 @@ def test_a_marker_in_images_is_found_and_tells_the_scale(tmp_path: Path) -> None
     assert metres == pytest.approx(1.0, abs=0.01)
 
 
-def test_images_without_a_marker_say_nothing(tmp_path: Path) -> None:
+def test_images_without_a_marker_give_no_scale(tmp_path: Path) -> None:
     pytest.importorskip("cv2")
     grain = np.random.default_rng(0).integers(0, 255, (HEIGHT, WIDTH), dtype=np.uint8)
     Image.fromarray(grain).save(tmp_path / "grain.png")
     assert scale_by_marker(replace(walk(), paths=[tmp_path / "grain.png"] * 3)) is None
 
 
-def test_the_page_is_a4_and_the_marker_has_its_size(tmp_path: Path) -> None:
+def test_the_marker_page_is_a4_and_impossible_markers_are_refused(tmp_path: Path) -> None:
     pytest.importorskip("cv2")
     write_marker_page(tmp_path / "marker.pdf")
     content = (tmp_path / "marker.pdf").read_bytes()
-    assert content.startswith(b"%PDF") and content.count(b"/Type /Page\n") + content.count(b"/Type /Page ") <= 1
+    assert content.startswith(b"%PDF") and len(re.findall(rb"/Type /Page\b", content)) == 1
     box = content.split(b"/MediaBox [")[1].split(b"]")[0].split()
     assert [float(value) / 72 * 25.4 for value in box[2:]] == pytest.approx([210.0, 297.0], abs=0.2)
     with pytest.raises(ValueError, match="marker: expected a number from 0 to 49, got 50"):
@@ -106,7 +107,7 @@ def test_the_page_is_a4_and_the_marker_has_its_size(tmp_path: Path) -> None:
         write_marker_page(tmp_path / "x.pdf", 0, 0.5)
 
 
-def test_without_opencv_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_error_without_opencv_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "cv2", None)
     with pytest.raises(ImportError, match=r"pip install 'splatrl\[capture\]'"):
         place(walk())

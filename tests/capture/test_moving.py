@@ -1,4 +1,4 @@
-"""What moves through photos is found, what stands still is not, and a fit leaves it out."""
+"""Things that move between photos are found, still ones are not, and a fit leaves the moving ones out."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -20,12 +20,12 @@ from tests.capture.test_stereo import HEIGHT, WIDTH, photographed, speckled
 
 COUNT = 24
 RADIUS = 13
-"""Pixels: of the ball that is in each third photo, where it never is in another."""
+"""Radius of the ball in every third photo, pixels; it is at a different place in each."""
 SETTINGS = FitSettings(width=WIDTH, cap=14_000, views=350, sh_degree=0, levels=((0.0, 0.5), (0.3, 1.0)), threads=1)
 
 
 def ball(row: int) -> Tensor:
-    """The pixels of a photo that show a ball: [H, W] bool."""
+    """Return the pixels of a photo that show a ball: [H, W] bool."""
     down, across = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")
     column, line = (29 * row) % WIDTH, 20 + (17 * row) % 35
     inside: Tensor = (across - column) ** 2 + (down - line) ** 2 < RADIUS**2
@@ -33,7 +33,7 @@ def ball(row: int) -> Tensor:
 
 
 def row_of_photos(folder: Path, with_ball: bool) -> Reconstruction:
-    """A speckled wall and a box before it, each photo as bright as it likes."""
+    """Photograph a speckled wall and a box in front of it; every second photo is 10 % darker."""
 
     def changed(row: int, image: Tensor) -> Tensor:
         if with_ball:
@@ -45,11 +45,6 @@ def row_of_photos(folder: Path, with_ball: bool) -> Reconstruction:
 
 def depths_of(capture: Reconstruction) -> Depths:
     return find_depths(capture, frame_of(capture.camera_to_world), trained(COUNT), threads=1)
-
-
-def photos_of(capture: Reconstruction) -> Tensor:
-    """[N, H, W, 3] of 1."""
-    return torch.stack([torch.from_numpy(np.array(Image.open(path))) for path in capture.paths]).float() / 255
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +72,7 @@ def moving(capture: Reconstruction, depths: Depths) -> Tensor:
     return find_moving(capture, depths, SETTINGS)
 
 
-def test_what_moves_is_found(moving: Tensor) -> None:
+def test_moving_things_are_found(moving: Tensor) -> None:
     rows, balls = trained(COUNT), torch.stack([ball(row) for row in range(COUNT)])
     found, true = moving[rows], balls[rows]
     assert float(found[true].float().mean()) > 0.8
@@ -85,7 +80,7 @@ def test_what_moves_is_found(moving: Tensor) -> None:
     assert not moving[held_out(COUNT)].any()
 
 
-def test_what_a_depth_sensor_measured_may_move_too(capture: Reconstruction, tmp_path: Path) -> None:
+def test_moving_things_are_found_although_a_depth_sensor_measured_them(capture: Reconstruction, tmp_path: Path) -> None:
     cameras = Cameras(capture.camera_to_world.float(), capture.K.float(), WIDTH, HEIGHT)
     paths = []
     for row, depth in enumerate(NativeRenderer(speckled(), threads=1).render(cameras).depth):
@@ -99,16 +94,18 @@ def test_what_a_depth_sensor_measured_may_move_too(capture: Reconstruction, tmp_
     assert float(found[rows][~balls[rows]].float().mean()) < 0.03
 
 
-def test_what_stands_still_is_not(still: Reconstruction, still_depths: Depths) -> None:
+def test_nothing_is_found_where_nothing_moves(still: Reconstruction, still_depths: Depths) -> None:
     assert not find_moving(still, still_depths, SETTINGS).any()
 
 
-def test_the_number_of_threads_does_not_matter(capture: Reconstruction, depths: Depths) -> None:
+def test_the_result_does_not_depend_on_the_number_of_threads(capture: Reconstruction, depths: Depths) -> None:
     short = replace(SETTINGS, views=60)
     assert torch.equal(find_moving(capture, depths, short), find_moving(capture, depths, replace(short, threads=2)))
 
 
-def test_a_fit_never_looks_at_what_moves(still: Reconstruction, still_depths: Depths, tmp_path: Path) -> None:
+def test_pixels_that_show_moving_things_never_influence_a_fit(
+    still: Reconstruction, still_depths: Depths, tmp_path: Path
+) -> None:
     moving = torch.zeros(COUNT, HEIGHT, WIDTH, dtype=torch.bool)
     moving[2:9, 16:40, 30:62] = True
     paths = list(still.paths)
@@ -122,7 +119,7 @@ def test_a_fit_never_looks_at_what_moves(still: Reconstruction, still_depths: De
     assert all(torch.equal(getattr(plain, name), getattr(painted, name)) for name in ("means", "scales", "sh"))
 
 
-def test_another_exposure_is_no_difference() -> None:
+def test_a_change_of_exposure_does_not_count_as_a_difference() -> None:
     drawn = np.random.default_rng(0).random((40, 60, 3))
     photo, nothing = 0.85 * drawn + 0.05, np.zeros((40, 60), bool)
     assert difference(drawn, photo, nothing).max() < 1e-3
@@ -131,7 +128,7 @@ def test_another_exposure_is_no_difference() -> None:
     assert apart[15:25, 15:25].min() > 0.2 and apart[:, 45:].max() < 0.02
 
 
-def test_photos_beside_each_other_are_not_asked_and_never_too_many() -> None:
+def test_a_photo_is_compared_with_at_most_a_hundred_others_and_not_with_its_neighbours() -> None:
     assert asked(5, 10) == [0, 1, 9]
     assert asked(0, 3) == []
     assert len(asked(7, 1000)) <= 100 and all(abs(other - 7) > 3 for other in asked(7, 1000))

@@ -1,4 +1,4 @@
-"""Poses and points found in images of a room, against the truth."""
+"""Poses and points that are found from images of a room, compared with the truth."""
 
 import dataclasses
 import os
@@ -32,7 +32,7 @@ pytest.importorskip("pycolmap")
 
 WIDTH, HEIGHT = 160, 120
 K = ray_cast.K * [[0.5], [0.5], [1.0]]
-"""Images are small, as COLMAP's time grows with their features: half as wide and high as those of other tests."""
+"""Intrinsics of images half as wide and high as in other tests, since COLMAP's time grows with their features."""
 
 
 def room_image(camera_to_world: np.ndarray, seed: int = 0) -> np.ndarray:
@@ -41,7 +41,7 @@ def room_image(camera_to_world: np.ndarray, seed: int = 0) -> np.ndarray:
 
 
 def _similar(found: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
-    """Greatest distance (metres) and angle (radians) between cameras after a similarity (Umeyama 1991)."""
+    """Return the greatest distance (metres) and angle (radians) of cameras aligned by a similarity (Umeyama 1991)."""
     a, b = found[:, :3, 3] - found[:, :3, 3].mean(0), truth[:, :3, 3] - truth[:, :3, 3].mean(0)
     u, _, vt = np.linalg.svd(np.einsum("nij,nkj->ik", truth[:, :3, :3], found[:, :3, :3]))
     turn = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
@@ -51,7 +51,7 @@ def _similar(found: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
     return float(distance), float(np.arccos(np.clip(cosines, -1, 1)).max())
 
 
-def test_poses_of_a_walk_are_found_kept_and_the_same_again(tmp_path: Path) -> None:
+def test_poses_of_a_walk_are_found_cached_and_reproducible(tmp_path: Path) -> None:
     truth = walk(24)[::4]
     photos = photos_of(tmp_path / "in", [room_image(pose) for pose in truth])
     told: list[str] = []
@@ -69,7 +69,7 @@ def test_poses_of_a_walk_are_found_kept_and_the_same_again(tmp_path: Path) -> No
     assert torch.equal(anew.camera_to_world, found.camera_to_world) and torch.equal(anew.points, found.points)
 
 
-def test_known_poses_stay_and_points_lie_on_the_walls(tmp_path: Path) -> None:
+def test_known_poses_are_kept_and_points_lie_on_the_walls(tmp_path: Path) -> None:
     truth = walk(24)[::4]
     photos = photos_of(tmp_path / "in", [room_image(pose) for pose in truth])
     known = dataclasses.replace(photos, K=torch.from_numpy(K), camera_to_world=torch.from_numpy(truth), metric=True)
@@ -79,7 +79,7 @@ def test_known_poses_stay_and_points_lie_on_the_walls(tmp_path: Path) -> None:
     assert found.paths == photos.paths
     off = (np.abs(found.points.numpy()) - HALF).max(1)
     assert len(off) > 200 and np.median(np.abs(off)) < 0.02
-    # each sighting projects onto its image
+    # each observed point projects into its image
     world_to_camera = torch.linalg.inv(found.camera_to_world)[found.seen_by]
     local = world_to_camera[:, :3] @ torch.nn.functional.pad(found.points[found.seen_point], (0, 1), value=1)[..., None]
     pixel = (found.K @ local)[..., 0]
@@ -87,7 +87,9 @@ def test_known_poses_stay_and_points_lie_on_the_walls(tmp_path: Path) -> None:
     assert (local[:, 2] > 0).all() and ((pixel > -1) & (pixel < torch.tensor([WIDTH + 1.0, HEIGHT + 1.0]))).all()
 
 
-def test_the_part_that_breaks_off_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_images_without_a_pose_are_named_and_left_out_where_that_is_allowed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     images = [room_image(pose) for pose in walk(24)[::4]] + [room_image(pose, seed=1) for pose in walk(24)[:9:3]]
     photos = photos_of(tmp_path / "in", images, [0.5 * number for number in range(len(images))])
     with pytest.raises(
@@ -102,20 +104,20 @@ def test_the_part_that_breaks_off_is_named(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(poses_module, "run_child", found_again)
     settings = CaptureSettings(camera_height=1.0, marker=None, force=True)
     placed, _ = reconstruct(tmp_path / "in", tmp_path / "scene", settings, say=lambda _: None)
-    assert placed.reconstruction.missing == pytest.approx(3 / 9), "forced, it goes on without them"
+    assert placed.reconstruction.missing == pytest.approx(3 / 9), "with force, the capture goes on without them"
 
 
-def test_images_of_faint_things_are_posed(tmp_path: Path) -> None:
+def test_low_contrast_images_are_posed(tmp_path: Path) -> None:
     truth = walk(24)[::2]
     images = [room_image(pose) for pose in truth]
-    for number in range(4, 10):  # three grey levels in a hundred are left, as in a blurred image of a bare wall
+    for number in range(4, 10):  # 3 % of the contrast is left, as in a blurred image of a bare wall
         images[number] = (128 + 0.03 * (images[number].astype(float) - 128)).round().astype(np.uint8)
     found = find_poses(photos_of(tmp_path / "in", images), tmp_path / "out")
     assert found.missing == 0 and _similar(found.camera_to_world.numpy(), truth)[0] < 0.05
 
 
 @pytest.mark.parametrize("fixed", [False, True])
-def test_images_that_no_pair_of_them_begins_are_posed_at_once(
+def test_global_mapping_poses_images_where_incremental_mapping_finds_no_initial_pair(
     fixed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     truth = walk(24)[::4]
@@ -142,7 +144,7 @@ def test_images_that_no_pair_of_them_begins_are_posed_at_once(
 
 
 def _model(tracks: list[list[int]], count: int) -> SimpleNamespace:
-    """What COLMAP would return of images 1 to count, named a, b, …, and points by the images that see them."""
+    """Return a fake COLMAP model of images 1 to count, named a, b, …, and a point per list of images that see it."""
     pose = SimpleNamespace(inverse=lambda: SimpleNamespace(matrix=lambda: np.eye(4)[:3]))
     image = {"has_pose": True, "cam_from_world": lambda: pose}
     images = {i: SimpleNamespace(image_id=i, name=chr(96 + i), **image) for i in range(1, count + 1)}
@@ -155,7 +157,7 @@ def _model(tracks: list[list[int]], count: int) -> SimpleNamespace:
     return SimpleNamespace(images=images, points3D=points, cameras={1: camera})
 
 
-def test_of_images_that_share_no_points_the_larger_part_is_kept(tmp_path: Path) -> None:
+def test_only_the_largest_set_of_images_that_share_enough_points_is_kept(tmp_path: Path) -> None:
     tracks = [[1, 2]] * SHARED + [[2, 3]] * (SHARED - 1) + [[3, 4, 5]] * SHARED
     model, names = _model(tracks, 5), list("abcde")
     _keep(tmp_path, Job("", names, 8, 6), model)
@@ -170,7 +172,7 @@ def test_of_images_that_share_no_points_the_larger_part_is_kept(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("bent", "other", "taken"), [(1.0, 0.0, 1), (0.0, 0.0, 0), (1.0, 2.0, 0), (0.02, 0.0, 1), (1.0, 0.02, 1)]
 )
-def test_a_film_that_was_bent_is_mapped_at_once(
+def test_the_global_map_of_a_bent_film_is_used_where_it_is_less_bent(
     bent: float, other: float, taken: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     count = SPARSE + 8
@@ -207,20 +209,20 @@ def test_a_missing_package_is_named_with_the_command_that_installs_it(
         find_poses(photos_of(tmp_path / "in", [room_image(walk(1)[0])]), tmp_path / "out")
 
 
-def test_pairs_are_near_far_and_every_tenth() -> None:
+def test_pairs_join_neighbours_distant_images_and_every_tenth_image() -> None:
     assert pairs(4) == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
     many = set(pairs(100))
     assert {(0, 8), (7, 23), (7, 39), (0, 90), (10, 50)} <= many
     assert not {(0, 9), (7, 17), (1, 91)} & many
 
 
-def test_stretches_without_a_pose_are_found() -> None:
+def test_runs_of_images_without_a_pose_are_found() -> None:
     assert missing_runs(np.array([2, 3, 7]), 9) == [(0, 1), (4, 6), (8, 8)]
     assert missing_runs(np.array([2, 3, 7]), 9, most=1) == [(4, 6)]
     assert missing_runs(np.arange(9), 9) == []
 
 
-def test_an_interrupt_kills_the_child_and_a_failure_shows_its_last_lines(
+def test_an_interrupt_kills_the_child_process_and_a_failure_shows_its_last_lines(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     module = tmp_path / "child_of_a_test.py"
@@ -246,7 +248,9 @@ def test_an_interrupt_kills_the_child_and_a_failure_shows_its_last_lines(
         run_child("child_of_a_test", tmp_path / "fail", lambda *_: None)
 
 
-def test_a_full_disk_is_told_from_other_failures_of_the_child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_told_from_other_failures_of_the_child_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "crashing.py").write_text(
         "print('SQLite error: database or disk is full')\nfor _ in range(50): print('@ 0x7f74c90a71f5')\nexit(1)\n"
     )

@@ -1,4 +1,4 @@
-"""Videos with a known truth, captured from end to end by the command, against that truth: minutes each."""
+"""Videos with ground truth, captured end to end by the command and compared with it; each takes minutes."""
 
 import importlib
 import json
@@ -19,11 +19,11 @@ pytest.importorskip("cv2")
 pytest.importorskip("pycolmap")
 ROOT = Path(__file__).parents[2]
 HEIGHT, WIDTH = 1.5, 960
-"""Of the rendered videos: metres of the camera above the floor on average, and pixels."""
+"""Mean height of the camera above the floor, metres, and image width, pixels, of the rendered videos."""
 
 
 def captured(video: Path, folder: Path, height: float) -> dict[str, Any]:
-    """The figures of a capture's ``scene.yaml``."""
+    """Capture a video with the command, and return the quality figures of its ``scene.yaml``."""
     if not video.is_file():
         pytest.skip(f"{video} is not here")
     words = [str(video), "--out", str(folder), "--camera-height", str(height), "--device", "cpu"]
@@ -36,7 +36,7 @@ def captured(video: Path, folder: Path, height: float) -> dict[str, Any]:
 
 
 def against_truth(place: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> Any:
-    """What ``benchmarks/capture_truth.py`` finds."""
+    """Return the figures that ``benchmarks/capture_truth.py`` prints."""
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
     module = importlib.import_module("capture_truth")
     monkeypatch.setattr(sys, "argv", ["capture_truth.py", place, str(folder)])
@@ -62,7 +62,7 @@ def test_a_rendered_video_becomes_a_scene_like_the_one_that_it_shows(
         assert found["false hits"] < 0.01 and found["recall"] > 0.95
 
 
-def test_photos_along_a_street_find_their_poses(shared_scenes: Path, tmp_path: Path) -> None:
+def test_poses_of_photos_along_a_street_are_found(shared_scenes: Path, tmp_path: Path) -> None:
     photos = shared_scenes / "lund" / "photos"
     if not photos.is_dir():
         pytest.skip(f"{photos} is not here")
@@ -71,12 +71,12 @@ def test_photos_along_a_street_find_their_poses(shared_scenes: Path, tmp_path: P
     ahead = placed.reconstruction.camera_to_world[:-1, :3, 2]
     steps = places.diff(dim=0)
     assert placed.reconstruction.missing == 0
-    assert (torch.nn.functional.cosine_similarity(steps, ahead, dim=1) > 0.9).all()  # walked where they look
+    assert (torch.nn.functional.cosine_similarity(steps, ahead, dim=1) > 0.9).all()  # walked in the viewing direction
     assert steps.norm(dim=1).max() < 5 * steps.norm(dim=1).median()
     assert placed.reconstruction.K[0, 0].item() == pytest.approx(870 * 960 / 1024, rel=0.1)
 
 
-def test_a_video_of_a_real_place_becomes_a_scene_as_a_depth_sensor_saw_it(
+def test_the_scene_of_a_real_video_agrees_with_a_depth_sensor(
     shared_scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "red"

@@ -1,4 +1,4 @@
-"""Recordings that know their poses: axes, intrinsics, distortion, and what of strangers' files is refused."""
+"""Recordings with known poses: axes, intrinsics and distortion; malformed and malicious files are refused."""
 
 import json
 import struct
@@ -29,7 +29,7 @@ def _write(folder: Path, names: list[str] | None = None, **settings: object) -> 
     return folder
 
 
-def test_transforms_come_with_opencv_axes_in_order_and_scaled_as_the_images(tmp_path: Path) -> None:
+def test_transforms_are_read_in_order_with_opencv_axes_and_intrinsics_scaled_to_the_images(tmp_path: Path) -> None:
     source = _write(tmp_path / "in")
     assert is_recording(source) and is_recording(source / "transforms.json")
     photos = read_recording(source, tmp_path / "out")
@@ -40,7 +40,7 @@ def test_transforms_come_with_opencv_axes_in_order_and_scaled_as_the_images(tmp_
     assert (photos.width, photos.height, photos.metric, photos.up) == (320, 240, False, None)
 
 
-def test_distortion_is_taken_out(tmp_path: Path) -> None:
+def test_lens_distortion_is_removed(tmp_path: Path) -> None:
     cv2 = pytest.importorskip("cv2")
     source = _write(tmp_path / "in", k1=-0.1, fl_y=520)
     centred = K - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]  # OpenCV's first pixel has its centre at 0
@@ -53,7 +53,7 @@ def test_distortion_is_taken_out(tmp_path: Path) -> None:
     photos = read_recording(source, tmp_path / "out")
     assert all(path.parent == tmp_path / "out" / "recorded" for path in photos.paths) and photos.K is not None
     shown = np.asarray(Image.open(photos.paths[0]))
-    to_new = photos.K.numpy() @ np.linalg.inv(K)  # pixels of a pinhole camera with the first K to those with the new
+    to_new = photos.K.numpy() @ np.linalg.inv(K)  # from pixels of a pinhole camera with the old K to those with the new
     shift = [[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]]
     expected = cv2.warpPerspective(room_image(walk(1)[0]), np.linalg.inv(shift) @ to_new @ shift, (320, 240))
     middle = (slice(30, 210), slice(40, 280))
@@ -72,13 +72,15 @@ def test_distortion_is_taken_out(tmp_path: Path) -> None:
         ({"camera_model": "OPENCV_FISHEYE"}, "perspective"),
     ],
 )
-def test_what_makes_no_sense_is_refused(tmp_path: Path, change: dict, message: str) -> None:
+def test_malformed_transforms_and_images_outside_the_folder_are_refused(
+    tmp_path: Path, change: dict, message: str
+) -> None:
     Image.new("RGB", (320, 240)).save(tmp_path / "secret.png")
     with pytest.raises(CaptureError, match=message):
         read_recording(_write(tmp_path / "a" / "in", **change), tmp_path / "out")
 
 
-def test_a_folder_of_photos_is_no_recording(tmp_path: Path) -> None:
+def test_a_folder_without_a_recording_is_refused(tmp_path: Path) -> None:
     assert not is_recording(tmp_path)
     with pytest.raises(CaptureError, match="found none of them"):
         read_recording(tmp_path, tmp_path / "out")
@@ -91,11 +93,11 @@ CAMERAS = {
     "RADIAL": [260, 163, 118, -0.1, 0.02],
     "OPENCV": [260, 259, 163, 118, -0.1, 0.02, 0.001, -0.002],
 }
-"""Parameters of the camera models that COLMAP has and we read."""
+"""Parameters of each COLMAP camera model that the reader supports."""
 
 
 def _model(source: Path, camera: str, text: bool) -> Path:
-    """A COLMAP model of three images, as COLMAP writes it."""
+    """Write a COLMAP model of three images with COLMAP's own writer."""
     pycolmap = pytest.importorskip("pycolmap")
     (source / "images").mkdir(parents=True)
     (source / "sparse" / "0").mkdir(parents=True)
@@ -113,7 +115,7 @@ def _model(source: Path, camera: str, text: bool) -> Path:
 
 
 @pytest.mark.parametrize("text", [False, True])
-def test_a_colmap_model_comes_with_its_poses(text: bool, tmp_path: Path) -> None:
+def test_the_poses_and_intrinsics_of_a_colmap_model_are_read(text: bool, tmp_path: Path) -> None:
     photos = read_recording(_model(tmp_path / "in", "PINHOLE", text), tmp_path / "out")
     torch.testing.assert_close(photos.camera_to_world, torch.from_numpy(walk(3)))
     torch.testing.assert_close(photos.K, torch.tensor([[260.0, 0, 163], [0, 259, 118], [0, 0, 1]]).double())
@@ -121,7 +123,7 @@ def test_a_colmap_model_comes_with_its_poses(text: bool, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("text", [False, True])
 @pytest.mark.parametrize("camera", CAMERAS)
-def test_a_colmap_model_has_the_lens_that_colmap_reads(camera: str, text: bool, tmp_path: Path) -> None:
+def test_every_supported_colmap_camera_model_is_read(camera: str, text: bool, tmp_path: Path) -> None:
     source = _model(tmp_path, camera, text)
     (lens,) = {shot.lens for shot in colmap.read(source).shots}
     fx, cx, cy, *others = CAMERAS[camera]

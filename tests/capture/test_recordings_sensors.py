@@ -1,4 +1,4 @@
-"""Recordings of phones with a depth sensor: axes, units, one camera for all images, and what is refused."""
+"""Recordings of phones with a depth sensor: axes, units, one camera for all images, and refused files."""
 
 import json
 import tracemalloc
@@ -40,7 +40,7 @@ pytest.importorskip("imagecodecs")
 
 
 def _as_seen(photos: Photos, number: int, world_from_room: np.ndarray) -> tuple[float, float]:
-    """How far an image is from what its camera sees, and the same if it were a pixel off; in grey levels."""
+    """Return an image's mean error against its camera's view, and the least after a shift by a pixel, grey levels."""
     assert photos.K is not None and photos.camera_to_world is not None
     pose = np.linalg.inv(world_from_room) @ photos.camera_to_world[number].numpy()
     expected = room_image(pose, K=photos.K.numpy(), size=(photos.width, photos.height)).astype(float)
@@ -51,7 +51,7 @@ def _as_seen(photos: Photos, number: int, world_from_room: np.ndarray) -> tuple[
 
 
 def _depth_error(photos: Photos, number: int, world_from_room: np.ndarray) -> np.ndarray:
-    """Relative errors of the depth that is there."""
+    """Return the relative errors of the depth where it is known."""
     assert photos.K is not None and photos.camera_to_world is not None
     depth = np.asarray(Image.open(photos.depths[number]))
     assert depth.dtype == np.uint16
@@ -67,7 +67,7 @@ def images() -> list[Taken]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_all_images_are_those_of_one_upright_camera_in_metres_with_their_depth(
+def test_a_recording_becomes_images_of_one_upright_camera_with_metric_poses_and_depth(
     tmp_path: Path, images: list[Taken], kind: str
 ) -> None:
     source = KINDS[kind](tmp_path / "in", images)
@@ -84,7 +84,7 @@ def test_all_images_are_those_of_one_upright_camera_in_metres_with_their_depth(
     assert photos.seconds[0] == 0 and photos.seconds[7] == pytest.approx(7 if kind == "polycam" else 0.7)
 
 
-def test_nerfstudios_images_with_a_camera_each_become_those_of_one(tmp_path: Path, images: list[Taken]) -> None:
+def test_nerfstudio_images_with_a_camera_each_become_images_of_one_camera(tmp_path: Path, images: list[Taken]) -> None:
     photos = read_recording(write_nerfstudio(tmp_path / "in", images), tmp_path / "out")
     assert photos.metric and photos.up is not None and photos.up.tolist() == [0.0, 0.0, 1.0]
     off, moved = _as_seen(photos, 5, np.eye(4))
@@ -102,7 +102,7 @@ def test_depth_that_colmap_estimated_is_not_taken_for_metres(tmp_path: Path, ima
     assert not photos.metric and photos.depths == ()
 
 
-def test_colmaps_images_with_a_camera_each_become_those_of_one(tmp_path: Path, images: list[Taken]) -> None:
+def test_colmap_images_with_a_camera_each_become_images_of_one_camera(tmp_path: Path, images: list[Taken]) -> None:
     pycolmap = pytest.importorskip("pycolmap")
     source = tmp_path / "in"
     (source / "images").mkdir(parents=True)
@@ -126,7 +126,7 @@ def test_colmaps_images_with_a_camera_each_become_those_of_one(tmp_path: Path, i
     assert off < 4 and off < 0.6 * moved
 
 
-def test_the_sharpest_image_of_each_stretch_is_taken_and_kept(tmp_path: Path) -> None:
+def test_the_sharpest_image_of_each_interval_is_chosen_and_cached(tmp_path: Path) -> None:
     images, sharp = taken(18), [1, 3, 8, 10, 14, 15]
     for number, one in enumerate(images):
         if number not in sharp:
@@ -146,7 +146,7 @@ def test_the_sharpest_image_of_each_stretch_is_taken_and_kept(tmp_path: Path) ->
     assert Image.open(photos.paths[0]).size == (60, 80)
 
 
-def test_a_read_that_breaks_leaves_nothing(tmp_path: Path, images: list[Taken]) -> None:
+def test_a_failed_read_leaves_no_files(tmp_path: Path, images: list[Taken]) -> None:
     source = write_polycam(tmp_path / "in", images)
     next((source / "keyframes" / "depth").glob("*.png")).write_bytes(b"\x89PNG")
     with pytest.raises(CaptureError, match=r"depth.*expected a complete PNG"):
@@ -154,7 +154,7 @@ def test_a_read_that_breaks_leaves_nothing(tmp_path: Path, images: list[Taken]) 
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_one_camera_sees_nothing_that_an_image_does_not_show() -> None:
+def test_the_common_camera_sees_only_what_every_image_shows() -> None:
     lenses = [
         Lens(320, 240, 260, 260, 160, 120),
         Lens(320, 240, 263, 262, 156, 121),
@@ -164,7 +164,7 @@ def test_one_camera_sees_nothing_that_an_image_does_not_show() -> None:
     assert camera.fx / camera.fy == pytest.approx(261 / 260) and (camera.cx, camera.cy) == (160, 120)
     assert (boxes[:, :2] >= 0).all() and (boxes[:, 2:] <= [320, 240]).all()
     assert min(boxes[:, :2].min(), (np.array([320, 240]) - boxes[:, 2:]).min()) == pytest.approx(0, abs=1e-9)
-    for lens, (left, upper, right, lower) in zip(lenses, boxes, strict=True):  # the same ray in both
+    for lens, (left, upper, right, lower) in zip(lenses, boxes, strict=True):  # the same ray in both cameras
         x, y = (50 - camera.cx) / camera.fx, (200 - camera.cy) / camera.fy
         assert lens.fx * x + lens.cx == pytest.approx(left + 50 / 320 * (right - left))
         assert lens.fy * y + lens.cy == pytest.approx(upper + 200 / 240 * (lower - upper))
@@ -182,7 +182,7 @@ def test_one_camera_sees_nothing_that_an_image_does_not_show() -> None:
         (Lens(320, 240, 260, 260, 210, 120), "a principal point that moves by 16 % of the width"),
     ],
 )
-def test_images_of_two_cameras_are_refused(other: Lens, message: str) -> None:
+def test_images_of_different_cameras_are_refused(other: Lens, message: str) -> None:
     with pytest.raises(CaptureError, match=f"here: .*{message}"):
         one_camera("here", [Lens(320, 240, 260, 260, 160, 120), other])
 
@@ -201,7 +201,7 @@ def test_images_are_turned_upright(turns: int, right: tuple[int, int, int]) -> N
     assert quarter_turns(np.stack([pose] * 2), None) == 0
 
 
-def test_polycams_corrected_images_go_before_the_plain_ones_and_lose_their_black_border(
+def test_polycams_corrected_images_are_preferred_and_lose_their_black_border(
     tmp_path: Path, images: list[Taken]
 ) -> None:
     plain = [replace(one, image=np.zeros_like(one.image)) for one in images]
@@ -219,7 +219,7 @@ def test_polycams_corrected_images_go_before_the_plain_ones_and_lose_their_black
     assert off < 0.7 * moved and np.median(_depth_error(photos, 2, ARKIT_FROM_ROOM)) < 0.006
 
 
-def test_stray_scanners_camera_serves_frames_without_one_of_their_own(tmp_path: Path) -> None:
+def test_stray_scanner_frames_without_intrinsics_use_those_of_the_recording(tmp_path: Path) -> None:
     source = write_stray(tmp_path / "in", taken(3, steady=True))
     rows = [",".join(row.split(",")[:9]) for row in (source / "odometry.csv").read_text().splitlines()]
     (source / "odometry.csv").write_text("\n".join(rows))
@@ -229,7 +229,9 @@ def test_stray_scanners_camera_serves_frames_without_one_of_their_own(tmp_path: 
     torch.testing.assert_close(photos.K, expected)
 
 
-def test_record3d_may_begin_at_the_first_cameras_own_axes(tmp_path: Path, images: list[Taken]) -> None:
+def test_record3d_poses_relative_to_the_first_camera_have_up_only_with_an_initial_pose(
+    tmp_path: Path, images: list[Taken]
+) -> None:
     first = np.linalg.inv(images[0].arkit @ np.diag([1, -1, -1, 1]))
     poses = [first @ one.arkit @ np.diag([1, -1, -1, 1]) for one in images]
 
@@ -247,7 +249,7 @@ def test_record3d_may_begin_at_the_first_cameras_own_axes(tmp_path: Path, images
     assert photos.up is not None and _as_seen(photos, 4, ARKIT_FROM_ROOM)[0] < 4
 
 
-def test_record3ds_older_files_have_one_camera_and_no_times(tmp_path: Path) -> None:
+def test_older_record3d_files_without_times_and_intrinsics_per_frame_are_read(tmp_path: Path) -> None:
     images = taken(3, steady=True)
     source = write_record3d(tmp_path / "in", images, perFrameIntrinsicCoeffs=None, frameTimestamps=None)
     photos = read_recording(source, tmp_path / "out")
@@ -256,7 +258,7 @@ def test_record3ds_older_files_have_one_camera_and_no_times(tmp_path: Path) -> N
     assert photos.seconds.tolist() == pytest.approx([0, 0.1, 0.2])
 
 
-def test_a_recording_without_depth_has_none(tmp_path: Path, images: list[Taken]) -> None:
+def test_a_recording_may_lack_depth_for_all_images_or_for_one(tmp_path: Path, images: list[Taken]) -> None:
     source = write_record3d(tmp_path / "in", images)
     for file in (source / "rgbd").glob("*.depth"):
         file.unlink()
@@ -268,7 +270,7 @@ def test_a_recording_without_depth_has_none(tmp_path: Path, images: list[Taken])
     assert sorted(empty) == [False] * 7 + [True]
 
 
-def test_names_in_an_archive_lead_nowhere(tmp_path: Path, images: list[Taken]) -> None:
+def test_entries_of_an_archive_write_no_files_outside_the_output_folder(tmp_path: Path, images: list[Taken]) -> None:
     source = write_r3d(tmp_path / "a.r3d", images[:3])
     with zipfile.ZipFile(source, "a") as archive:
         archive.writestr("../../evil.jpg", b"evil")
@@ -279,7 +281,7 @@ def test_names_in_an_archive_lead_nowhere(tmp_path: Path, images: list[Taken]) -
     assert {path for path in tmp_path.rglob("*") if "shots" not in path.parts} == before | {tmp_path / "out"}
 
 
-def test_packed_depth_that_unpacks_to_more_is_not_unpacked(tmp_path: Path, images: list[Taken]) -> None:
+def test_depth_that_unpacks_to_more_than_expected_is_not_unpacked(tmp_path: Path, images: list[Taken]) -> None:
     import imagecodecs
 
     source = write_record3d(tmp_path / "in", images)
@@ -304,7 +306,7 @@ def test_an_entry_that_unpacks_to_more_than_is_allowed_is_not_unpacked(
         read_recording(source, tmp_path / "out")
 
 
-def test_depth_needs_the_package_that_unpacks_it(
+def test_the_error_without_the_package_that_unpacks_depth_says_how_to_install_it(
     tmp_path: Path, images: list[Taken], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(record3d, "needed", lambda name: optional.needed("a_package_that_is_not_here"))
@@ -380,7 +382,7 @@ HEADER = "timestamp, frame, x, y, z, qx, qy, qz, qw\n"
         (lambda f, i: write_record3d(f, i, perFrameIntrinsicCoeffs=[[0, 0, 0, 0]] * 8), "finite intrinsics"),
     ],
 )
-def test_what_makes_no_sense_is_refused_in_a_line(
+def test_malformed_recordings_are_refused_in_one_line(
     tmp_path: Path, images: list[Taken], write: object, message: str
 ) -> None:
     source = write(tmp_path / "in", images)  # type: ignore[operator]
@@ -389,7 +391,7 @@ def test_what_makes_no_sense_is_refused_in_a_line(
     assert "\n" not in str(refused.value)
 
 
-def test_a_room_without_texture_still_has_its_floor(tmp_path: Path, images: list[Taken]) -> None:
+def test_a_textureless_room_still_gets_points_and_a_floor_from_its_depth(tmp_path: Path, images: list[Taken]) -> None:
     for package in ("cv2", "pycolmap"):
         pytest.importorskip(package)
     bare = [replace(one, image=np.full_like(one.image, 90 + number)) for number, one in enumerate(images)]
@@ -411,7 +413,9 @@ def test_a_room_without_texture_still_has_its_floor(tmp_path: Path, images: list
 
 
 @pytest.mark.parametrize("name", ["../secret.png", "/etc/passwd", "depth/none.png"])
-def test_depth_outside_the_recording_is_refused(tmp_path: Path, images: list[Taken], name: str) -> None:
+def test_depth_files_that_are_outside_the_recording_or_missing_are_refused(
+    tmp_path: Path, images: list[Taken], name: str
+) -> None:
     Image.new("L", (8, 6)).save(tmp_path / "secret.png")
     source = write_nerfstudio(tmp_path / "in", images)
     data = json.loads((source / "transforms.json").read_text())

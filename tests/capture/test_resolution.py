@@ -1,4 +1,4 @@
-"""What is fitted is as fine as the robots will see, within what the photos show."""
+"""A fit is as fine as what the robots will see, within the limits of the photos."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from tests.capture.walks import walk
 
 
 def photos() -> Reconstruction:
-    """The walk in larger photos: f = 702 pixels."""
+    """Return the walk with larger photos, whose focal length is 702 pixels."""
     return replace(walk(), width=960, height=540, K=walk().K * 3)
 
 
@@ -31,23 +31,23 @@ def photos() -> Reconstruction:
         (Resolution(width=2000), 960, 405_000),
     ],
 )
-def test_width_and_cap_follow_the_robots(resolution: Resolution, width: int, cap: int) -> None:
+def test_width_and_cap_follow_from_the_robots_camera(resolution: Resolution, width: int, cap: int) -> None:
     fit = resolution.of(photos(), FitSettings(views=7))
     assert fit.views == 7 and fit.width == pytest.approx(width, abs=1) and fit.cap == pytest.approx(cap, rel=0.01)
 
 
-def test_a_fit_has_twice_the_pixels_of_a_robot_for_each_degree() -> None:
+def test_a_fit_has_twice_the_pixels_per_degree_of_a_robot() -> None:
     robot = Robot(None, 1.0, fov_deg=60.0, image_width=300)  # type: ignore[arg-type]
     fit = Resolution(300, 60.0).of(photos(), FitSettings())
     focal = float(photos().K[0, 0]) * fit.width / photos().width
     assert 2.0 <= focal / float(robot.K[0, 0]) < 2.01
 
 
-def test_small_photos_stay_as_they_are() -> None:
+def test_small_photos_are_not_enlarged() -> None:
     assert Resolution(512).of(walk(), FitSettings()).width == walk().width == 320
 
 
-def test_what_makes_no_sense_is_refused() -> None:
+def test_impossible_robot_cameras_and_widths_are_refused() -> None:
     for wrong in ({"robot_width": 0}, {"robot_fov_deg": 180.0}):
         with pytest.raises(ValueError, match="robot: expected"):
             Resolution(**wrong)
@@ -55,6 +55,6 @@ def test_what_makes_no_sense_is_refused() -> None:
         Resolution(width=0).of(photos(), FitSettings())
 
 
-def test_the_usual_robot_is_that_of_the_configs() -> None:
+def test_the_default_robot_camera_is_that_of_the_configuration() -> None:
     box = OmegaConf.load(conf_dir() / "robot" / "box.yaml")
     assert (box.image_width, box.fov_deg) == (Robot.image_width, Robot.fov_deg)

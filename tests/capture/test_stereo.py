@@ -1,4 +1,4 @@
-"""Depths of photos from their neighbours: right where photos decide, silent where they do not, or a sensor's."""
+"""Depths of photos, from their neighbours or a sensor: correct where the photos determine them, else unknown."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,11 +20,11 @@ from splatrl.scenes.gaussians import Gaussians
 
 WIDTH, HEIGHT, COUNT = 96, 72, 12
 WALL, BOX = 3.0, 1.8
-"""Distance of a speckled wall, and of a speckled box before it."""
+"""Depth of a speckled wall, and of a speckled box in front of it."""
 
 
 def speckled() -> Gaussians:
-    """A wall of coloured discs, and a nearer one in its middle."""
+    """Return a wall of coloured discs, and a smaller, nearer one in front of its middle."""
     random = torch.Generator().manual_seed(0)
 
     def sheet(half: float, far: float, count: int) -> Tensor:
@@ -46,7 +46,15 @@ def speckled() -> Gaussians:
 def photographed(
     folder: Path, count: int, side: float, every: int, changed: Callable[[int, Tensor], Tensor]
 ) -> Reconstruction:
-    """The sheets from places in a row, so far to each side, each image [H, W, 3] uint8 changed by its number."""
+    """Photograph the wall and the box from a row of places.
+
+    Args:
+        folder: where the photos are written.
+        count: number of photos.
+        side: distance from the middle of the row to either end.
+        every: stride with which Gaussians become points of the reconstruction.
+        changed: function of a photo's number and image [H, W, 3] uint8 that returns the image to write.
+    """
     scene, across = speckled(), torch.linspace(-side, side, count)
     eyes = torch.stack([across, 0.1 * torch.sin(9 * across), torch.zeros(count)], 1)
     poses = look_at(eyes, eyes + torch.tensor([0.0, 0.0, 1.0]), up=(0.0, -1.0, 0.0))
@@ -80,7 +88,7 @@ def depths(capture: Reconstruction) -> Depths:
 
 
 def drawn_depths(capture: Reconstruction) -> Tensor:
-    """The true depths [N, H, W]."""
+    """Return the true depths: [N, H, W]."""
     cameras = Cameras(capture.camera_to_world.float(), capture.K.float(), WIDTH, HEIGHT)
     return NativeRenderer(speckled()).render(cameras).depth
 
@@ -92,23 +100,23 @@ def found(capture: Reconstruction, threads: int = 1, rows: Tensor | None = None)
 
 
 @pytest.mark.parametrize("isa", _core.supported_isas())
-def test_depths_are_those_of_the_scene(capture: Reconstruction, isa: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_depths_match_the_scene(capture: Reconstruction, isa: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SPLATRL_ISA", isa)
     depths, truth = found(capture), drawn_depths(capture)
     far, known = depths.far(frame_of(capture.camera_to_world)), depths.known > 0
     assert known.float().mean() > 0.75
     error = (far / truth - 1).abs()[known]
     assert error.median() < 0.006
-    assert (error > 0.1).float().mean() < 0.08, "only around the box, which looks wider by the window"
+    assert (error > 0.1).float().mean() < 0.08, "only around the box, which the matching window widens"
     assert (depths.likely > 0).all()
 
 
-def test_depths_do_not_depend_on_the_threads(capture: Reconstruction, depths: Depths) -> None:
+def test_depths_do_not_depend_on_the_number_of_threads(capture: Reconstruction, depths: Depths) -> None:
     one, three = depths, found(capture, 3)
     assert torch.equal(one.likely, three.likely) and torch.equal(one.known, three.known)
 
 
-def test_photos_that_are_held_out_have_none_and_decide_nothing(capture: Reconstruction, tmp_path: Path) -> None:
+def test_held_out_photos_have_no_depths_and_do_not_influence_others(capture: Reconstruction, tmp_path: Path) -> None:
     rows = torch.tensor([row for row in range(COUNT) if row % 4])
     paths = list(capture.paths)
     for row in range(0, COUNT, 4):
@@ -118,15 +126,13 @@ def test_photos_that_are_held_out_have_none_and_decide_nothing(capture: Reconstr
     assert torch.equal(some.known, other.known) and (some.known[::4] == 0).all()
 
 
-def test_a_photo_without_points_has_no_range_to_look_in(capture: Reconstruction) -> None:
+def test_photos_without_points_get_no_depths(capture: Reconstruction) -> None:
     none = torch.zeros(0, dtype=torch.int64)
     nothing = found(replace(capture, seen_point=none, seen_by=none))
     assert (nothing.known == 0).all() and (nothing.likely == 0).all()
 
 
-def test_photos_that_show_something_else_confirm_nothing(
-    capture: Reconstruction, depths: Depths, tmp_path: Path
-) -> None:
+def test_photos_of_noise_have_far_fewer_known_depths(capture: Reconstruction, depths: Depths, tmp_path: Path) -> None:
     random = np.random.default_rng(0)
     paths = [tmp_path / f"{row:02d}.png" for row in range(COUNT)]
     for path in paths:
@@ -136,7 +142,7 @@ def test_photos_that_show_something_else_confirm_nothing(
     assert known.float().mean() < 0.6 * (depths.known > 0).float().mean()
 
 
-def test_points_are_known_at_every_size(capture: Reconstruction) -> None:
+def test_depths_of_points_are_known_at_every_image_size(capture: Reconstruction) -> None:
     frame = frame_of(capture.camera_to_world)
     nothing = Depths(torch.zeros(COUNT, 9, 12), torch.zeros(COUNT, 9, 12))
     (seen,) = pictures(capture, frame, [48])
@@ -149,7 +155,9 @@ def test_points_are_known_at_every_size(capture: Reconstruction) -> None:
     assert (away < 0.01).all()
 
 
-def test_a_sensor_is_believed_and_its_unit_follows_the_frame(capture: Reconstruction, tmp_path: Path) -> None:
+def test_depths_of_a_sensor_are_used_and_converted_to_the_unit_of_the_frame(
+    capture: Reconstruction, tmp_path: Path
+) -> None:
     paths = []
     for row in range(COUNT):
         counts = np.full((30, 40), 2500, np.uint16)

@@ -1,4 +1,4 @@
-"""How far a reconstruction is from the truth, against similarities that are known."""
+"""Deviation of a reconstruction from the truth, checked with known similarities."""
 
 import math
 from dataclasses import replace
@@ -34,14 +34,14 @@ def tilted(degrees: float, scale: float) -> np.ndarray:
     return transform
 
 
-def test_a_similarity_is_found_again(truth: Truth) -> None:
+def test_a_known_similarity_is_recovered(truth: Truth) -> None:
     places = truth.camera_to_world[:, :3, 3]
     for seed in range(3):
         known = torch.from_numpy(similarity_of(seed))
         torch.testing.assert_close(closest_similarity(places, places @ known[:3, :3].T + known[:3, 3]), known)
 
 
-def test_up_scale_and_focal_length_are_off_by_what_they_are_off(truth: Truth) -> None:
+def test_known_errors_of_up_scale_and_focal_length_are_measured(truth: Truth) -> None:
     off = placed(moved(walk(), tilted(3.0, 1.02)))
     off = replace(off, reconstruction=replace(off.reconstruction, K=1.05 * K))
     found = deviation(off, replace(truth, K=2 * K), 2 * WIDTH)
@@ -51,7 +51,7 @@ def test_up_scale_and_focal_length_are_off_by_what_they_are_off(truth: Truth) ->
     torch.testing.assert_close(found.world_from_capture, inverse)
 
 
-def test_cameras_that_are_off_are_a_share_of_the_path(truth: Truth) -> None:
+def test_errors_of_camera_positions_are_given_in_metres_and_relative_to_the_path(truth: Truth) -> None:
     noise = 0.05 * torch.randn(40, 3, generator=torch.Generator().manual_seed(0)).double()
     poses = truth.camera_to_world.clone()
     poses[:, :3, 3] += noise
@@ -62,7 +62,7 @@ def test_cameras_that_are_off_are_a_share_of_the_path(truth: Truth) -> None:
     )
 
 
-def test_cameras_meet_the_truth_of_their_time(truth: Truth) -> None:
+def test_cameras_are_compared_with_the_true_poses_of_their_times(truth: Truth) -> None:
     some = replace(walk(), seconds=torch.tensor([0.31, 3.9, 0.0]).double())
     assert torch.equal(true_poses(some, truth), truth.camera_to_world[[3, 39, 0]])
     with pytest.raises(ValueError, match="seconds: expected the times"):

@@ -1,4 +1,4 @@
-"""A walk whose frame was lost is found upright, to scale and on its floor, however it lay."""
+"""A walk in an arbitrary frame is placed upright, to scale and with its floor at z = 0."""
 
 import math
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ from tests.capture.walks import ABOVE, CAMERAS, K, strewn, walk, without_points
 
 @pytest.fixture(scope="module", autouse=True)
 def ground_once() -> Iterator[None]:
-    """Find the ground of the same poses and points once."""
+    """Cache the ground, so that it is found only once for the same poses and points."""
     known: dict[tuple[object, ...], Ground] = {}
 
     def remembered(*arrays: Any) -> Ground:
@@ -35,7 +35,7 @@ def ground_once() -> Iterator[None]:
 
 
 def up_error_deg(placed: Placed, transform: np.ndarray) -> float:
-    """Between the world's z and the true one."""
+    """Return the angle between the world's z axis and the true one, degrees."""
     whole = placed.world_from_capture.numpy() @ transform
     return math.degrees(math.acos(min(1.0, whole[2, 2] / float(np.linalg.norm(whole[2, :3])))))
 
@@ -46,14 +46,14 @@ def scale_error(placed: Placed, transform: np.ndarray) -> float:
 
 
 def pixels(image: int, points: torch.Tensor) -> torch.Tensor:
-    """Where a camera of the walk sees points [P, 3] of the true world: [P, 2]."""
+    """Return where a camera of the walk sees points [P, 3] of the true world: [P, 2] pixels."""
     pose = walk().camera_to_world[image]
     local = (points - pose[:3, 3]) @ pose[:3, :3] @ K.T
     return local[:, :2] / local[:, 2:]
 
 
 def two_points(image: int) -> torch.Tensor:
-    """Two points of the lawn that an image sees, far apart: [2, 3]."""
+    """Return two points of the lawn, far apart, that an image shows: [2, 3]."""
     seen = walk().points[walk().seen_point[walk().seen_by == image]]
     seen = seen[(seen[:, :2].abs().amax(1) < 2.0) & (seen[:, 2].abs() < 0.05)]
     far = (seen - seen[0]).norm(dim=1).argmax()
@@ -61,7 +61,7 @@ def two_points(image: int) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_up_the_floor_and_the_scale_are_found_however_the_walk_lay(seed: int) -> None:
+def test_up_floor_and_scale_are_found_whatever_the_frame_of_the_walk(seed: int) -> None:
     lying, transform = strewn(seed)
     placed = place(lying, marker=None, camera_height=ABOVE)
     assert (placed.scale_from, placed.up_from, placed.metric) == ("camera_height", "floor", True)
@@ -79,14 +79,14 @@ def test_up_the_floor_and_the_scale_are_found_however_the_walk_lay(seed: int) ->
 
 
 def told_by_gps(noise: float, latitude: float = 46.8, longitude: float = 180.0) -> torch.Tensor:
-    """Where the cameras of the walk are on the earth, the world's x to the north, with so many metres of noise."""
+    """Return latitudes and longitudes of the walk's cameras, x to the north, with ``noise`` metres of noise: [N, 2]."""
     places = walk().camera_to_world[:, :2, 3] + noise * torch.randn(CAMERAS, 2, generator=torch.manual_seed(0)).double()
     north, east = places[:, 0] / 111_195, -places[:, 1] / 111_195 / math.cos(math.radians(latitude))
     return torch.stack([latitude + north, (longitude + east + 180.0) % 360.0 - 180.0], 1)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_scale_is_told_by_gps_where_nothing_else_tells_it(seed: int) -> None:
+def test_gps_gives_the_scale_where_nothing_else_does(seed: int) -> None:
     lying, transform = strewn(seed)
     gps = told_by_gps(0.1)
     gps[3:9] = torch.nan
@@ -97,7 +97,7 @@ def test_the_scale_is_told_by_gps_where_nothing_else_tells_it(seed: int) -> None
 
 
 @pytest.mark.parametrize("case", ["noise", "few", "one place", "mirrored"])
-def test_gps_that_does_not_fit_tells_nothing(case: str) -> None:
+def test_gps_that_does_not_fit_the_cameras_gives_no_scale(case: str) -> None:
     gps = told_by_gps(1.0 if case == "noise" else 0.0)
     if case == "few":
         gps[4:] = torch.nan
@@ -109,7 +109,7 @@ def test_gps_that_does_not_fit_tells_nothing(case: str) -> None:
 
 
 @pytest.mark.parametrize(("blades", "off"), [(0.0, 0.003), (0.055, 0.012)])
-def test_a_height_is_measured_from_the_ground_below_the_blades_of_a_lawn(blades: float, off: float) -> None:
+def test_camera_height_is_measured_from_the_ground_below_the_blades_of_grass(blades: float, off: float) -> None:
     rng, poses = np.random.default_rng(0), walk().camera_to_world.numpy().copy()
     poses[:, 2, 3] = 0.6
     lawn = np.concatenate([rng.uniform(-3, 3, (2000, 2)), blades * rng.random((2000, 1))], 1)
@@ -118,27 +118,27 @@ def test_a_height_is_measured_from_the_ground_below_the_blades_of_a_lawn(blades:
 
 
 @pytest.mark.parametrize("first", [8, 14, 20, 26])
-def test_a_camera_that_was_raised_and_lowered_tells_the_scale_though_images_have_no_pose(first: int) -> None:
+def test_the_height_of_a_camera_that_moves_up_and_down_gives_the_scale_despite_missing_poses(first: int) -> None:
     seconds, poses = torch.arange(CAMERAS).double() / 4, walk().camera_to_world.clone()
     poses[:, 2, 3] += 0.5 * torch.sin(2 * seconds)
-    poses[5, 2, 3] = 80.0  # one that is wrong
+    poses[5, 2, 3] = 80.0  # an outlier
     kept = torch.ones(CAMERAS, dtype=torch.bool)
     kept[first : first + 5] = False
     partly = replace(walk(), camera_to_world=poses[kept], seconds=seconds[kept])
     true = float((walk().camera_to_world[:, 2, 3] + 0.5 * torch.sin(2 * seconds)).mean())
     placed = place(partly, marker=None, camera_height=true)
-    assert scale_error(placed, np.eye(4)) < 0.04  # up to 0.06 by the median of those that have a pose
+    assert scale_error(placed, np.eye(4)) < 0.04  # the median over the posed images alone is off by up to 0.06
     assert placed.camera_height == pytest.approx(true)
 
 
-def test_the_same_reconstruction_is_placed_the_same_to_the_last_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_placing_the_same_reconstruction_twice_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(world, "find_ground", find_ground)
     first, again = (place(strewn(1)[0], marker=None) for _ in range(2))
     assert torch.equal(first.world_from_capture, again.world_from_capture)
     assert torch.equal(first.reconstruction.points, again.reconstruction.points)
 
 
-def test_walls_tell_up_where_the_floor_is_a_narrow_strip() -> None:
+def test_walls_determine_up_where_the_floor_is_a_narrow_strip() -> None:
     points = walk().points
     thinned = torch.arange(len(points)) % 4 == 0
     strip = (points[:, 2] > 0.4) & thinned | (points[:, 2] < 0.1) & (points[:, 0].abs() < 0.15)
@@ -148,19 +148,19 @@ def test_walls_tell_up_where_the_floor_is_a_narrow_strip() -> None:
     assert abs(ground.height) < 0.05
 
 
-def test_reflections_below_the_floor_do_not_draw_it_down() -> None:
+def test_reflections_below_the_floor_do_not_lower_the_floor() -> None:
     points = walk().points
     mirrored = points[(points[:, 2] > 0.1) & (points[:, 2] < 0.6)][::12] * torch.tensor([1.0, 1.0, -1.0])
     ground = find_ground(walk().camera_to_world.numpy(), torch.cat([points, mirrored]).numpy())
     assert abs(ground.height) < 0.05 and ground.up[2] > math.cos(math.radians(1.0))
 
 
-def test_images_on_their_side_say_how_the_camera_was_held() -> None:
+def test_images_that_were_turned_on_their_side_are_placed_like_upright_ones() -> None:
     upright = walk()
     lies = torch.arange(len(upright.paths)) % 5 < 3
     poses = upright.camera_to_world.clone()
     poses[lies, :3, 0], poses[lies, :3, 1] = -upright.camera_to_world[lies, :3, 1], upright.camera_to_world[lies, :3, 0]
-    flat = torch.zeros(30, 3, dtype=torch.float64)  # no floor that would tell
+    flat = torch.zeros(30, 3, dtype=torch.float64)  # no floor that would determine up
     flat[:, 0] = torch.linspace(-1, 1, 30)
     few = {"points": flat, "colors": upright.colors[:30], "seen_point": torch.zeros(0), "seen_by": torch.zeros(0)}
     given = replace(upright, camera_to_world=poses, turned=lies, **few)
@@ -177,11 +177,11 @@ def test_a_film_on_its_side_is_told_from_an_upright_one(side: float) -> None:
     lying = upright.copy()
     lying[:, :3, 0], lying[:, :3, 1] = side * upright[:, :3, 1], -side * upright[:, :3, 0]
     assert on_its_side(lying) and not on_its_side(upright)
-    assert not on_its_side(lying[:1].repeat(9, 0)), "who never turns leaves it open"
+    assert not on_its_side(lying[:1].repeat(9, 0)), "a camera that never turns leaves it undecided"
 
 
 def one_way(pitch_deg: float, seed: int) -> np.ndarray:
-    """Poses [40, 4, 4] of a camera that goes past the yard's far fence and looks at it, somewhat up or down."""
+    """Return poses [40, 4, 4] of a camera that walks along the yard's far fence and looks at it, pitched up or down."""
     rng, yaw = np.random.default_rng(seed), 0.5 * math.pi
     turned = np.radians(rng.normal(0.0, 1.0, (40, 3))) + np.array([yaw, math.radians(pitch_deg), 0.0])
     eyes = np.stack([np.linspace(-2.0, 2.0, 40), np.full(40, -1.5), np.full(40, ABOVE)], 1)
@@ -189,20 +189,20 @@ def one_way(pitch_deg: float, seed: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("pitch_deg", [-10.0, 0.0, 15.0, 30.0])
-def test_a_camera_that_looks_one_way_and_down_stands_upright(pitch_deg: float) -> None:
+def test_the_floor_determines_up_for_a_camera_that_looks_one_way_at_any_pitch(pitch_deg: float) -> None:
     ground = find_ground(one_way(pitch_deg, 0), walk().points.numpy())
     assert ground.up[2] > math.cos(math.radians(0.5)) and abs(ground.height) < 0.05
     assert (ground.up_from, ground.error_deg) == ("floor", 1.5)
 
 
-def test_walls_tell_up_to_a_camera_that_looks_one_way_where_no_floor_is_seen() -> None:
+def test_walls_determine_up_for_a_camera_that_looks_one_way_and_sees_no_floor() -> None:
     points = walk().points.numpy()
     fences = (points[:, 2] > 0.3) & (np.abs(points[:, :2]).max(1) > 2.3)
     ground = find_ground(one_way(20.0, 1), points[fences])
     assert ground.up[2] > math.cos(math.radians(1.0)) and ground.up_from == "walls"
 
 
-def test_nothing_but_cameras_that_look_one_way_says_how_little_it_knows() -> None:
+def test_up_that_is_known_only_from_cameras_that_look_one_way_is_reported_as_uncertain() -> None:
     ground = find_ground(one_way(20.0, 2), np.random.default_rng(0).normal(size=(3000, 3)))
     assert ground.up_from == "cameras" and ground.error_deg > 35.0
     around = find_ground(walk().camera_to_world.numpy(), np.random.default_rng(0).normal(size=(3000, 3)))
@@ -211,7 +211,7 @@ def test_nothing_but_cameras_that_look_one_way_says_how_little_it_knows() -> Non
 
 
 @pytest.mark.parametrize("seed", [None, 3])
-def test_a_film_held_upside_down_is_told_from_an_upright_one(seed: int | None) -> None:
+def test_an_upside_down_film_is_told_from_an_upright_one(seed: int | None) -> None:
     upright = walk() if seed is None else strewn(seed)[0]
     poses, points = upright.camera_to_world.numpy(), upright.points.numpy()
     turned = poses.copy()
@@ -219,7 +219,7 @@ def test_a_film_held_upside_down_is_told_from_an_upright_one(seed: int | None) -
     assert upside_down(turned, points) and not upside_down(poses, points)
 
 
-def test_level_cameras_below_a_high_place_and_those_that_look_up_from_one_are_not_taken_for_upside_down() -> None:
+def test_level_cameras_below_all_points_and_cameras_above_looking_up_are_not_upside_down() -> None:
     level, looking = (walk().camera_to_world.numpy().copy() for _ in range(2))
     level[:, :3, :3] = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
     overhead = walk().points.numpy() * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * ABOVE]
@@ -228,7 +228,7 @@ def test_level_cameras_below_a_high_place_and_those_that_look_up_from_one_are_no
     assert not upside_down(looking, overhead)
 
 
-def test_who_films_trees_and_walls_above_is_not_taken_for_upside_down() -> None:
+def test_a_camera_that_films_trees_and_walls_above_it_is_not_taken_for_upside_down() -> None:
     yaw = np.linspace(0.0, math.tau, 40)
     around = np.stack([np.cos(yaw), np.sin(yaw), np.full(40, ABOVE), yaw, np.full(40, -0.35), np.zeros(40)], 1)
     poses, points = camera_poses(torch.from_numpy(around)).numpy(), walk().points.numpy()
@@ -236,13 +236,13 @@ def test_who_films_trees_and_walls_above_is_not_taken_for_upside_down() -> None:
     assert not upside_down(poses, crowns) and not upside_down(poses, np.concatenate([crowns, points]))
 
 
-def test_cameras_that_all_look_one_way_still_have_an_up() -> None:
+def test_cameras_that_all_look_one_way_have_the_up_direction_of_their_images() -> None:
     poses = walk().camera_to_world.numpy()[:1].repeat(5, 0)
     own = -poses[0, :3, 1]
     assert cameras_up(poses).up @ own > math.cos(math.radians(5.0))
 
 
-def test_recorded_gravity_and_metres_go_first() -> None:
+def test_recorded_gravity_and_metric_scale_take_precedence() -> None:
     lying, transform = strewn(2)
     scale = np.cbrt(np.linalg.det(transform[:3, :3]))
     up = torch.from_numpy(transform[:3, 2] / scale)
@@ -253,7 +253,7 @@ def test_recorded_gravity_and_metres_go_first() -> None:
 
 
 @pytest.mark.parametrize("image", [3, 17, 30])
-def test_two_clicks_in_one_image_tell_the_scale(image: int) -> None:
+def test_two_clicks_in_one_image_give_the_scale(image: int) -> None:
     points = two_points(image)
     (x0, y0), (x1, y1) = pixels(image, points).tolist()
     lying, transform = strewn(image % 5)
@@ -263,7 +263,7 @@ def test_two_clicks_in_one_image_tell_the_scale(image: int) -> None:
 
 
 @pytest.mark.parametrize(("first", "second"), [(3, 21), (30, 11)])
-def test_two_points_that_no_image_shows_together_tell_the_scale(first: int, second: int) -> None:
+def test_two_points_that_no_image_shows_together_give_the_scale(first: int, second: int) -> None:
     seen = [set(walk().seen_point[walk().seen_by == image].tolist()) for image in (first, second)]
     ends = []
     for image, own, other in ((first, *seen), (second, *seen[::-1])):
@@ -280,7 +280,7 @@ def test_two_points_that_no_image_shows_together_tell_the_scale(first: int, seco
     assert metres > 1.0 and placed.scale_from == "distance" and scale_error(placed, transform) < 0.05
 
 
-def test_clicks_in_two_images_meet_where_no_point_is() -> None:
+def test_clicks_in_two_images_are_triangulated_where_no_point_is_near() -> None:
     bare = without_points(walk(), (walk().points - torch.tensor([0.0, 0.0, 0.5])).norm(dim=1) > 1.0)
     target = torch.tensor([[0.1, 0.2, 0.5]]).double()
     clicks = [Click(image, *pixels(image, target)[0].tolist()) for image in (2, 12)]
@@ -292,13 +292,13 @@ def test_clicks_in_two_images_meet_where_no_point_is() -> None:
         clicked_point(replace(bare, camera_to_world=poses), beside)
 
 
-def test_without_any_means_it_is_not_metric() -> None:
+def test_without_any_source_of_scale_the_world_is_not_metric() -> None:
     placed = place(strewn(0)[0], marker=None)
     assert (placed.scale_from, placed.scale_error, placed.metric) == ("unknown", None, False)
     assert placed.camera_height == pytest.approx(1.5)
 
 
-def test_what_cannot_be_is_refused() -> None:
+def test_impossible_heights_distances_and_clicks_are_refused() -> None:
     with pytest.raises(ValueError, match=r"camera_height: expected a positive, finite number of metres, got -1\.0"):
         place(walk(), marker=None, camera_height=-1.0)
     with pytest.raises(ValueError, match=r"distance: expected a positive, finite number of metres, got 0\.0"):
@@ -325,5 +325,5 @@ def test_x_runs_along_the_longest_wall(yaw_deg: float) -> None:
     assert abs(off) < 0.5
 
 
-def test_every_means_has_a_name() -> None:
+def test_scale_from_lists_every_source_of_scale() -> None:
     assert set(ScaleFrom.__args__) == {"recorded", "marker", "distance", "camera_height", "gps", "unknown"}

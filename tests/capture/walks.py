@@ -1,4 +1,4 @@
-"""A made-up walk in the backyard, as structure from motion would hand it on: the truth is known."""
+"""A synthetic walk in the backyard, in the form that structure from motion returns, with known ground truth."""
 
 from dataclasses import replace
 from functools import cache
@@ -16,13 +16,13 @@ from splatrl.capture.world import moved
 WIDTH, HEIGHT = 320, 180
 CAMERAS = 40
 ABOVE = 1.4
-"""Metres: height of the cameras above the lawn."""
+"""Height of the cameras above the lawn, metres."""
 K = intrinsics(1.2, WIDTH, HEIGHT).double()
 
 
 @cache
 def walk() -> Reconstruction:
-    """A round of the yard that looks inwards and down, in the world frame, with noise and stray points."""
+    """Return a walk around the yard, looking inwards and down, in the world frame, with noise and stray points."""
     generator = torch.Generator().manual_seed(0)
     turn = torch.linspace(0, 6.0, CAMERAS)
     sway = 0.03 * torch.randn(CAMERAS, 3, generator=generator)
@@ -44,7 +44,7 @@ def walk() -> Reconstruction:
 
 
 def visible(camera_to_world: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
-    """Which points [P, 3] are within a camera's image, near enough and not hidden by the nearest in their cell."""
+    """Return which points [P, 3] a camera sees: in its image, close enough, and not hidden by others in their cell."""
     local = (points - camera_to_world[:3, 3]) @ camera_to_world[:3, :3]
     pixels = (local @ K.T)[:, :2] / local[:, 2:]
     inside = (local[:, 2] > 0.3) & (local[:, 2] < 5.0) & (pixels >= 0).all(1)
@@ -58,7 +58,7 @@ def visible(camera_to_world: torch.Tensor, points: torch.Tensor) -> torch.Tensor
 
 
 def similarity_of(seed: int) -> NDArray[np.float64]:
-    """A random rotation, scale and shift, 4×4."""
+    """Return a random rotation, scale and shift: [4, 4]."""
     generator = np.random.default_rng(seed)
     rotation = np.linalg.qr(generator.normal(size=(3, 3)))[0]
     rotation *= np.sign(np.linalg.det(rotation))
@@ -69,13 +69,13 @@ def similarity_of(seed: int) -> NDArray[np.float64]:
 
 
 def strewn(seed: int) -> tuple[Reconstruction, NDArray[np.float64]]:
-    """The walk in a frame and unit of its own, and the similarity that took it there."""
+    """Return the walk in a random frame and unit, and the similarity that moved it there."""
     transform = similarity_of(seed)
     return moved(walk(), transform), transform
 
 
 def without_points(reconstruction: Reconstruction, kept: torch.Tensor) -> Reconstruction:
-    """A reconstruction with some of its points alone, by a mask."""
+    """Return a reconstruction with only the points that a mask keeps."""
     new = torch.cumsum(kept, 0) - 1
     rows = kept[reconstruction.seen_point]
     return replace(

@@ -1,4 +1,4 @@
-"""Places that stand in for captures nobody has seen: courtyards, rooms and things, laid out by a seed."""
+"""Generated places that stand in for unseen captures: courtyards, rooms and things, laid out from a seed."""
 
 import math
 
@@ -21,12 +21,13 @@ LAYOUTS = {
     "garden": ((9.0, 7.0, 1.8), 0.25, 0.5, 1, 4),
     "thing": ((1.6, 1.2, 0.5), 0.05, 0.12, 0, 0),
 }
-"""Metres along, across and up, spacing, size of things, and the fewest and most walls."""
+"""Per kind: length, width and height in metres, factor of the spacing, size of things in metres, fewest and most
+walls."""
 KINDS = tuple(LAYOUTS)
 
 
 class _Surfels:
-    """Flat Gaussians over rectangles and round things, in world metres."""
+    """Collects flat Gaussians over rectangles, boxes and balls; world frame, metres."""
 
     def __init__(self, seed: int, spacing: float) -> None:
         self.rng, self.spacing = np.random.default_rng(seed), spacing
@@ -38,7 +39,7 @@ class _Surfels:
     def rectangle(
         self, corner: Floats, u: Floats, v: Floats, color: Floats, rough: float = 0.02, dense: float = 1.0
     ) -> None:
-        """A rectangle from a corner along two sides; ``rough`` metres of noise along its normal."""
+        """Add a rectangle, by a corner and two sides, with ``rough`` metres of noise along its normal."""
         spacing = self.spacing / dense
         area = float(np.linalg.norm(np.cross(u, v)))
         count = max(4, round(area / spacing**2))
@@ -49,14 +50,14 @@ class _Surfels:
     def column(
         self, foot: Floats, across: float, deep: float, tall: float, color: Floats, dense: float, yaw: float = 0.0
     ) -> None:
-        """The sides and the top of a box, by the middle of its foot."""
+        """Add the sides and the top of a box, by the centre of its base."""
         a, b, c = np.diag([across, deep, tall]) @ _rotation(np.array([0.0, 0.0, 1.0]), yaw).T
         low = foot - 0.5 * a - 0.5 * b
         for corner, u, v in ((low, a, c), (low + b, a, c), (low, b, c), (low + a, b, c), (low + c, a, b)):
             self.rectangle(corner, u, v, color * self.rng.uniform(0.8, 1.2), 0.01, dense)
 
     def ball(self, center: Floats, radius: float, color: Floats, dense: float = 1.0) -> None:
-        """The surface of a ball."""
+        """Add the surface of a ball."""
         spacing = self.spacing / dense
         normals = self.rng.normal(size=(max(8, round(4 * math.pi * radius**2 / spacing**2)), 3))
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -71,7 +72,7 @@ class _Surfels:
         self.sizes.append(spacing * self.rng.uniform(0.5, 0.8, count))
 
     def gaussians(self) -> Gaussians:
-        """All of them."""
+        """Return all Gaussians that were added."""
         means, normals, colors, sizes = map(np.concatenate, (self.means, self.normals, self.colors, self.sizes))
         normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
         across = np.cross(normals, self.rng.normal(size=normals.shape))
@@ -90,12 +91,12 @@ class _Surfels:
 
 
 def place(kind: str = "courtyard", seed: int = 0, spacing: float = 0.4) -> Gaussians:
-    """A place of one of ``KINDS``, z up, metres, its floor at 0 and its middle near the origin.
+    """Return a place of one of ``KINDS``: z up, metres, its floor at z = 0 and its middle near the origin.
 
     Args:
-        kind: a courtyard of about 40 × 30 m, a room, a thing on a table's top, a garden, or a street.
-        seed: for sizes, places and colours.
-        spacing: metres between Gaussians, on average; rooms and gardens take a quarter of it, things a tenth.
+        kind: a courtyard of about 40 × 30 m, a room, a thing on a tabletop, a garden, or a street.
+        seed: seed of sizes, positions and colours; 0 keeps the nominal size.
+        spacing: mean distance between Gaussians, metres; rooms and gardens take a quarter of it, things a twentieth.
     """
     rng = np.random.default_rng([KINDS.index(kind), seed])
     size, fine, unit, least, most = LAYOUTS[kind]
@@ -116,11 +117,11 @@ def place(kind: str = "courtyard", seed: int = 0, spacing: float = 0.4) -> Gauss
     for _ in range(int(rng.integers(4, 13))):
         at = np.array([rng.uniform(-0.42, 0.42) * long, rng.uniform(-0.42, 0.42) * wide, 0.0])
         if np.linalg.norm(at[:2]) < 0.1 * wide:
-            continue  # somebody walked there
+            continue  # the camera walked there
         if rng.random() < 0.6:
             across, deep, tall = unit * rng.uniform([0.6, 0.6, 0.4], [3.0, 2.0, 2.0])
             made.column(at, across, deep, tall, color(), 2.0, rng.uniform(0.0, math.tau))
-        else:  # a tree, or what stands on a stem
+        else:  # a tree, or another ball on a stem
             radius, stem = unit * rng.uniform(0.5, 1.8), unit * rng.uniform(0.5, 2.5)
             made.column(at, 0.2 * unit, 0.2 * unit, stem, color(), 3.0)
             made.ball(at + np.array([0.0, 0.0, stem + 0.8 * radius]), radius, color(), 1.5)
@@ -130,12 +131,12 @@ def place(kind: str = "courtyard", seed: int = 0, spacing: float = 0.4) -> Gauss
 def turned(
     gaussians: Gaussians, seed: int, tilt_deg: float | None = None, scale: float = 1.0
 ) -> tuple[Gaussians, Tensor]:
-    """A place in the frame of a file.
+    """Return a place in the frame of a file, and the up direction in that frame.
 
     Args:
-        gaussians: world frame.
+        gaussians: the place, world frame.
         seed: chooses the file's up axis, the turn about it, the tilt's direction and a shift.
-        tilt_deg: angle between up and the file's nearest axis; None lies anyhow.
+        tilt_deg: angle between up and the file's nearest axis; None draws any orientation.
         scale: units of the file per metre.
 
     Returns:
@@ -160,7 +161,7 @@ def turned(
 
 
 def _rotation(axis: Floats, angle: float) -> Floats:
-    """The rotation about an axis, by Rodrigues' formula."""
+    """Return the rotation about an axis, by Rodrigues' formula."""
     x, y, z = axis / np.linalg.norm(axis)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross

@@ -17,7 +17,7 @@ PLY_TYPES = {"ascii": "<f4", "binary_little_endian": "<f4", "binary_big_endian":
 
 
 def sample_gaussians(count: int = 7, degree: int = 2, seed: int = 0) -> Gaussians:
-    """Visible Gaussians of ordinary sizes."""
+    """Return visible Gaussians of ordinary sizes."""
     generator = torch.Generator().manual_seed(seed)
     normal = torch.randn(count, 16 * 3 + 10, generator=generator)
     return Gaussians(
@@ -52,7 +52,7 @@ def assert_valid(gaussians: Gaussians) -> None:
 
 
 def ply_fields(gaussians: Gaussians) -> dict[str, NDArray[np.float32]]:
-    """The fields of a 3DGS PLY file by name, in Inria's order but without normals."""
+    """Return the fields of a 3DGS PLY file by name, in Inria's order but without normals."""
     sh = gaussians.sh.numpy()
     fields = {name: gaussians.means[:, i].numpy() for i, name in enumerate("xyz")}
     fields |= {f"f_dc_{c}": sh[:, 0, c] for c in range(3)}
@@ -67,7 +67,7 @@ def ply_fields(gaussians: Gaussians) -> dict[str, NDArray[np.float32]]:
 def ply_bytes(
     fields: Mapping[str, NDArray[np.float32]], kind: str = "binary_little_endian", count: int | None = None
 ) -> bytes:
-    """A PLY file of float fields; ``count`` is what the header claims instead of the truth."""
+    """Return a PLY file of float fields; ``count`` replaces the true number of rows in the header."""
     columns = np.stack([np.asarray(values, np.float64) for values in fields.values()], 1)
     header = ["ply", f"format {kind} 1.0", "comment by hand", f"element vertex {count or len(columns)}"]
     header += [*(f"property float {name}" for name in fields), "end_header", ""]
@@ -86,7 +86,7 @@ def spz_payload(
     rotations: NDArray[np.uint8],
     sh: NDArray[np.uint8],
 ) -> bytes:
-    """Attributes of an SPZ file one after another; positions are 24-bit integers."""
+    """Return the attributes of an SPZ file one after another; positions are 24-bit integers."""
     fixed = b"".join(int(v).to_bytes(3, "little", signed=True) for v in positions.ravel())
     return fixed + b"".join(part.astype(np.uint8).tobytes() for part in (alphas, colors, scales, rotations, sh))
 
@@ -94,13 +94,13 @@ def spz_payload(
 def spz_bytes(
     payload: bytes, count: int, version: int = 3, degree: int = 0, fractional_bits: int = 12, flags: int = 0
 ) -> bytes:
-    """A gzipped SPZ file."""
+    """Return a gzipped SPZ file."""
     header = struct.pack("<4sIIBBBB", b"NGSP", version, count, degree, fractional_bits, flags, 0)
     return gzip.compress(header + payload, mtime=0)
 
 
 def random_spz(version: int, degree: int, count: int = 9, seed: int = 0) -> tuple[bytes, int]:
-    """Random attributes of visible Gaussians, to be wrapped by ``spz_bytes``, and their count."""
+    """Return random attributes of visible Gaussians, for ``spz_bytes`` to wrap, and the number of Gaussians."""
     rng = np.random.default_rng(seed)
     width = 3 if version == 2 else 4
     payload = spz_payload(
@@ -117,7 +117,7 @@ def random_spz(version: int, degree: int, count: int = 9, seed: int = 0) -> tupl
 def spz_4_bytes(
     payload: bytes, count: int, degree: int = 0, extension: bytes = b"", claims: Mapping[str, int] = {}
 ) -> bytes:
-    """An SPZ file of version 4; ``claims`` are what the header claims instead of the truth."""
+    """Return an SPZ file of version 4; ``claims`` replace true values in the header."""
     import imagecodecs
 
     widths = [width for width in (9, 1, 3, 3, 4, 3 * ((degree + 1) ** 2 - 1)) if width]
@@ -137,7 +137,7 @@ def splat_bytes(
     rgba: Sequence[Sequence[int]],
     quats: Sequence[Sequence[int]],
 ) -> bytes:
-    """Records of a .splat file."""
+    """Return the records of a .splat file."""
     rows = zip(means, scales, rgba, quats, strict=True)
     return b"".join(struct.pack("<6f", *m, *s) + bytes([*c, *q]) for m, s, c, q in rows)
 
@@ -149,7 +149,7 @@ CHUNK_NAMES += " max_scale_z min_r min_g min_b max_r max_g max_b"
 def compressed_ply_bytes(
     chunks: NDArray[np.float64], packed: NDArray[np.uint32], sh: NDArray[np.uint8] | None = None
 ) -> bytes:
-    """A compressed PLY file: chunks [C, 18], packed position, rotation, scale and colour [N, 4], sh [N, 3 K]."""
+    """Return a compressed PLY file: chunks [C, 18], packed position, rotation, scale and colour [N, 4], sh [N, 3 K]."""
     header = ["ply", "format binary_little_endian 1.0", f"element chunk {len(chunks)}"]
     header += [f"property float {name}" for name in CHUNK_NAMES.split()]
     header += [f"element vertex {len(packed)}"]
@@ -162,7 +162,7 @@ def compressed_ply_bytes(
 
 
 def zip_bytes(entries: Mapping[str, bytes]) -> bytes:
-    """A ZIP bundle with correct checksums."""
+    """Return a ZIP bundle with correct checksums."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as bundle:
         for name, content in entries.items():
@@ -171,7 +171,7 @@ def zip_bytes(entries: Mapping[str, bytes]) -> bytes:
 
 
 def sog_meta(count: int, bands: int = 0) -> dict[str, object]:
-    """The meta.json of a SOG bundle: log scales from -5, degree-0 harmonics from -1, the others from -0.5."""
+    """Return the meta.json of a SOG bundle; log scales start at -5, degree-0 harmonics at -1, the others at -0.5."""
     book = np.linspace(-1.0, 1.0, 256)
     meta: dict[str, object] = {
         "version": 2,
@@ -188,7 +188,7 @@ def sog_meta(count: int, bands: int = 0) -> dict[str, object]:
 
 
 def sog_entries(count: int = 6, bands: int = 0, seed: int = 0) -> tuple[dict[str, bytes], dict[str, NDArray[np.uint8]]]:
-    """The entries of a SOG bundle and the pixels [h, w, 4] behind them."""
+    """Return the entries of a SOG bundle and the pixels [h, w, 4] that they encode."""
     import imagecodecs
 
     rng = np.random.default_rng(seed)

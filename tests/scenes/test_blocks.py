@@ -16,7 +16,7 @@ LINE = f"blocks: [{{splat: a.ply, bounds: {BOUNDS}}}]"
 
 
 def folder_with(tmp_path: Path, text: str) -> Path:
-    """A folder with two splats and this ``blocks.yaml``."""
+    """Return a folder with two splats and a ``blocks.yaml`` of this text."""
     for seed, name in enumerate("ab"):
         write_gaussians(tmp_path / f"{name}.ply", random_gaussians(seed, 20, degree=seed))
     (tmp_path / BLOCKS_FILE).write_text(text)
@@ -24,7 +24,7 @@ def folder_with(tmp_path: Path, text: str) -> Path:
 
 
 def in_order(gaussians: Gaussians) -> Gaussians:
-    """The same Gaussians, ordered by x."""
+    """Return the same Gaussians, ordered by x."""
     ordered: Gaussians = gaussians[gaussians.means[:, 0].argsort()]
     return ordered
 
@@ -46,7 +46,7 @@ def test_a_block_lies_where_its_frame_says(tmp_path: Path) -> None:
     assert not scene.gaussians.sh[:20, 1:].any()
 
 
-def test_a_digest_is_that_of_files_and_frames(tmp_path: Path) -> None:
+def test_the_digest_depends_on_files_and_frames(tmp_path: Path) -> None:
     texts = [LINE, LINE.replace("bounds", "world_from_splat: {scale: 2.0}, bounds"), LINE.replace("a.ply", "b.ply")]
     digests = [read_scene(folder_with(tmp_path, text)).digest for text in texts]
     write_gaussians(tmp_path / "b.ply", random_gaussians(3, 20))
@@ -54,12 +54,12 @@ def test_a_digest_is_that_of_files_and_frames(tmp_path: Path) -> None:
     assert read_scene(folder_with(tmp_path, texts[0])).digest == digests[0]
 
 
-def test_a_scene_yaml_in_the_folder_has_the_first_word(tmp_path: Path) -> None:
+def test_a_scene_yaml_in_the_folder_takes_precedence(tmp_path: Path) -> None:
     (folder_with(tmp_path, LINE) / "scene.yaml").write_text("splat: b.ply")
     assert not isinstance(read_scene(tmp_path), BlockScene)
 
 
-def test_what_is_said_of_the_whole_is_read_and_can_be_replaced(tmp_path: Path) -> None:
+def test_keys_of_the_whole_scene_are_read_and_can_be_overridden(tmp_path: Path) -> None:
     stated = f"name: town\nbounds: [[-1, -1, 0], [2, 2, 2]]\nrobot_height: 0.5\ngoal: [1, 2, 90]\n{LINE}"
     folder = folder_with(tmp_path, stated)
     scene, other = read_scene(folder), read_scene(folder, bounds=[[0, 0, 0], [3, 3, 3]], name="other")
@@ -70,7 +70,7 @@ def test_what_is_said_of_the_whole_is_read_and_can_be_replaced(tmp_path: Path) -
         read_scene(folder, world_from_splat={"scale": 2.0})
 
 
-def test_blocks_of_unknown_scale_are_warned_of(tmp_path: Path) -> None:
+def test_blocks_of_unknown_scale_give_a_warning(tmp_path: Path) -> None:
     folder = folder_with(tmp_path, f"metric: false\n{LINE}")
     with pytest.warns(UserWarning, match="not metric: its scale is unknown"):
         read_scene(folder)
@@ -79,37 +79,37 @@ def test_blocks_of_unknown_scale_are_warned_of(tmp_path: Path) -> None:
 MALFORMED = {
     "no blocks": ("name: town", r"blocks: expected a list of 1 to 1,024 blocks, got None"),
     "an empty list": ("blocks: []", r"blocks: expected a list of 1 to 1,024 blocks, got 0"),
-    "a text": ("blocks: a.ply", r"blocks: expected a list of 1 to 1,024 blocks, got 'a.ply'"),
+    "a string": ("blocks: a.ply", r"blocks: expected a list of 1 to 1,024 blocks, got 'a.ply'"),
     "no keys": ("- a.ply", r"blocks.yaml: expected keys and values"),
     "an unknown key": (f"{LINE}\ncolour: red", r"expected the keys name, bounds, .*, got colour"),
-    "a key of captures": (f"{LINE}\nfree: free.ply", r"expected the keys .*, got free"),
-    "a block that is a text": ("blocks: [a.ply]", r"blocks\[0\]: expected the keys splat, bounds"),
+    "a key of captured scenes": (f"{LINE}\nfree: free.ply", r"expected the keys .*, got free"),
+    "a block that is a string": ("blocks: [a.ply]", r"blocks\[0\]: expected the keys splat, bounds"),
     "a block with another key": (LINE.replace("bounds", "at"), r"blocks\[0\]: expected the keys .*, got at"),
-    "a path": (
+    "a relative path": (
         LINE.replace("a.ply", "../a.ply"),
         r"blocks\[0\].splat: expected a name, without slashes, got '../a.ply'",
     ),
     "an absolute path": (LINE.replace("a.ply", "/a.ply"), r"blocks\[0\].splat: expected a name, without slashes"),
-    "the folder above": (LINE.replace("a.ply", ".."), r"blocks\[0\].splat: expected a name"),
+    "the parent folder": (LINE.replace("a.ply", ".."), r"blocks\[0\].splat: expected a name"),
     "no splat": (f"blocks: [{{bounds: {BOUNDS}}}]", r"blocks\[0\].splat: expected a name, without slashes, got None"),
     "a missing file": (
         LINE.replace("a.ply", "c.ply"),
         r"blocks\[0\].splat: expected a file in this folder, found no c",
     ),
-    "bounds upside down": (
+    "inverted bounds": (
         LINE.replace("1, 1, 1", "1, 1, -1"),
         r"blocks\[0\].bounds: expected lower below upper along z",
     ),
     "no bounds": ("blocks: [{splat: a.ply}]", r"blocks\[0\].bounds: expected a lower and an upper corner"),
-    "bounds of text": (
+    "bounds with a string": (
         LINE.replace("1, 1, 1", "1, 1, high"),
         r"blocks\[0\].bounds: expected a lower and an upper corner",
     ),
-    "an unknown frame": (
+    "an unknown frame key": (
         LINE.replace("bounds", "world_from_splat: {turn: 3}, bounds"),
         r"blocks\[0\].world_from_splat: expected the keys axes, .* got turn",
     ),
-    "a frame of one number": (
+    "a frame that is a number": (
         LINE.replace("bounds", "world_from_splat: 3, bounds"),
         r"blocks\[0\].world_from_splat: expected keys and values, got 3",
     ),
@@ -119,7 +119,10 @@ MALFORMED = {
     ),
     "a goal of one number": (f"{LINE}\ngoal: [1]", r"goal: expected \[x, y, yaw\]"),
     "a name with a slash": (f"{LINE}\nname: a/b", r"name: expected a name, without slashes"),
-    "bounds of the whole": (f"{LINE}\nbounds: [[0, 0, 0], [1, 0, 1]]", r"blocks.yaml: bounds: expected lower below"),
+    "flat bounds of the whole scene": (
+        f"{LINE}\nbounds: [[0, 0, 0], [1, 0, 1]]",
+        r"blocks.yaml: bounds: expected lower below",
+    ),
 }
 
 
@@ -143,7 +146,7 @@ def test_thousands_of_blocks_are_refused_before_any_is_opened(tmp_path: Path, co
         read_scene(folder_with(tmp_path, f"blocks:\n{line * count}"))
 
 
-def test_splitting_loses_nothing_and_says_which_place_each_block_shows(tmp_path: Path) -> None:
+def test_splitting_loses_no_gaussian_and_states_the_bounds_of_each_block(tmp_path: Path) -> None:
     cloud = random_gaussians(4, 400, degree=1)
     cloud.opacities[:3] = 0.5
     cloud.means[:3] = torch.tensor([[90.0, 0.0, 0.0], [0.01, -80.0, 5.0], [0.02, 0.0, 2.0]])
@@ -165,7 +168,7 @@ def test_splitting_loses_nothing_and_says_which_place_each_block_shows(tmp_path:
     assert read_blocks_description(tmp_path)["robot_height"] == 0.5
 
 
-def test_maps_are_drawn_of_the_blocks_around_the_bounds(tmp_path: Path) -> None:
+def test_the_surroundings_are_the_blocks_near_the_bounds(tmp_path: Path) -> None:
     lines = [f"  - {{splat: {name}.ply, bounds: [[{x}, 0, 0], [{x + 4}, 4, 1]]}}" for name, x in (("a", 0), ("b", 6))]
     folder = folder_with(tmp_path, "blocks:\n" + "\n".join(lines))
     assert len(read_scene(folder).surroundings) == 40
@@ -175,7 +178,7 @@ def test_maps_are_drawn_of_the_blocks_around_the_bounds(tmp_path: Path) -> None:
     assert plain.surroundings is plain.gaussians
 
 
-def test_too_small_a_size_is_refused(tmp_path: Path) -> None:
+def test_a_split_size_that_is_too_small_is_refused(tmp_path: Path) -> None:
     scene = Scene("cloud", random_gaussians(4, 2000), ((-3.0, -3.0, -2.0), (3.0, 3.0, 2.0)))
     with pytest.raises(ValueError, match=r"--split: expected at most 1,024 blocks, got .* choose a larger size"):
         write_split(tmp_path, scene, 0.05)

@@ -12,7 +12,7 @@ ARRAYS = {"a": np.arange(6).reshape(2, 3), "b": np.array(0.5)}
 
 
 class Build:
-    """Counts how often it is called."""
+    """Builder that counts its calls."""
 
     def __init__(self) -> None:
         self.calls = 0
@@ -43,7 +43,7 @@ def test_arrays_are_built_once_and_kept_in_one_file(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("size", [0, 10, 150, -20])
-def test_a_damaged_file_is_made_again_with_a_warning(folder: Path, size: int) -> None:
+def test_a_damaged_file_is_rebuilt_with_a_warning(folder: Path, size: int) -> None:
     build = Build()
     cached_arrays("x-1", build)
     path = folder / "x-1.npz"
@@ -62,21 +62,21 @@ def test_a_file_with_pickled_objects_is_not_loaded(folder: Path) -> None:
 
 
 def deflated(folder: Path, most: int) -> dict[str, np.ndarray]:
-    """Cache a megabyte of zeros where ``most`` bytes may be."""
+    """Cache a megabyte of zeros, compressed, with a limit of ``most`` bytes."""
     return cached_arrays("x-1", lambda: {"a": np.zeros(1 << 20, np.uint8)}, most)
 
 
-def test_a_file_that_holds_more_than_it_may_is_not_loaded(folder: Path) -> None:
+def test_a_file_with_more_bytes_of_arrays_than_allowed_is_not_loaded(folder: Path) -> None:
     deflated(folder, 2 << 20)
     assert (folder / "x-1.npz").stat().st_size < 4096
     assert deflated(folder, 2 << 20)["a"].shape == (1 << 20,)
     with pytest.warns(UserWarning, match="expected at most 1,000 bytes of arrays, got 1,048,704"):
         deflated(folder, 1000)
-    with pytest.warns(UserWarning, match="expected at most .* bytes of arrays"):  # where nothing is compressed
+    with pytest.warns(UserWarning, match="expected at most .* bytes of arrays"):  # for an uncompressed file
         assert_arrays(cached_arrays("x-1", Build()))
 
 
-def test_a_bare_array_or_an_absurd_shape_is_made_again(folder: Path) -> None:
+def test_a_file_with_a_bare_array_or_an_absurd_shape_is_rebuilt(folder: Path) -> None:
     folder.mkdir(parents=True)
     np.save(folder / "x-1.npy", np.zeros(3))
     (folder / "x-1.npy").rename(folder / "x-1.npz")
@@ -89,7 +89,7 @@ def test_a_bare_array_or_an_absurd_shape_is_made_again(folder: Path) -> None:
         assert_arrays(cached_arrays("x-1", Build()))
 
 
-def test_a_folder_that_cannot_be_written_to_warns_once_and_goes_on(
+def test_an_unwritable_folder_gives_one_warning_and_no_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder
 ) -> None:
     (tmp_path / "file").write_text("")
@@ -104,7 +104,7 @@ def test_a_folder_that_cannot_be_written_to_warns_once_and_goes_on(
     ] == [True]
 
 
-def test_a_write_that_fails_leaves_no_half_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_write_leaves_no_partial_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
@@ -116,7 +116,7 @@ def test_a_write_that_fails_leaves_no_half_file(folder: Path, monkeypatch: pytes
 
 
 def kept(folder: Path, name: str, days: float, size: int = 1000) -> Path:
-    """A file that was used so many days ago."""
+    """Write a file that was last used ``days`` days ago."""
     folder.mkdir(parents=True, exist_ok=True)
     path, then = folder / name, time.time() - days * DAY
     path.write_bytes(b"x" * size)
@@ -124,7 +124,7 @@ def kept(folder: Path, name: str, days: float, size: int = 1000) -> Path:
     return path
 
 
-def test_beyond_its_limit_the_cache_loses_what_was_used_longest_ago(
+def test_the_least_recently_used_files_are_removed_beyond_the_size_limit(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SPLATRL_CACHE_GB", "4e-6")  # 4,000 bytes
@@ -132,15 +132,15 @@ def test_beyond_its_limit_the_cache_loses_what_was_used_longest_ago(
     days = [3.0, 9.0, 0.5, 5.0]
     files = [kept(folder, f"levels-{digest}.npz", ago) for digest, ago in zip(digests, days, strict=False)]
     others = kept(folder, "mine.npz", 400.0), kept(folder, f"render-{digests[0]}.cubin", 400.0)
-    cached_arrays(f"levels-{digests[4]}", lambda: {"a": np.zeros(150)})  # 1.5 kB: 5.5 kB are held
+    cached_arrays(f"levels-{digests[4]}", lambda: {"a": np.zeros(150)})  # adds 1.5 kB, which makes 5.5 kB
     assert [path.exists() for path in (*files, *others)] == [True, False, True, False, True, True]
     monkeypatch.setenv("SPLATRL_CACHE_GB", "0")
     cached_arrays(f"levels-{digests[5]}", lambda: {"a": np.zeros(150)})
     left = {path.name for path in folder.glob("levels-*")}
-    assert left == {f"levels-{digests[number]}.npz" for number in (2, 4, 5)}  # used today
+    assert left == {f"levels-{digests[number]}.npz" for number in (2, 4, 5)}  # used within the last day
 
 
-def test_what_is_read_is_marked_as_used(folder: Path) -> None:
+def test_reading_a_file_marks_it_as_used(folder: Path) -> None:
     cached_arrays("x-1", Build())
     then = time.time() - 3 * DAY
     os.utime(folder / "x-1.npz", (then, then))
@@ -149,7 +149,7 @@ def test_what_is_read_is_marked_as_used(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("limit", ["many", "-1", "nan"])
-def test_a_limit_that_is_no_size_is_refused(folder: Path, limit: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_invalid_size_limit_is_refused(folder: Path, limit: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SPLATRL_CACHE_GB", limit)
     with pytest.raises(
         ValueError, match=f"SPLATRL_CACHE_GB: expected a non-negative number of gigabytes, got '{limit}'"
@@ -157,7 +157,7 @@ def test_a_limit_that_is_no_size_is_refused(folder: Path, limit: str, monkeypatc
         cached_arrays("x-1", Build())
 
 
-def test_an_error_of_the_builder_is_not_hidden(folder: Path) -> None:
+def test_an_error_in_the_builder_is_not_hidden(folder: Path) -> None:
     def build() -> dict[str, np.ndarray]:
         raise OSError("from the builder")
 
@@ -165,7 +165,7 @@ def test_an_error_of_the_builder_is_not_hidden(folder: Path) -> None:
         cached_arrays("x-1", build)
 
 
-def test_the_folder_is_the_chosen_one_or_the_users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cache_folder_is_the_configured_one_or_the_users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path))
     assert cache_dir() == tmp_path
     monkeypatch.setenv("SPLATRL_CACHE", "")

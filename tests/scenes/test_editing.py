@@ -1,4 +1,4 @@
-"""Single values of a scene.yaml are changed, and the rest stays."""
+"""Edits change single values of a scene.yaml and keep the rest."""
 
 from pathlib import Path
 
@@ -30,14 +30,14 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_value_is_changed_where_it_stands(folder: Path) -> None:
+def test_a_value_is_changed_in_place(folder: Path) -> None:
     edit_description(folder, {"goal": [0.25, -1.0, 90.0], "walk": [[0.0, 0.0], [2.0, 2.5]]})
     expected = TEXT.replace("[0.5, 1.0, 0.0]", "[0.25, -1.0, 90.0]")
     expected = expected.replace("walk:\n- [0, 0]\n- [1, 1]\n", "walk: [[0.0, 0.0], [2.0, 2.5]]\n")
     assert (folder / "scene.yaml").read_text() == expected
 
 
-def test_a_block_becomes_a_line_and_what_is_new_comes_last(folder: Path) -> None:
+def test_a_block_value_becomes_one_line_and_new_keys_come_last(folder: Path) -> None:
     edit_description(folder, {"object": [1.0, 2.0, 0.5], "robot_height": 0.4})
     text = (folder / "scene.yaml").read_text()
     assert "\nobject: [1.0, 2.0, 0.5]\nwalk:\n" in text
@@ -58,13 +58,15 @@ def refused(stated: object) -> None:
         ({"goal": [float("nan"), 0.0, 0.0]}, "goal: expected"),
     ],
 )
-def test_what_would_not_be_read_is_not_written(folder: Path, changed: dict[str, object], message: str) -> None:
+def test_values_that_the_reader_would_refuse_are_not_written(
+    folder: Path, changed: dict[str, object], message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         edit_description(folder, changed)
     assert (folder / "scene.yaml").read_text() == TEXT
 
 
-def test_a_check_sees_all_and_can_refuse(folder: Path) -> None:
+def test_a_check_sees_the_whole_description_and_can_refuse_the_edit(folder: Path) -> None:
     seen: list[object] = []
     edit_description(folder, {"goal": [0.0, 0.0, 0.0]}, seen.append)
     assert seen == [read_description(folder)]
@@ -75,7 +77,7 @@ def test_a_check_sees_all_and_can_refuse(folder: Path) -> None:
     assert [path.name for path in folder.iterdir()] == ["scene.yaml"]
 
 
-def test_a_file_without_lines_is_left_to_its_author(folder: Path) -> None:
+def test_a_file_without_one_line_per_key_is_left_unchanged(folder: Path) -> None:
     text = '{splat: "room.ply", goal: [0, 0, 0]}\n'
     (folder / "scene.yaml").write_text(text)
     with pytest.raises(ValueError, match="expected one line per key"):
@@ -83,7 +85,7 @@ def test_a_file_without_lines_is_left_to_its_author(folder: Path) -> None:
     assert (folder / "scene.yaml").read_text() == text
 
 
-def test_comments_within_a_block_stay(folder: Path) -> None:
+def test_comments_within_a_block_are_kept(folder: Path) -> None:
     commented = TEXT.replace("- 0.75\n", "- 0.75  # from the door\n  # measured\n")
     (folder / "scene.yaml").write_text(commented)
     edit_description(folder, {"object": [1.0, 2.0, 0.5]})
@@ -93,7 +95,7 @@ def test_comments_within_a_block_stay(folder: Path) -> None:
     assert expected.replace("0.5]", "0.75]") in (folder / "scene.yaml").read_text()
 
 
-def test_line_ends_permissions_and_links_stay(folder: Path) -> None:
+def test_line_endings_permissions_and_links_are_kept(folder: Path) -> None:
     real, link = folder / "shared.yaml", folder / "scene.yaml"
     link.unlink()
     link.symlink_to(real)
@@ -104,7 +106,7 @@ def test_line_ends_permissions_and_links_stay(folder: Path) -> None:
     assert real.read_bytes() == TEXT.replace("[0.5, 1.0, 0.0]", "[0.25, -1.0, 90.0]").replace("\n", "\r\n").encode()
 
 
-def test_what_is_read_only_is_not_replaced(folder: Path) -> None:
+def test_a_read_only_file_is_not_replaced(folder: Path) -> None:
     (folder / "scene.yaml").chmod(0o444)
     with pytest.raises(PermissionError, match=r"read-only.*scene.yaml"):
         edit_description(folder, {"goal": [1.0, 0.0, 0.0]})

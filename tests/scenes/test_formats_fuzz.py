@@ -1,4 +1,4 @@
-"""Damaged files: whatever the damage, a reader raises ValueError or returns Gaussians that keep their promises."""
+"""Damaged files: whatever the damage, a reader raises ValueError or returns valid Gaussians."""
 
 import functools
 import gzip
@@ -33,7 +33,7 @@ Damage = Callable[[bytes], bytes]
 
 @st.composite
 def damages(draw: st.DrawFn) -> Damage:
-    """Some overwritten, inserted or removed bytes, and perhaps truncation; places are fractions of the length."""
+    """Draw overwritten, inserted and removed bytes, and perhaps truncation; places are fractions of the length."""
     place = st.floats(0.0, 1.0, exclude_max=True)
     near_start = place.map(lambda fraction: fraction**4)  # headers are short and matter most
     edits = draw(
@@ -90,7 +90,7 @@ def test_a_damaged_spz_file_is_refused_or_valid(folder: Path, version: int, degr
 
 @settings(deadline=None, max_examples=100)
 @given(version=st.integers(2, 3), degree=st.integers(0, 3), damage=damages())
-def test_a_spz_file_with_damage_behind_the_checksum_is_refused_or_valid(
+def test_an_spz_file_with_damage_that_its_checksum_does_not_reveal_is_refused_or_valid(
     folder: Path, version: int, degree: int, damage: Damage
 ) -> None:
     payload, count = random_spz(version, degree)
@@ -123,7 +123,7 @@ def test_a_damaged_compressed_ply_file_is_refused_or_valid(folder: Path, content
 
 @functools.cache
 def sog() -> dict[str, bytes]:
-    """The files of a scene with harmonics of degree 1; encoded once."""
+    """Return the entries of a SOG bundle with harmonics of degree 1, encoded once."""
     return sog_entries(bands=1)[0]
 
 
@@ -136,7 +136,7 @@ def test_a_damaged_sog_file_is_refused_or_valid(folder: Path, damage: Damage) ->
 
 @settings(deadline=None, max_examples=100)
 @given(name=st.sampled_from(["meta.json", "means_l", "quats", "shN_centroids", "shN_labels"]), damage=damages())
-def test_a_sog_file_with_damage_behind_the_checksum_is_refused_or_valid(
+def test_a_sog_file_with_damage_that_its_checksums_do_not_reveal_is_refused_or_valid(
     folder: Path, name: str, damage: Damage
 ) -> None:
     pytest.importorskip("imagecodecs", reason="needs the extra gsply")
@@ -173,7 +173,7 @@ def test_a_sog_file_with_any_json_in_place_of_a_field_is_refused_or_valid(
 
 
 @pytest.mark.parametrize("degree", [0, 2])
-def test_a_file_is_the_same_however_many_rows_are_read_at_once(
+def test_the_number_of_rows_read_at_once_does_not_change_the_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, degree: int
 ) -> None:
     gaussians = sample_gaussians(11, degree)

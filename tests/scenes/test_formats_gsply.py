@@ -22,7 +22,7 @@ def written(path: Path, content: bytes) -> Path:
 
 
 def packed(count: int) -> np.ndarray:
-    """Rows that alternate between the lower and the upper bounds of their chunk."""
+    """Return rows that alternate between the lower and the upper bounds of their chunk."""
     rows = np.zeros((count, 4), np.uint32)
     rows[:, 1] = IDENTITY
     rows[1::2, [0, 2, 3]] = 0xFFFFFFFF
@@ -38,7 +38,7 @@ def gsply() -> None:
 
 @pytest.mark.usefixtures("gsply")
 class TestCompressedPly:
-    def test_values_lie_between_the_bounds_of_their_chunk(self, tmp_path: Path) -> None:
+    def test_packed_values_are_scaled_to_the_bounds_of_their_chunk(self, tmp_path: Path) -> None:
         path = written(tmp_path / "a.compressed.ply", compressed_ply_bytes(np.stack([CHUNK, 2 * CHUNK]), packed(258)))
         gaussians = read_gaussians(path)
         assert len(gaussians) == 258
@@ -51,7 +51,7 @@ class TestCompressedPly:
         torch.testing.assert_close(gaussians.opacities, torch.ones(258), atol=1e-4, rtol=0)
         torch.testing.assert_close(gaussians.quats[:, 0], torch.ones(258), atol=1e-5, rtol=0)
 
-    def test_harmonics_keep_their_channels_together(self, tmp_path: Path) -> None:
+    def test_harmonics_are_read_channel_by_channel(self, tmp_path: Path) -> None:
         sh = np.tile(np.arange(9, dtype=np.uint8) * 16 + 64, (3, 1))
         gaussians = read_gaussians(written(tmp_path / "a.ply", compressed_ply_bytes(CHUNK[None], packed(3), sh)))
         expected = (torch.arange(9).reshape(3, 3).T * 16 + 64 - 127.5) / 32
@@ -91,7 +91,7 @@ class TestCompressedPly:
 
 @pytest.mark.usefixtures("gsply")
 class TestSog:
-    def test_pixels_mean_what_the_format_says(self, tmp_path: Path) -> None:
+    def test_pixels_are_decoded_as_the_format_says(self, tmp_path: Path) -> None:
         entries, pixels = sog_entries(count=6, bands=1)
         gaussians = read_gaussians(written(tmp_path / "a.sog", zip_bytes(entries)))
         flat = {name: image.reshape(-1, 4)[:6].astype(np.float64) for name, image in pixels.items()}
@@ -160,11 +160,11 @@ class TestSog:
             (b"[]", "version: expected 2, got \\[\\]"),
         ],
     )
-    def test_a_meta_json_that_is_no_object_is_refused(self, tmp_path: Path, meta: bytes, message: str) -> None:
+    def test_a_meta_json_that_is_not_an_object_is_refused(self, tmp_path: Path, meta: bytes, message: str) -> None:
         with pytest.raises(ValueError, match=rf"a\.sog: meta\.json: {message}"):
             read_gaussians(written(tmp_path / "a.sog", zip_bytes({"meta.json": meta})))
 
-    def test_a_bundle_without_meta_json_says_what_it_holds(self, tmp_path: Path) -> None:
+    def test_the_error_for_a_bundle_without_meta_json_lists_its_entries(self, tmp_path: Path) -> None:
         with pytest.raises(ValueError, match=r"a\.sog: expected an entry meta\.json, got b\.txt"):
             read_gaussians(written(tmp_path / "a.sog", zip_bytes({"b.txt": b"x"})))
 
@@ -174,7 +174,7 @@ class TestSog:
         with pytest.raises(ValueError, match=r"a\.sog: expected WebP textures, got a damaged one"):
             read_gaussians(written(tmp_path / "a.sog", zip_bytes(entries)))
 
-    def test_what_is_no_zip_is_refused(self, tmp_path: Path) -> None:
+    def test_a_file_that_is_not_a_zip_is_refused(self, tmp_path: Path) -> None:
         with pytest.raises(ValueError, match=r"a\.sog: expected a ZIP bundle, got a damaged one"):
             read_gaussians(written(tmp_path / "a.sog", b"nothing of the kind"))
 
@@ -192,26 +192,6 @@ class TestSog:
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert peak < 1 << 24
-
-    def test_a_shared_scene_reads(self, shared_scenes: Path) -> None:
-        gaussians = read_gaussians(shared_scenes / "playbot" / "playbot.sog")
-        assert (len(gaussians), gaussians.sh_degree) == (125_000, 2)
-        assert_valid(gaussians)
-
-
-@pytest.mark.parametrize("module", ["gsply", "gsply.sog_reader", "imagecodecs"])
-def test_without_the_extra_the_error_says_how_to_install_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str
-) -> None:
-    monkeypatch.setitem(sys.modules, module, None)
-    sog = module != "gsply"
-    path = written(
-        tmp_path / ("a.sog" if sog else "a.ply"), b"PK" if sog else compressed_ply_bytes(CHUNK[None], packed(3))
-    )
-    with pytest.raises(
-        ImportError, match=r"a\.(sog|ply): this format needs the extra gsply: pip install 'splatrl\[gsply\]'"
-    ):
-        read_gaussians(path)
 
     @pytest.mark.parametrize("bands", [0, 1])
     def test_an_unpacked_bundle_is_the_same_scene(self, tmp_path: Path, bands: int) -> None:
@@ -238,6 +218,8 @@ def test_without_the_extra_the_error_says_how_to_install_it(
     )
     def test_an_unpacked_bundle_names_only_files_beside_it(self, tmp_path: Path, name: object, message: str) -> None:
         entries, _ = sog_entries()
+        for entry, content in entries.items():
+            written(tmp_path / entry, content)
         meta = json.loads(entries["meta.json"])
         meta["quats"]["files"] = [name]
         with pytest.raises(ValueError, match=rf"meta\.json: {message}"):
@@ -259,3 +241,23 @@ def test_without_the_extra_the_error_says_how_to_install_it(
         ):
             read_gaussians(path)
         assert len(read_gaussians(path, max_inflation=1e6).means) == size * size
+
+    def test_a_shared_sog_scene_is_read(self, shared_scenes: Path) -> None:
+        gaussians = read_gaussians(shared_scenes / "playbot" / "playbot.sog")
+        assert (len(gaussians), gaussians.sh_degree) == (125_000, 2)
+        assert_valid(gaussians)
+
+
+@pytest.mark.parametrize("module", ["gsply", "gsply.sog_reader", "imagecodecs"])
+def test_the_error_without_the_extra_says_how_to_install_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    sog = module != "gsply"
+    path = written(
+        tmp_path / ("a.sog" if sog else "a.ply"), b"PK" if sog else compressed_ply_bytes(CHUNK[None], packed(3))
+    )
+    with pytest.raises(
+        ImportError, match=r"a\.(sog|ply): this format needs the extra gsply: pip install 'splatrl\[gsply\]'"
+    ):
+        read_gaussians(path)

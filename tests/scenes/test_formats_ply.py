@@ -28,7 +28,7 @@ def test_fields_are_found_by_name_whatever_their_order_and_encoding(tmp_path: Pa
     assert_same(read_gaussians(path), gaussians)
 
 
-def test_other_types_and_other_elements_do_not_matter(tmp_path: Path) -> None:
+def test_fields_may_be_doubles_and_other_elements_are_skipped(tmp_path: Path) -> None:
     gaussians = sample_gaussians(3, 0)
     fields = ply_fields(gaussians)
     header = ["ply", "format binary_little_endian 1.0", "element sensor 2", "property ushort id", "element vertex 3"]
@@ -41,14 +41,14 @@ def test_other_types_and_other_elements_do_not_matter(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("degree", [0, 3])
-def test_what_is_written_reads_back(tmp_path: Path, degree: int) -> None:
+def test_written_gaussians_read_back_the_same(tmp_path: Path, degree: int) -> None:
     gaussians = sample_gaussians(11, degree)
     write_gaussians(tmp_path / "a.ply", gaussians)
     assert_same(read_gaussians(str(tmp_path / "a.ply")), gaussians)
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.ply"]
 
 
-def test_a_written_file_has_the_fields_of_inrias_code_in_their_order(tmp_path: Path) -> None:
+def test_a_written_file_has_the_fields_of_inrias_code_in_the_same_order(tmp_path: Path) -> None:
     write_gaussians(tmp_path / "a.ply", sample_gaussians(2, 1))
     header = (tmp_path / "a.ply").read_bytes().split(b"end_header\n")[0].decode().splitlines()
     names = [line.split()[-1] for line in header if line.startswith("property float")]
@@ -66,7 +66,7 @@ def test_opacities_of_0_and_1_are_stored_finite_and_1_reads_back_as_1(tmp_path: 
         assert read_gaussians(tmp_path / "a.ply").opacities.tolist() == [1.0, 0.5]
 
 
-def test_values_that_cannot_be_stored_are_refused_and_leave_the_old_file(tmp_path: Path) -> None:
+def test_values_that_cannot_be_stored_are_refused_and_the_old_file_is_kept(tmp_path: Path) -> None:
     path = tmp_path / "a.ply"
     path.write_bytes(b"old")
     gaussians = sample_gaussians(3, 0)
@@ -81,7 +81,7 @@ def test_values_that_cannot_be_stored_are_refused_and_leave_the_old_file(tmp_pat
 
 
 @pytest.mark.parametrize("name", ["y", "f_dc_1", "opacity", "scale_2", "rot_0"])
-def test_a_missing_field_is_named(tmp_path: Path, name: str) -> None:
+def test_a_missing_field_is_named_in_the_error(tmp_path: Path, name: str) -> None:
     fields = ply_fields(sample_gaussians(3, 0))
     del fields[name]
     path = written(tmp_path / "a.ply", ply_bytes(fields))
@@ -114,7 +114,7 @@ def test_a_header_that_promises_more_than_the_file_holds_is_refused(tmp_path: Pa
         read_gaussians(path)
 
 
-def test_a_header_that_promises_lists_without_end_is_refused(tmp_path: Path) -> None:
+def test_a_header_that_promises_endless_lists_is_refused(tmp_path: Path) -> None:
     header = (
         b"ply\nformat binary_little_endian 1.0\nelement face 99999999999\nproperty list uchar int v\nelement vertex 0\n"
     )
@@ -125,7 +125,7 @@ def test_a_header_that_promises_lists_without_end_is_refused(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("extra", [-1, 1])
-def test_a_binary_file_of_another_length_is_refused(tmp_path: Path, extra: int) -> None:
+def test_a_binary_file_of_the_wrong_length_is_refused(tmp_path: Path, extra: int) -> None:
     content = ply_bytes(ply_fields(sample_gaussians(7, 0)))
     content = content[:extra] if extra < 0 else content + b"\0" * extra
     with pytest.raises(ValueError, match=rf"expected 392 bytes after the header, got {392 + extra}"):
@@ -135,7 +135,7 @@ def test_a_binary_file_of_another_length_is_refused(tmp_path: Path, extra: int) 
 @pytest.mark.parametrize(
     "line", ["element vertex x", "property float", "property quad x", "format ascii 2.0", "element vertex 1", "splat"]
 )
-def test_a_line_that_no_ply_header_has_is_quoted(tmp_path: Path, line: str) -> None:
+def test_an_invalid_header_line_is_quoted_in_the_error(tmp_path: Path, line: str) -> None:
     header = f"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\n{line}\nend_header\n0\n"
     with pytest.raises(ValueError, match=rf"a\.ply: header: expected a line of a PLY header, got '{line}'"):
         read_gaussians(written(tmp_path / "a.ply", header.encode()))
@@ -159,7 +159,9 @@ def test_a_line_that_no_ply_header_has_is_quoted(tmp_path: Path, line: str) -> N
         ),
     ],
 )
-def test_what_is_no_splat_says_what_is_missing(tmp_path: Path, content: bytes, message: str) -> None:
+def test_the_error_for_a_file_that_is_not_a_splat_says_what_is_missing(
+    tmp_path: Path, content: bytes, message: str
+) -> None:
     with pytest.raises(ValueError, match=rf"a\.ply: .*{message}"):
         read_gaussians(written(tmp_path / "a.ply", content))
 
@@ -173,14 +175,14 @@ def test_words_in_place_of_numbers_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("degree", [0, 2])
-def test_a_file_without_gaussians_says_so(tmp_path: Path, degree: int) -> None:
+def test_a_file_without_gaussians_is_refused(tmp_path: Path, degree: int) -> None:
     path = tmp_path / "none.ply"
     write_gaussians(path, sample_gaussians(4, degree)[:0])
     with pytest.raises(ValueError, match=r"none.ply: expected at least one Gaussian, got none"):
         read_gaussians(path)
 
 
-def test_gaussians_too_far_from_the_origin_for_single_precision_are_warned_of(tmp_path: Path) -> None:
+def test_gaussians_too_far_from_the_origin_for_single_precision_give_a_warning(tmp_path: Path) -> None:
     gaussians, path = sample_gaussians(50, 0), tmp_path / "far.ply"
     gaussians.scales[:] = 0.05
     gaussians.means += torch.tensor([5e5, 5.4e6, 0.0])
@@ -201,7 +203,7 @@ def test_a_non_finite_row_is_dropped(tmp_path: Path) -> None:
         assert len(read_gaussians(written(tmp_path / "a.ply", ply_bytes(fields)))) == 1
 
 
-def test_a_missing_file_a_folder_an_empty_file_and_an_unknown_ending_are_told_apart(tmp_path: Path) -> None:
+def test_missing_and_empty_files_folders_and_unknown_extensions_have_their_own_errors(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"none\.ply: no such splat file"):
         read_gaussians(tmp_path / "none.ply")
     with pytest.raises(ValueError, match="expected a splat file, got a folder"):
@@ -216,13 +218,13 @@ def test_a_missing_file_a_folder_an_empty_file_and_an_unknown_ending_are_told_ap
         read_gaussians(tmp_path / "a")
 
 
-def test_a_trained_scene_reads(shared_scenes: Path) -> None:
+def test_a_trained_scene_is_read(shared_scenes: Path) -> None:
     with pytest.warns(UserWarning, match="dropped 0 non-finite or degenerate and 1 fully transparent of 11843"):
         gaussians = read_gaussians(shared_scenes / "brighton" / "brighton.ply")
     assert (len(gaussians), gaussians.sh_degree) == (11842, 1)
 
 
-def test_rows_of_lists_are_not_read(tmp_path: Path) -> None:
+def test_elements_with_lists_are_skipped_and_lists_in_vertices_are_refused(tmp_path: Path) -> None:
     fields = ply_fields(sample_gaussians(3, 0))
     content = ply_bytes(fields, "ascii").decode()
     lists = "element face 2\nproperty list uchar int vertex_indices\nend_header"

@@ -8,7 +8,7 @@ from splatrl.spherical_harmonics import C0
 from tests.scenes.samples import splat_bytes
 
 
-def test_bytes_mean_what_the_format_says(tmp_path: Path) -> None:
+def test_bytes_are_decoded_as_the_format_says(tmp_path: Path) -> None:
     content = splat_bytes(
         means=[(1.5, -2.0, 3.25), (0.0, 0.0, -7.0)],
         scales=[(0.1, 0.2, 0.3), (1.0, 2.0, 4.0)],
@@ -31,7 +31,7 @@ def test_a_file_that_ends_within_a_record_is_refused(tmp_path: Path) -> None:
         read_gaussians(tmp_path / "a.splat")
 
 
-def test_records_without_content_are_refused(tmp_path: Path) -> None:
+def test_records_of_zeros_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.splat").write_bytes(bytes(64))
     with pytest.raises(ValueError, match=r"a\.splat: expected at least one finite, visible Gaussian, got none among 2"):
         read_gaussians(tmp_path / "a.splat")

@@ -26,14 +26,14 @@ def written(path: Path, content: bytes) -> Path:
 
 
 def one(rotation: list[int], version: int, tmp_path: Path) -> torch.Tensor:
-    """The quaternion of one Gaussian with these rotation bytes."""
+    """Return the quaternion of one Gaussian with these rotation bytes."""
     payload = spz_payload(
         np.zeros((1, 3), np.int64), np.full(1, 255), np.full(3, 128), np.full(3, 160), np.array(rotation), np.zeros(0)
     )
     return read_gaussians(written(tmp_path / "a.spz", spz_bytes(payload, 1, version))).quats[0]
 
 
-def test_bytes_mean_what_the_format_says(tmp_path: Path) -> None:
+def test_bytes_are_decoded_as_the_format_says(tmp_path: Path) -> None:
     payload = spz_payload(
         positions=np.array([[-6144, 1, 8388607], [0, -1, -8388608]]),
         alphas=np.array([255, 51]),
@@ -80,7 +80,7 @@ def test_a_version_2_rotation_has_its_real_part_left_out(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_another_reader_reads_the_same(tmp_path: Path, version: int, degree: int) -> None:
+def test_gsply_reads_the_same_values(tmp_path: Path, version: int, degree: int) -> None:
     gsply = pytest.importorskip("gsply", reason="needs the extra gsply")
     payload, count = random_spz(version, degree, count=37)
     path = written(tmp_path / "a.spz", spz_bytes(payload, count, version, degree))
@@ -96,7 +96,7 @@ def test_another_reader_reads_the_same(tmp_path: Path, version: int, degree: int
     np.testing.assert_allclose(ours.quats, unit, atol=1e-6)
 
 
-def test_what_another_writer_writes_reads_back_within_its_quantisation(tmp_path: Path) -> None:
+def test_a_file_written_by_gsply_is_read_within_its_quantisation(tmp_path: Path) -> None:
     gsply = pytest.importorskip("gsply", reason="needs the extra gsply")
     gaussians = sample_gaussians(25, 3)
     gaussians.sh = gaussians.sh.clamp(-0.9, 0.9)
@@ -119,7 +119,7 @@ def test_what_another_writer_writes_reads_back_within_its_quantisation(tmp_path:
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_what_is_written_reads_back_within_its_quantisation(tmp_path: Path, degree: int) -> None:
+def test_written_gaussians_read_back_within_the_quantisation(tmp_path: Path, degree: int) -> None:
     gaussians = sample_gaussians(500, degree)
     gaussians.sh[:, 1:] = gaussians.sh[:, 1:].clamp(-0.99, 0.99)
     write_gaussians(tmp_path / "a.spz", gaussians)
@@ -139,7 +139,7 @@ def test_what_is_written_reads_back_within_its_quantisation(tmp_path: Path, degr
 
 
 @pytest.mark.parametrize("degree", [0, 2])
-def test_another_reader_reads_what_is_written(tmp_path: Path, degree: int) -> None:
+def test_gsply_reads_a_written_file_with_the_same_values(tmp_path: Path, degree: int) -> None:
     gsply = pytest.importorskip("gsply", reason="needs the extra gsply")
     write_gaussians(tmp_path / "a.spz", sample_gaussians(41, degree))
     ours, theirs = read_gaussians(tmp_path / "a.spz"), gsply.read_spz(tmp_path / "a.spz")
@@ -150,7 +150,7 @@ def test_another_reader_reads_what_is_written(tmp_path: Path, degree: int) -> No
     np.testing.assert_allclose(ours.quats, unit, atol=1e-6)
 
 
-def test_the_same_gaussians_give_the_same_small_bytes_that_say_how_to_draw(tmp_path: Path) -> None:
+def test_files_are_reproducible_and_small_and_say_whether_to_antialias(tmp_path: Path) -> None:
     gaussians = sample_gaussians(2000, 1)
     sizes = {}
     for name in ("a.spz", "b.spz", "a.ply"):
@@ -163,7 +163,7 @@ def test_the_same_gaussians_give_the_same_small_bytes_that_say_how_to_draw(tmp_p
     assert flags == [1, 0]
 
 
-def test_a_large_place_is_stored_as_finely_as_it_fits(tmp_path: Path) -> None:
+def test_positions_of_a_large_place_are_stored_as_finely_as_the_format_allows(tmp_path: Path) -> None:
     gaussians = sample_gaussians(5, 0)
     gaussians.means = torch.tensor([[5000.0, -7000, 3.3], [0, 0, 0], [1.7, 2.9, -8191], [0, 1, 2], [3, 4, 5]])
     write_gaussians(tmp_path / "a.spz", gaussians)
@@ -176,7 +176,7 @@ def test_a_large_place_is_stored_as_finely_as_it_fits(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["means", "quats", "scales", "opacities", "sh"])
-def test_what_is_not_finite_is_not_written(tmp_path: Path, name: str) -> None:
+def test_values_that_are_not_finite_are_not_written(tmp_path: Path, name: str) -> None:
     gaussians = sample_gaussians(3, 1)
     getattr(gaussians, name).view(-1)[1] = 0.0 if name == "scales" else math.nan
     with pytest.raises(ValueError, match=rf"a\.spz: {name}: expected values that are finite when stored"):
@@ -184,7 +184,7 @@ def test_what_is_not_finite_is_not_written(tmp_path: Path, name: str) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_what_is_beyond_the_range_of_a_byte_is_cut_to_it(tmp_path: Path) -> None:
+def test_values_beyond_the_range_of_a_byte_are_clamped(tmp_path: Path) -> None:
     gaussians = sample_gaussians(2, 1)
     gaussians.scales = torch.tensor([[1e-9, 1.0, 1e9], [1, 1, 1]])
     gaussians.sh[0] = torch.tensor([[9.0, -9, 0], [5, -5, 0], [0, 0, 0], [0, 0, 0]])
@@ -218,7 +218,7 @@ def test_a_header_that_does_not_fit_is_refused_by_field(tmp_path: Path, header: 
         read_gaussians(path)
 
 
-def test_extensions_behind_the_attributes_are_passed_over(tmp_path: Path) -> None:
+def test_extensions_after_the_attributes_are_ignored(tmp_path: Path) -> None:
     payload, count = random_spz(3, 1)
     plain = read_gaussians(written(tmp_path / "a.spz", spz_bytes(payload, count, degree=1)))
     extended = spz_bytes(payload + b"a vendor's record", count, degree=1, flags=2)
@@ -240,7 +240,7 @@ def test_a_flipped_bit_is_refused_by_the_checksum(tmp_path: Path) -> None:
         read_gaussians(written(tmp_path / "a.spz", bytes(content)))
 
 
-def test_a_stream_of_something_else_is_refused(tmp_path: Path) -> None:
+def test_a_stream_that_is_not_spz_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="magic: expected b'NGSP', got b'some'"):
         read_gaussians(written(tmp_path / "a.spz", gzip.compress(b"something else altogether")))
     with pytest.raises(ValueError, match="version: expected 4, got 3"):
@@ -258,13 +258,13 @@ def test_a_stream_that_unpacks_to_more_than_its_header_promises_is_not_unpacked(
     assert peak < 1 << 22
 
 
-def test_the_captured_kitchen_reads(shared_scenes: Path) -> None:
+def test_the_captured_kitchen_is_read(shared_scenes: Path) -> None:
     gaussians = read_gaussians(shared_scenes / "kitchen" / "kitchen.spz")
     assert (len(gaussians), gaussians.sh_degree) == (213_944, 0)
     assert_valid(gaussians)
 
 
-def test_a_few_kilobytes_do_not_unpack_to_a_gigabyte_unless_that_is_allowed(tmp_path: Path) -> None:
+def test_a_few_kilobytes_do_not_unpack_to_megabytes_unless_that_is_allowed(tmp_path: Path) -> None:
     count = 200_000
     path = written(tmp_path / "a.spz", spz_bytes(bytes(9 * count) + bytes([255]) * (11 * count), count))
     assert path.stat().st_size < 20_000
@@ -277,7 +277,7 @@ def test_a_few_kilobytes_do_not_unpack_to_a_gigabyte_unless_that_is_allowed(tmp_
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_version_4_holds_the_same_as_version_3(tmp_path: Path, degree: int) -> None:
+def test_version_4_gives_the_same_gaussians_as_version_3(tmp_path: Path, degree: int) -> None:
     pytest.importorskip("imagecodecs", reason="needs the extra gsply")
     payload, count = random_spz(3, degree)
     third = read_gaussians(written(tmp_path / "3.spz", spz_bytes(payload, count, 3, degree)))
@@ -309,7 +309,7 @@ def test_a_header_of_version_4_that_does_not_fit_is_refused(
         read_gaussians(path)
 
 
-def test_a_stream_of_version_4_that_is_damaged_is_refused(tmp_path: Path) -> None:
+def test_a_damaged_file_of_version_4_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("imagecodecs", reason="needs the extra gsply")
     whole = spz_4_bytes(*random_spz(3, 0))
     for damaged in (whole[:20], whole[:-1], whole[:112] + b"x" + whole[113:]):

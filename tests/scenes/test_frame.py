@@ -22,7 +22,7 @@ def test_the_scale_comes_before_the_translation() -> None:
     assert moved(transform, [1.0, 2.0, 3.0]) == [12.0, 14.0, 34.0]
 
 
-def test_a_matrix_stands_for_all_three() -> None:
+def test_a_matrix_replaces_axes_scale_and_translation() -> None:
     rows = [[0, -2, 0, 1], [2, 0, 0, 5], [0, 0, 2.0, 0], [0, 0, 0, 1]]
     assert moved(similarity(matrix=rows), [1.0, 0.0, 3.0]) == [1.0, 7.0, 6.0]
     assert torch.equal(similarity(matrix=torch.tensor(rows)), similarity(matrix=rows))
@@ -58,6 +58,6 @@ def test_a_matrix_stands_for_all_three() -> None:
         ({"matrix": torch.eye(4), "scale": 2.0}, "expected either a matrix or axes, scale and translation, got both"),
     ],
 )
-def test_what_is_no_similarity_is_refused_by_field(arguments: dict[str, object], message: str) -> None:
+def test_arguments_that_give_no_similarity_are_refused_by_field(arguments: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=f"world_from_splat.*{message}"):
         similarity(**arguments)

@@ -49,12 +49,12 @@ def test_a_transformed_gaussian_shows_the_same_colour_from_the_transformed_direc
 @pytest.mark.parametrize(
     "diagonal", [(1.0, 1.0, -1.0), (1.0, 1.0, 2.0), (0.0, 0.0, 0.0)], ids=["reflection", "stretch", "collapse"]
 )
-def test_a_transform_that_is_no_similarity_is_refused(diagonal: tuple[float, float, float]) -> None:
+def test_a_transform_that_is_not_a_similarity_is_refused(diagonal: tuple[float, float, float]) -> None:
     with pytest.raises(ValueError, match="expected a rotation times a positive scale"):
         sample_gaussians().transformed(torch.diag(torch.tensor([*diagonal, 1.0])))
 
 
-def test_values_from_outside_come_back_with_unit_quaternions() -> None:
+def test_checked_gaussians_have_unit_quaternions() -> None:
     values = fields()
     expected = sample_gaussians(5, 1)
     for factor in (1e-30, 3.0, 1e30):
@@ -84,7 +84,7 @@ def test_a_row_that_cannot_be_drawn_is_dropped_and_counted(name: str, row: int, 
     torch.testing.assert_close(gaussians.means, values["means"][kept])
 
 
-def test_transparent_rows_are_dropped_and_counted_apart() -> None:
+def test_transparent_rows_are_dropped_and_counted_separately() -> None:
     values = fields()
     values["opacities"][:2] = torch.tensor([0.0, 0.9 / 255])
     values["means"][4] = math.nan
@@ -98,7 +98,7 @@ def test_no_gaussians_at_all_are_refused() -> None:
         checked_gaussians("empty", **nothing, opacities=torch.zeros(0), sh=torch.zeros(0, 1, 3))
 
 
-def test_gaussians_of_which_none_can_be_seen_are_refused() -> None:
+def test_gaussians_that_are_all_transparent_are_refused() -> None:
     with pytest.raises(ValueError, match="here: expected at least one finite, visible Gaussian, got none among 5"):
         checked_gaussians("here", **{**fields(), "opacities": torch.zeros(5)})
 

@@ -1,4 +1,4 @@
-"""Places that a PLY holds as doubles, such as those of a map's grid, keep their millimetres when they are moved."""
+"""Positions that a PLY holds as doubles, such as map coordinates, keep their millimetres when they are moved."""
 
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ SHIFT = {"translation": (-PLACE).tolist()}
 
 
 def doubles(path: Path, gaussians: Gaussians, at: np.ndarray = PLACE, kind: str = "binary_little_endian") -> Path:
-    """A PLY whose places are doubles and whose other fields are single."""
+    """Write a PLY whose positions have double precision and whose other fields have single precision."""
     fields: dict[str, Any] = ply_fields(gaussians)
     fields |= {name: fields[name].astype(np.float64) + at[i] for i, name in enumerate("xyz")}
     rows = np.rec.fromarrays([*fields.values()], dtype=[(n, "<f8" if n in "xyz" else "<f4") for n in fields])
@@ -34,14 +34,14 @@ def doubles(path: Path, gaussians: Gaussians, at: np.ndarray = PLACE, kind: str 
 
 
 @pytest.mark.parametrize("kind", ["binary_little_endian", "ascii"])
-def test_a_scene_is_moved_before_its_places_are_rounded(kind: str, tmp_path: Path) -> None:
+def test_a_scene_is_moved_before_its_positions_are_rounded(kind: str, tmp_path: Path) -> None:
     near = sample_gaussians(50, 1)
     scene = read_scene(doubles(tmp_path / "a.ply", near, kind=kind), world_from_splat=SHIFT)
     assert scene.gaussians.means.dtype == torch.float32
     torch.testing.assert_close(scene.gaussians.means, near.means, atol=1e-6, rtol=0.0)
 
 
-def test_so_is_a_block_and_a_folder(tmp_path: Path) -> None:
+def test_blocks_and_scene_folders_are_moved_before_their_positions_are_rounded(tmp_path: Path) -> None:
     near = sample_gaussians(50, 0)
     path = doubles(tmp_path / "a.ply", near)
     block = Block(path, ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)), similarity(**SHIFT))
@@ -50,7 +50,7 @@ def test_so_is_a_block_and_a_folder(tmp_path: Path) -> None:
         torch.testing.assert_close(moved.means, near.means, atol=1e-6, rtol=0.0)
 
 
-def test_without_a_frame_places_are_single_and_those_beyond_its_range_are_dropped(tmp_path: Path) -> None:
+def test_without_a_frame_positions_are_single_precision_and_out_of_range_ones_are_dropped(tmp_path: Path) -> None:
     near = sample_gaussians(4, 0)
     assert read_gaussians(doubles(tmp_path / "a.ply", near, 0 * PLACE)).means.dtype == torch.float32
     near.means[1, 2] = torch.inf
@@ -61,7 +61,7 @@ def test_without_a_frame_places_are_single_and_those_beyond_its_range_are_droppe
 
 
 @pytest.mark.usefixtures("ungrounded")
-def test_splatrl_scene_takes_an_offset_before_it_rounds(tmp_path: Path) -> None:
+def test_splatrl_scene_applies_an_offset_before_positions_are_rounded(tmp_path: Path) -> None:
     path = doubles(tmp_path / "a.ply", tiny_gaussians())
     x, y, z = SHIFT["translation"]
     frames = [
@@ -74,7 +74,7 @@ def test_splatrl_scene_takes_an_offset_before_it_rounds(tmp_path: Path) -> None:
         torch.testing.assert_close(moved.means, tiny_gaussians().means, atol=1e-3, rtol=0.0)
 
 
-def test_doubles_that_are_still_far_away_are_warned_of_with_what_to_do(tmp_path: Path) -> None:
+def test_doubles_that_remain_far_from_the_origin_give_a_warning_with_advice(tmp_path: Path) -> None:
     near = sample_gaussians(50, 0)
     with pytest.warns(UserWarning, match="or, for a PLY with doubles, with world_from_splat.translation"):
         read_gaussians(doubles(tmp_path / "a.ply", near))

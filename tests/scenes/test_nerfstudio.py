@@ -1,4 +1,4 @@
-"""A splat that nerfstudio trained comes back to the frame of its cameras, and is drawn as it was trained."""
+"""A splat that nerfstudio trained is moved back to the frame of its cameras, and is drawn as it was trained."""
 
 import json
 import math
@@ -30,7 +30,7 @@ SCALE = 0.25
 
 
 def turned_about_z(yaw: float, tilt: float = 0.0) -> torch.Tensor:
-    """What nerfstudio does to cameras whose frame is z up: a turn, a little tilt, and a shift."""
+    """Return what nerfstudio applies to cameras whose frame is z up: a turn, a slight tilt and a shift; [3, 4]."""
     c, s, ct, st = math.cos(yaw), math.sin(yaw), math.cos(tilt), math.sin(tilt)
     turn = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ torch.tensor([[1, 0, 0], [0, ct, -st], [0, st, ct]])
     return torch.cat([turn, torch.tensor([[0.5], [2.0], [-1.0]])], 1).double()
@@ -39,7 +39,7 @@ def turned_about_z(yaw: float, tilt: float = 0.0) -> torch.Tensor:
 def trained(
     folder: Path, captured: Gaussians, moved: torch.Tensor, mode: str | None = None, name: str = "splat.ply"
 ) -> Path:
-    """What nerfstudio exports of Gaussians in the frame of the cameras: x_splat = SCALE · (R x + t)."""
+    """Write what nerfstudio exports for Gaussians in the frame of the cameras: x_splat = SCALE · (R x + t)."""
     folder.mkdir(exist_ok=True)
     whole = torch.cat([SCALE * moved, torch.tensor([[0.0, 0, 0, 1]], dtype=torch.float64)])
     write_gaussians(folder / name, captured.transformed(whole))
@@ -49,7 +49,7 @@ def trained(
     return folder / name
 
 
-def test_a_splat_comes_in_upright_metric_and_with_its_harmonics_turned(tmp_path: Path) -> None:
+def test_a_splat_returns_to_the_frame_of_its_cameras_with_its_harmonics_turned(tmp_path: Path) -> None:
     captured = sample_gaussians(30, degree=3)
     splat = trained(tmp_path / "ns", captured, turned_about_z(2.0, 0.3))
     assert_same(read_scene(splat).gaussians, captured, atol=1e-5)
@@ -57,7 +57,7 @@ def test_a_splat_comes_in_upright_metric_and_with_its_harmonics_turned(tmp_path:
     assert not torch.allclose(read_scene(splat).gaussians.means, captured.means, atol=0.1)
 
 
-def test_what_is_stated_goes_before_the_file_beside(tmp_path: Path) -> None:
+def test_a_stated_frame_takes_precedence_over_the_transforms_file(tmp_path: Path) -> None:
     captured = sample_gaussians(9, degree=1)
     splat = trained(tmp_path / "ns", captured, turned_about_z(2.0))
     raw = read_scene(splat, similarity()).gaussians
@@ -68,7 +68,7 @@ def test_what_is_stated_goes_before_the_file_beside(tmp_path: Path) -> None:
     assert_same(read_scene(splat.parent).gaussians, captured, atol=1e-5)
 
 
-def test_a_frame_that_is_not_z_up_is_warned_of(tmp_path: Path) -> None:
+def test_a_frame_that_is_not_z_up_gives_a_warning(tmp_path: Path) -> None:
     captured = sample_gaussians(9, degree=0)
     from_y_up = torch.tensor([[1.0, 0, 0, 0.5], [0, 0, -1, 2], [0, 1, 0, -1]]).double()
     splat = trained(tmp_path / "ns", captured, from_y_up)
@@ -88,7 +88,7 @@ def test_a_frame_that_is_not_z_up_is_warned_of(tmp_path: Path) -> None:
         (" " * (2**20 + 1), "expected at most 1,048,576 bytes"),
     ],
 )
-def test_a_file_beside_that_makes_no_sense_is_one_line_of_error(tmp_path: Path, content: str, message: str) -> None:
+def test_a_malformed_transforms_file_gives_a_one_line_error(tmp_path: Path, content: str, message: str) -> None:
     splat = trained(tmp_path / "ns", sample_gaussians(9, degree=0), turned_about_z(1.0))
     splat.with_name("dataparser_transforms.json").write_text(content)
     with pytest.raises(ValueError, match=rf"dataparser_transforms\.json: .*{message}") as refused:
@@ -115,14 +115,14 @@ def test_a_splat_is_drawn_as_it_was_trained(tmp_path: Path, mode: str, antialias
     "content",
     ["rasterize_mode: other", "a: 'rasterize_mode: classic'", "rasterize_mode: classic\nrasterize_mode: antialiased"],
 )
-def test_where_no_mode_is_said_none_is_made_up(tmp_path: Path, content: str) -> None:
+def test_no_rasterize_mode_is_assumed_where_the_config_is_unclear(tmp_path: Path, content: str) -> None:
     splat = trained(tmp_path / "ns", sample_gaussians(9, degree=0), turned_about_z(1.0))
     (splat.parent / "config.yml").write_text(content)
     assert antialiased_beside(splat) is None
     assert with_scene_paths([f"scene={splat}"]) == ["scene=file", f"scene.path='{splat}'"]
 
 
-def test_a_folders_own_word_goes_before_the_config_beside_its_splat(tmp_path: Path) -> None:
+def test_the_scene_yaml_of_a_folder_takes_precedence_over_nerfstudios_config(tmp_path: Path) -> None:
     splat = trained(tmp_path / "ns", sample_gaussians(9, degree=0), turned_about_z(1.0), "classic")
     (splat.parent / "scene.yaml").write_text("splat: splat.ply\nrobot_height: 1.0\n")
     assert load_config([f"scene={splat.parent}"]).renderer.antialiased is False
@@ -134,14 +134,14 @@ def test_a_folders_own_word_goes_before_the_config_beside_its_splat(tmp_path: Pa
 
 
 @pytest.mark.usefixtures("ungrounded")
-def test_splatrl_scene_takes_frame_and_mode_from_beside_the_file(
+def test_splatrl_scene_reads_frame_and_mode_from_the_files_beside_the_splat(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn: list[bool] = []
 
     def draw(*arguments: object) -> list[Path]:
         drawn.append(bool(arguments[-1]))
-        again = len(drawn) % 2 == 0  # which takes as long, and gives the same pictures
+        again = len(drawn) % 2 == 0  # the same pictures again, so they need not be drawn
         return [] if again else draw_scene(*arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr("splatrl.commands.scene.draw_scene", draw)

@@ -43,14 +43,14 @@ def counting(calls: list[int], value: float = 1.0) -> dict[str, np.ndarray]:
     return {"value": np.array([value])}
 
 
-def test_a_splat_file_is_a_scene_of_its_name_in_splat_coordinates(splat: Path) -> None:
+def test_a_splat_file_becomes_a_scene_of_the_same_name_in_its_own_coordinates(splat: Path) -> None:
     scene = read_scene(splat)
     assert scene.name == "garden"
     assert_same(scene.gaussians, sample_gaussians(9, 1))
     assert scene.bounds == robust_bounds(scene.gaussians)
 
 
-def test_a_frame_stands_the_gaussians_upright_and_in_metres(splat: Path) -> None:
+def test_a_frame_turns_the_gaussians_upright_and_scales_them_to_metres(splat: Path) -> None:
     x, y, z = sample_gaussians(9, 1).means.unbind(1)
     upright = read_scene(str(splat), UPRIGHT)
     torch.testing.assert_close(upright.gaussians.means, 2 * torch.stack([x, -z, y], 1))
@@ -58,7 +58,7 @@ def test_a_frame_stands_the_gaussians_upright_and_in_metres(splat: Path) -> None
     assert_same(read_scene(splat, matrix).gaussians, upright.gaussians)
 
 
-def test_a_folder_says_what_its_splat_is(folder: Path) -> None:
+def test_a_folder_describes_its_splat_in_scene_yaml(folder: Path) -> None:
     (folder / "scene.yaml").write_text(
         "splat: point_cloud.ply\nname: our yard\nworld_from_splat:\n  axes: [x, -z, y]\n  scale: 2.0\n"
         "bounds: [[-1, -2, 0], [1, 2, 3.5]]\n"
@@ -69,7 +69,7 @@ def test_a_folder_says_what_its_splat_is(folder: Path) -> None:
     assert_same(scene.gaussians, read_scene(folder / "point_cloud.ply", UPRIGHT).gaussians)
 
 
-def test_arguments_go_before_what_a_folder_says_key_by_key(folder: Path) -> None:
+def test_arguments_override_the_scene_yaml_key_by_key(folder: Path) -> None:
     (folder / "scene.yaml").write_text("splat: point_cloud.ply\nworld_from_splat: {axes: [x, -z, y], scale: 7.0}\n")
     scene = read_scene(folder, {"axes": None, "scale": 2.0}, bounds=[(0, 0, 0), (1, 1, 1)], name="mine")
     assert scene.name == "mine"
@@ -100,13 +100,13 @@ def test_a_folder_without_a_frame_or_a_name_takes_the_defaults(folder: Path) -> 
         ("", "splat: expected a name, without slashes, got None"),
     ],
 )
-def test_a_scene_yaml_that_is_wrong_is_refused_by_key(folder: Path, content: str, message: str) -> None:
+def test_a_malformed_scene_yaml_is_refused_by_key(folder: Path, content: str, message: str) -> None:
     (folder / "scene.yaml").write_text(content)
     with pytest.raises(ValueError, match=rf"scene\.yaml: {message}"):
         read_scene(folder)
 
 
-def test_a_frame_with_other_keys_is_refused(folder: Path, splat: Path) -> None:
+def test_a_frame_with_unknown_keys_is_refused(folder: Path, splat: Path) -> None:
     (folder / "scene.yaml").write_text("splat: point_cloud.ply\nworld_from_splat: {up: z}")
     for path, frame in ((folder, None), (splat, {"up": "z"})):
         message = "world_from_splat: expected the keys axes, scale, translation, matrix, got up"
@@ -114,7 +114,7 @@ def test_a_frame_with_other_keys_is_refused(folder: Path, splat: Path) -> None:
             read_scene(path, frame)
 
 
-def test_what_is_not_there_is_named(tmp_path: Path, folder: Path) -> None:
+def test_missing_files_are_named_in_the_error(tmp_path: Path, folder: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"none\.ply: no such splat file"):
         read_scene(tmp_path / "none.ply")
     with pytest.raises(FileNotFoundError, match=r"yard: expected a scene folder with scene\.yaml"):
@@ -128,12 +128,12 @@ def test_what_is_not_there_is_named(tmp_path: Path, folder: Path) -> None:
     "bounds",
     [[(0, 0, 0)], [(0, 0), (1, 1)], [(0, 0, 0), (1, 0, 1)], [(0, 0, 0), (1, 1, math.nan)], "ab", ["abc", (0, 0, 0)]],
 )
-def test_bounds_that_bound_nothing_are_refused(splat: Path, bounds: object) -> None:
+def test_invalid_bounds_are_refused(splat: Path, bounds: object) -> None:
     with pytest.raises(ValueError, match="bounds: expected"):
         read_scene(splat, bounds=bounds)
 
 
-def test_bounds_leave_out_floaters_and_what_is_hardly_there() -> None:
+def test_bounds_leave_out_floaters_and_faint_gaussians() -> None:
     gaussians = sample_gaussians(1000, 0)
     gaussians.means = torch.rand(1000, 3, generator=torch.Generator().manual_seed(0))
     gaussians.opacities = torch.ones(1000)
@@ -147,7 +147,7 @@ def test_bounds_leave_out_floaters_and_what_is_hardly_there() -> None:
     assert robust_bounds(gaussians)[0][2] == -50.0
 
 
-def test_seed_and_clutter_make_the_backyard_whose_bounds_are_the_yards(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_backyard_follows_seed_and_clutter_and_has_the_bounds_of_the_yard(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "splatrl.scenes.sources.backyard_gaussians", lambda seed, clutter: sample_gaussians(seed=seed + 10 * clutter)
     )
@@ -169,7 +169,7 @@ def test_a_file_called_backyard_is_a_file_like_any_other(tmp_path: Path) -> None
     assert_same(read_scene(tmp_path / "backyard.ply").gaussians, sample_gaussians(9, 1))
 
 
-def test_what_is_cached_is_built_again_exactly_when_something_that_it_is_made_of_changes() -> None:
+def test_cached_arrays_are_rebuilt_exactly_when_gaussians_settings_or_name_change() -> None:
     gaussians = sample_gaussians(9)
     calls: list[int] = []
     settings = {"resolution": 0.05, "crop": ((0, 0, 0), (1, 1, 1))}
@@ -185,7 +185,7 @@ def test_what_is_cached_is_built_again_exactly_when_something_that_it_is_made_of
 
 
 @pytest.mark.parametrize("name", ["means", "quats", "scales", "opacities", "sh"])
-def test_another_value_of_any_field_is_another_scene_to_the_cache(name: str) -> None:
+def test_a_change_in_any_field_changes_the_digest_of_a_scene(name: str) -> None:
     changed = sample_gaussians(9)
     values = getattr(changed, name).clone()
     values.view(-1)[-1] += 1e-6
@@ -198,7 +198,9 @@ def test_another_value_of_any_field_is_another_scene_to_the_cache(name: str) -> 
     [path for path in sorted(CONF.glob("*.yaml")) if "_target_" in OmegaConf.load(path).scene],
     ids=lambda path: path.stem,
 )
-def test_a_node_of_the_configuration_loads_a_scene(path: Path, splat: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_scene_node_of_the_configuration_loads_a_scene(
+    path: Path, splat: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name in ("block_gaussians", "around_gaussians"):
         monkeypatch.setattr(f"splatrl.scenes.town.source.{name}", lambda *_: sample_gaussians())
     node = OmegaConf.load(path).scene

@@ -9,7 +9,7 @@ from splatrl.scenes.upright import Guess, Upright
 
 NO_GUESS = Guess("given", "the test says so")
 LYING = Upright(np.array([0.0, -1.0, 0.0]), -0.7, None, 2.0, NO_GUESS, NO_GUESS, NO_GUESS, NO_GUESS)
-"""A file that is −y up, with its floor 0.7 units below the origin and 2 m per unit."""
+"""A file with −y up, its floor 0.7 units below the origin and 2 m per unit."""
 TURNED = similarity(["x", "z", "-y"], 3.0, [1.0, 2.0, 5.0])
 
 
@@ -24,14 +24,14 @@ TURNED = similarity(["x", "z", "-y"], 3.0, [1.0, 2.0, 5.0])
         (StatedFrame(transform=TURNED, scale=1.5), 2.5 - 1.05),
     ],
 )
-def test_what_is_stated_overrides_the_guess_and_the_floor_follows(stated: StatedFrame, floor: float) -> None:
+def test_stated_values_override_the_guess_and_the_floor_follows_them(stated: StatedFrame, floor: float) -> None:
     world_from_splat = similarity(**stated.frame(LYING))
     assert floor_height(LYING, world_from_splat) == pytest.approx(floor)
     direction = world_from_splat[:3, :3] @ torch.from_numpy(LYING.up)
     torch.testing.assert_close(direction / direction.norm(), torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
 
 
-def test_up_is_known_where_axes_or_a_transform_say_so() -> None:
+def test_up_is_known_where_axes_or_a_transform_state_it() -> None:
     assert StatedFrame(scale=2.0, translation=[0.0, 0.0, 1.0]).up() is None
     assert StatedFrame(axes=["x", "z", "-y"]).up() == [0.0, -1.0, 0.0]
     assert StatedFrame(transform=TURNED).up() == [0.0, -3.0, 0.0]
@@ -49,6 +49,6 @@ def test_up_is_known_where_axes_or_a_transform_say_so() -> None:
         ({"scale": 0.0}, "scale: expected a positive, finite number of metres per unit, got 0.0"),
     ],
 )
-def test_a_frame_that_makes_no_sense_is_refused(arguments: dict, message: str) -> None:
+def test_invalid_and_contradictory_frames_are_refused(arguments: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         StatedFrame(**arguments)

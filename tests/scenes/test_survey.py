@@ -30,7 +30,7 @@ CEILING = (0.0, 0.0, 2.5, 6.0, 4.0, 2.5)
 
 
 def surfaces(boxes: list[tuple[float, ...]], step: float = 0.16) -> Gaussians:
-    """Flat Gaussians over the faces of axis-aligned boxes, which may be flat themselves; z up, metres."""
+    """Return flat Gaussians over the faces of axis-aligned boxes, which may be flat themselves; z up, metres."""
     means, flats = [], []
     for box in boxes:
         lower, upper = np.array(box[:3]), np.array(box[3:])
@@ -58,7 +58,7 @@ def surfaces(boxes: list[tuple[float, ...]], step: float = 0.16) -> Gaussians:
 
 
 def lying(gaussians: Gaussians, world_from_splat: Tensor) -> Gaussians:
-    """World Gaussians in the frame of a file."""
+    """Return world Gaussians in the frame of a file."""
     return gaussians.transformed(torch.linalg.inv(world_from_splat))
 
 
@@ -71,7 +71,7 @@ def room(ceiling: float = 2.5) -> Gaussians:
 
 
 @pytest.mark.parametrize("axis", STANDING)
-def test_the_axes_kept_for_each_up_are_a_rotation_that_stands_it_upright(axis: str) -> None:
+def test_the_axes_stored_for_each_up_axis_are_a_rotation_that_turns_it_upright(axis: str) -> None:
     assert axis_name(similarity(STANDING[axis])[2, :3]) == axis
 
 
@@ -88,7 +88,7 @@ def test_up_and_floor_of_boxes_on_a_floor_are_found_whichever_axis_is_up(axis: s
 
 
 @pytest.mark.parametrize("axis", STANDING)
-def test_in_a_room_furniture_tells_the_floor_from_the_ceiling_whichever_axis_is_up(axis: str) -> None:
+def test_furniture_tells_the_floor_of_a_room_from_its_ceiling_whichever_axis_is_up(axis: str) -> None:
     upright = guess_upright(lying(room(), similarity(STANDING[axis])))
     assert axis_name(upright.up) == axis
     assert upright.floor == pytest.approx(0.0, abs=0.01)
@@ -97,7 +97,7 @@ def test_in_a_room_furniture_tells_the_floor_from_the_ceiling_whichever_axis_is_
 
 @settings(max_examples=15, deadline=None)
 @given(turns=st.tuples(*[st.floats(-math.pi, math.pi)] * 3), scale=st.floats(0.01, 100))
-def test_up_is_found_within_a_degree_of_any_direction_unless_an_axis_is_near(
+def test_up_is_found_within_a_degree_or_snapped_to_a_nearby_axis(
     turns: tuple[float, float, float], scale: float
 ) -> None:
     rotation = torch.eye(3, dtype=torch.float64)
@@ -125,7 +125,7 @@ def test_units_come_from_the_height_of_a_room_and_from_nothing_else() -> None:
     assert unknown.units_guess.confidence == "unknown"
 
 
-def test_where_nothing_stands_on_the_ground_the_origin_tells_its_upper_side() -> None:
+def test_the_origin_tells_the_upper_side_of_ground_on_which_nothing_stands() -> None:
     flat = surfaces([FLOOR])
     for height, sign in ((-3.0, 1.0), (3.0, -1.0)):
         upright = guess_upright(flat.transformed(similarity(translation=[0.0, 0.0, height])))
@@ -145,17 +145,17 @@ def test_a_stated_up_is_kept_and_only_the_floor_is_guessed() -> None:
     assert upside_down.floor_guess.confidence == "only a guess"
 
 
-def test_a_single_gaussian_is_surveyed_and_guessed_without_a_claim() -> None:
+def test_a_single_gaussian_is_surveyed_and_its_units_stay_unknown() -> None:
     single = yard()[:1]
     assert survey(single).floaters == 0.0
     assert guess_upright(single).units_guess.confidence == "unknown"
 
 
-def test_two_gaussians_are_guessed_too() -> None:
+def test_the_units_of_two_gaussians_stay_unknown() -> None:
     assert guess_upright(yard()[:2]).units_guess.confidence == "unknown"
 
 
-def test_a_survey_counts_and_measures() -> None:
+def test_a_survey_reports_count_extent_opacities_and_scales() -> None:
     dense = yard(0.1)
     found = survey(dense)
     assert (found.count, found.sh_degree, found.floaters) == (len(dense.means), 0, 0.0)
@@ -165,7 +165,7 @@ def test_a_survey_counts_and_measures() -> None:
     assert f"{found.count:,}" in str(found)
 
 
-def test_what_hangs_apart_from_the_scene_floats_near_or_far() -> None:
+def test_gaussians_apart_from_the_scene_are_floaters_near_or_far() -> None:
     scene = torch.cat([yard(0.1), yard()[:3]])
     scene.means[-3:] = torch.tensor([[3.0, 2.0, 2.5], [3.0, 2.0, 3.5], [400.0, 0.0, 0.0]])
     assert floats(scene).nonzero()[0].tolist() == [len(scene.means) - 3, len(scene.means) - 2, len(scene.means) - 1]
@@ -179,7 +179,7 @@ def test_what_hangs_apart_from_the_scene_floats_near_or_far() -> None:
         ("brighton/brighton.ply", [-0.0193, -0.0043, -0.9998], 4.0, False),  # a beach, which itself slopes
     ],
 )
-def test_real_captures_stand_upright(
+def test_up_of_real_captures_is_found(
     shared_scenes: Path, path: str, up: list[float], within: float, sure: bool
 ) -> None:
     if path.endswith(".sog"):
@@ -199,10 +199,10 @@ def degrees_between(a: np.ndarray, b: np.ndarray) -> float:
     ("first", "count"),
     [(0, 15), pytest.param(0, 200, marks=pytest.mark.slow), pytest.param(1000, 200, marks=pytest.mark.slow)],
 )
-def test_what_is_called_fairly_sure_is_right_in_generated_and_turned_places(first: int, count: int) -> None:
-    """Of 200 places half or more are called fairly sure, and at most 1 in 20 of them is off by more than 2°.
+def test_a_guess_called_fairly_sure_is_right_in_19_of_20_generated_places(first: int, count: int) -> None:
+    """At least half of the guesses are called fairly sure, and at most 1 in 20 of those is off by more than 2°.
 
-    On the first 200 the words were calibrated, on those from 1000 on nothing was.
+    The wording was calibrated on the first 200 places, and nothing was calibrated on those from 1000 on.
     """
     sure, right = 0, 0
     for seed in range(first, first + count):
@@ -217,7 +217,7 @@ def test_what_is_called_fairly_sure_is_right_in_generated_and_turned_places(firs
     assert sure >= 0.5 * count and right >= 0.95 * sure
 
 
-def test_a_stated_axis_leans_to_floor_and_walls() -> None:
+def test_a_roughly_stated_axis_is_aligned_with_floor_and_walls() -> None:
     for seed, kind in enumerate(("courtyard", "street", "garden")):
         file, up = turned(place(kind, seed, spacing=0.8), seed, tilt_deg=11.0)
         axis = np.zeros(3)
@@ -226,10 +226,10 @@ def test_a_stated_axis_leans_to_floor_and_walls() -> None:
         guess = guess_upright(file, axis, roughly=True)
         assert degrees_between(guess.up, up.numpy()) < 1.0
         assert "lean by 1" in guess.axis_guess.reason
-        assert guess_upright(file, axis).up.tolist() == axis.tolist()  # known, not roughly
+        assert guess_upright(file, axis).up.tolist() == axis.tolist()  # kept, since it is known exactly
 
 
-def test_walls_that_weigh_more_than_the_floor_are_not_up_where_the_file_nearly_stands() -> None:
+def test_large_walls_are_not_mistaken_for_the_floor_of_a_nearly_upright_file() -> None:
     file, up = turned(surfaces([FLOOR, (0, 0, 0, 6, 0, 9.0), (0, 4.0, 0, 6, 4.0, 9.0), *BOXES]), 4, tilt_deg=9.0)
     guess = guess_upright(file)
     assert degrees_between(guess.up, up.numpy()) < 2.0 or guess.axis_guess.confidence != SURE
@@ -254,14 +254,14 @@ def test_a_written_description_is_read_back_as_the_same_scene(tmp_path: Path, ti
     assert read_scene(tmp_path).name == "b"
 
 
-def test_flat_bounds_are_left_to_the_loader(tmp_path: Path) -> None:
+def test_flat_bounds_are_not_written_and_the_loader_computes_them(tmp_path: Path) -> None:
     write_gaussians(tmp_path / "flat.ply", surfaces([FLOOR]))
     write_description(tmp_path, "flat.ply", "flat", {"scale": 1.0}, ((0.0, 0.0, 0.0), (6.0, 4.0, 0.0)))
     assert read_scene(tmp_path).bounds[1][0] > 5.0
 
 
 def dataparser(folder: Path, **changes: object) -> Path:
-    """A file as nerfstudio writes it: x_splat = 0.25 · (R x + t), R a quarter turn about x."""
+    """Write a file as nerfstudio does: x_splat = 0.25 · (R x + t), R a quarter turn about x."""
     moved = [[1.0, 0.0, 0.0, 0.5], [0.0, 0.0, -1.0, 2.0], [0.0, 1.0, 0.0, -1.0]]
     path = folder / "dataparser_transforms.json"
     path.write_text(json.dumps({"transform": moved, "scale": 0.25} | changes))
@@ -288,15 +288,13 @@ def test_nerfstudios_transform_is_undone(tmp_path: Path) -> None:
         ({"transform": np.full((3, 4), np.nan).tolist()}, "finite"),
     ],
 )
-def test_a_transform_of_nerfstudio_that_is_none_is_refused(
-    tmp_path: Path, changes: dict[str, object], message: str
-) -> None:
+def test_an_invalid_nerfstudio_transform_is_refused(tmp_path: Path, changes: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         nerfstudio_transform(dataparser(tmp_path, **changes))
 
 
 @pytest.mark.parametrize("text", ["{", "[1, 2]", '{"scale": 1}', "\xff\xfe"])
-def test_json_that_is_broken_or_another_is_refused(tmp_path: Path, text: str) -> None:
+def test_broken_unexpected_and_missing_json_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "dataparser_transforms.json"
     path.write_bytes(text.encode("latin-1"))
     with pytest.raises(ValueError, match=r"dataparser_transforms.json: expected"):
@@ -314,6 +312,6 @@ def test_a_known_distance_gives_the_scale() -> None:
 @pytest.mark.parametrize(
     ("end", "metres"), [([1.0, 2.0, 3.0], 1.0), ([2.0, 2.0, 3.0], 0.0), ([2.0, 2.0, math.nan], 1.0), ([0.0] * 3, -1.0)]
 )
-def test_a_distance_that_tells_nothing_is_refused(end: list[float], metres: float) -> None:
+def test_a_distance_that_gives_no_scale_is_refused(end: list[float], metres: float) -> None:
     with pytest.raises(ValueError, match="distance: expected"):
         metres_per_unit([1.0, 2.0, 3.0], end, metres)

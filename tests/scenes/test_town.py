@@ -1,4 +1,4 @@
-"""The generated town: its plan, its things, and how it is kept."""
+"""The generated town: its plan, its things and its cache."""
 
 from pathlib import Path
 
@@ -23,14 +23,14 @@ CORNERS = [(column, row) for column in (-1, 0) for row in (-1, 0)]
 
 
 def paved(seed: int, column: int, row: int) -> Gaussians:
-    """A block with its streets and what stands on the crossing alone, which is made in a moment."""
+    """Return a block with only its streets and the things on its crossing, which is quick to generate."""
     plot = drawn_plot(seed, column, row)
     return to_gaussians(join([streets(plot, seed), *crossing(plot, seed)]))
 
 
 @pytest.fixture
 def quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Towns of coarse streets, in a cache of their own."""
+    """Make towns of coarse streets only, and return the folder of a cache of their own."""
     monkeypatch.setattr("splatrl.scenes.town.build.STEP", 0.4)
     monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path))
     monkeypatch.setattr(source, "block_gaussians", paved)
@@ -38,7 +38,7 @@ def quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize("place", [(0, 0), (-3, 2), (4, -5)])
-def test_houses_yard_and_streets_of_a_block_leave_each_other_room(place: tuple[int, int]) -> None:
+def test_houses_yard_and_streets_of_a_block_do_not_overlap(place: tuple[int, int]) -> None:
     plot = drawn_plot(5, *place)
     low, high = np.array(plot.corner) + STREET, np.array(plot.corner) + SIZE - STREET
     rects = [(*solid.low[:2], *solid.high[:2]) for solid in house_solids(plot)]
@@ -54,24 +54,24 @@ def test_houses_yard_and_streets_of_a_block_leave_each_other_room(place: tuple[i
         assert solid.high[0] < plot.corner[0] + SIZE and solid.low[0] > plot.corner[0]
 
 
-def test_a_plan_belongs_to_its_seed_and_place() -> None:
+def test_a_plan_depends_only_on_its_seed_and_place() -> None:
     again = drawn_plot.__wrapped__(0, 1, 2)
     assert (again.houses, again.trees) == (drawn_plot(0, 1, 2).houses, drawn_plot(0, 1, 2).trees)
     assert drawn_plot(0, 1, 2).houses != drawn_plot(1, 1, 2).houses
     assert drawn_plot(0, 1, 2).style.light.sun.tolist() == drawn_plot(0, 7, 7).style.light.sun.tolist()
 
 
-def test_streets_go_on_across_borders_without_a_gap_or_a_step() -> None:
+def test_streets_continue_across_block_borders_without_a_gap_or_a_step() -> None:
     here, there = (streets(drawn_plot(3, column, 0), 3) for column in (-1, 0))
     beside = [part.means[np.abs(part.means[:, 0]) < STEP] for part in (here, there)]
     assert [np.round(np.abs(means[:, 0]), 6).tolist() for means in beside] == [[STEP / 2] * 250] * 2
     assert np.allclose(beside[0][:, 1], beside[1][:, 1])
     colors = [part.colors[np.abs(part.means[:, 0]) < STEP] for part in (here, there)]
-    smooth = [part.reshape(25, 10, 3).mean((1, 2)) for part in colors]  # without the grain
+    smooth = [part.reshape(25, 10, 3).mean((1, 2)) for part in colors]  # averages out the grain
     assert np.corrcoef(*smooth)[0, 1] > 0.7
 
 
-def test_the_goal_sees_the_red_egg_and_things_lie_across_borders() -> None:
+def test_the_red_egg_is_in_view_from_the_goal_and_things_lie_across_borders() -> None:
     parts = {place: join(crossing(drawn_plot(0, *place), 0)) for place in CORNERS}
     assert sum(len(part) > 300 for part in parts.values()) >= 3
     assert crossing(drawn_plot(0, 2, 0), 0) == []
@@ -85,7 +85,9 @@ def test_the_goal_sees_the_red_egg_and_things_lie_across_borders() -> None:
     assert middle.float().mean() > 0.05
 
 
-def test_a_town_is_made_once_and_goes_on_where_it_was_stopped(quick: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_town_is_generated_once_and_resumes_where_it_was_interrupted(
+    quick: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scene = splatrl.town(seed=3, blocks=2)
     assert isinstance(scene, BlockScene)
     assert len(scene.blocks) == 5
@@ -104,13 +106,13 @@ def test_a_town_is_made_once_and_goes_on_where_it_was_stopped(quick: Path, monke
 
 
 @pytest.mark.parametrize("wrong", [{"blocks": 0}, {"blocks": 32}, {"blocks": 2.5}, {"seed": -1}])
-def test_numbers_out_of_range_are_refused_by_their_key(quick: Path, wrong: dict[str, float]) -> None:
+def test_numbers_out_of_range_are_refused_by_key(quick: Path, wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=rf"scene.{next(iter(wrong))}: expected a whole number"):
         splatrl.town(**wrong)  # type: ignore[arg-type]
     assert not list(quick.iterdir())
 
 
-def test_robots_cross_the_borders_of_blocks(quick: Path) -> None:
+def test_starts_in_all_four_blocks_lead_to_the_goal_across_their_borders(quick: Path) -> None:
     words = ["scene=town", "scene.blocks=2", "task=grid", "device=cpu", "collision.occupancy.resolution=0.1"]
     world = build_world(load_config([*words, "scene.bounds=[[-2,-2,0],[2,2,1]]"]))
     places = world.worlds[0].task.motion.planar(world.worlds[0].plan.states)[world.worlds[0].plan.start_rows]
@@ -140,7 +142,7 @@ def test_houses_stand_on_the_ground_and_grass_grows_around_them() -> None:
 
 
 @pytest.mark.slow
-def test_a_whole_block_has_a_hundred_thousand_gaussians_and_the_same_bytes_again() -> None:
+def test_a_full_block_has_over_a_hundred_thousand_gaussians_and_is_reproducible() -> None:
     block = block_gaussians(0, 0, 0)
     assert len(block) > 100_000
     assert torch.equal(block.means, block_gaussians(0, 0, 0).means)

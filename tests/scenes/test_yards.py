@@ -1,4 +1,4 @@
-"""Generated yards: as hard as the backyard, solvable by the checker that moves robots, and each another place."""
+"""Generated yards are as hard as the backyard, solvable by the robots' collision checker, and all different."""
 
 import math
 import subprocess
@@ -33,7 +33,7 @@ FIELDS = ("means", "quats", "scales", "opacities", "sh")
 
 @pytest.fixture(scope="module", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A cache that begins empty, so that yards are made by the code under test."""
+    """An initially empty cache, so that the code under test generates the yards."""
     folder = tmp_path_factory.mktemp("cache")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SPLATRL_CACHE", str(folder))
@@ -62,24 +62,26 @@ def all_bytes(scene: splatrl.Scene) -> list[bytes]:
 
 
 def red(rgb: Tensor) -> Tensor:
-    """Which pixels show the egg: [..., 3] -> [...] bool."""
+    """Return which pixels show the egg: [..., 3] -> [...] bool."""
     return (rgb[..., 0] > 0.4) & (rgb[..., 1:].amax(-1) < 0.35 * rgb[..., 0])
 
 
-def test_a_yard_is_as_hard_as_the_backyard_for_the_checker_that_moves_robots(made: Yard, planned: Plan) -> None:
+def test_a_yard_is_as_hard_as_the_backyard_for_the_robots_collision_checker(made: Yard, planned: Plan) -> None:
     blocked = (~planned.free.view(121, 16).any(1)).float().mean()
     assert BLOCKED[0] <= blocked <= BLOCKED[1]
     assert LONGEST[0] <= planned.distance.max() <= LONGEST[1]
     assert blocked == pytest.approx(made.blocked) and planned.distance.max() == made.longest
 
 
-def test_every_free_pose_has_a_way_to_the_goal_and_all_poses_next_to_that_are_free(planned: Plan, task: Grid) -> None:
+def test_every_free_pose_has_a_path_to_the_goal_and_all_poses_next_to_the_goal_are_free(
+    planned: Plan, task: Grid
+) -> None:
     assert (planned.distance[planned.free] >= 0).all()
     reached = task.reached(planned.states)
     assert reached.sum() == 27 and planned.free[reached].all()
 
 
-def test_the_goal_sees_the_egg_large_and_in_the_middle(made: Yard) -> None:
+def test_the_egg_is_large_and_central_in_the_view_from_the_goal(made: Yard) -> None:
     x, y, yaw_deg = made.goal
     eye, yaw = torch.tensor([x, y, 0.4]), math.radians(yaw_deg)
     ahead = eye + torch.tensor([math.cos(yaw), math.sin(yaw), 0.0])
@@ -94,7 +96,7 @@ def test_the_goal_sees_the_egg_large_and_in_the_middle(made: Yard) -> None:
     assert math.dist(made.egg[:2], made.goal[:2]) < 0.8
 
 
-def test_an_apple_hangs_free_and_bounds_hold_where_robots_walk(made: Yard) -> None:
+def test_the_object_hangs_in_free_space_and_the_bounds_contain_the_walkable_area(made: Yard) -> None:
     occupancy = Occupancy.from_scene(made.scene)
     (ahead,) = torch.eye(4)[None].clone()
     ahead[:3, 3] = torch.tensor(made.object)
@@ -111,7 +113,7 @@ def test_no_view_of_a_robot_has_a_hole(made: Yard, planned: Plan) -> None:
     assert NativeRenderer(made.scene).render(cameras).alpha.min() > 0.95
 
 
-def test_it_is_a_valid_scene_of_moderate_size_on_disk(made: Yard, own_cache: Path) -> None:
+def test_a_yard_is_a_valid_scene_of_moderate_size_in_memory_and_on_disk(made: Yard, own_cache: Path) -> None:
     g = made.scene.gaussians
     assert 30_000 <= len(g.means) <= 120_000
     assert all(getattr(g, name).isfinite().all() for name in FIELDS)
@@ -120,7 +122,7 @@ def test_it_is_a_valid_scene_of_moderate_size_on_disk(made: Yard, own_cache: Pat
     assert kept.stat().st_size < 30e6
 
 
-def test_a_seed_gives_the_same_bytes_in_any_process_in_the_order_of_seeds_and_another_seed_another_place(
+def test_a_seed_gives_the_same_yard_in_any_process_and_other_seeds_give_other_yards(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     alone = yards([10, 3])
@@ -145,7 +147,7 @@ def test_a_seed_gives_the_same_bytes_in_any_process_in_the_order_of_seeds_and_an
     assert all_bytes(yard(3)) == all_bytes(first.scene)
 
 
-def test_the_measure_gives_for_the_backyard_what_the_planner_gives() -> None:
+def test_the_measured_difficulty_of_the_backyard_is_that_of_the_planner() -> None:
     cells = Cells.empty((-3.0, -3.0), (3.0, 3.0))
     for name, low, high in backyard_obstacles():
         cells.fill(Solid(name, low, high), pad=0.0, round_=name in ROUND)
@@ -154,7 +156,7 @@ def test_the_measure_gives_for_the_backyard_what_the_planner_gives() -> None:
     assert solvable(found)
 
 
-def test_a_wall_across_the_core_is_not_solvable_and_an_empty_yard_too_easy() -> None:
+def test_a_yard_divided_by_a_wall_is_not_solvable_and_an_empty_one_is_too_easy() -> None:
     cells = Cells.empty((-2.0, -2.0), (2.0, 2.0))
     assert not solvable(difficulty(cells, (0.6, 0.0, 0.0)))
     cells.fill(Solid("wall", (-0.13, -2.0, 0.0), (-0.07, 2.0, 1.0)), pad=0.0)
@@ -162,7 +164,7 @@ def test_a_wall_across_the_core_is_not_solvable_and_an_empty_yard_too_easy() -> 
     assert 0.4 < found.connected < 0.6 and 0.4 < found.open < 0.6 and found.goal_free and not solvable(found)
 
 
-def test_a_thing_above_or_below_the_body_is_not_in_its_way_and_a_goal_inside_one_is_not_free() -> None:
+def test_things_above_or_below_the_body_do_not_block_and_a_goal_inside_a_thing_is_not_free() -> None:
     cells = Cells.empty((-2.0, -2.0), (2.0, 2.0))
     cells.fill(Solid("step", (-1.0, -1.0, 0.0), (1.0, 1.0, 0.3)), pad=0.0)
     cells.fill(Solid("arch", (-1.0, -1.0, 0.6), (1.0, 1.0, 0.9)), pad=0.0)
@@ -171,13 +173,13 @@ def test_a_thing_above_or_below_the_body_is_not_in_its_way_and_a_goal_inside_one
     assert not difficulty(cells, (0.6, 0.0, 0.0)).goal_free
 
 
-def test_the_footprint_of_a_turned_body_covers_the_area_of_its_square() -> None:
+def test_the_footprint_of_a_turned_body_covers_about_the_area_of_its_square() -> None:
     masks = footprints()
     assert masks[0].sum() == 64  # 0.4 m of cells of 0.05 m, square to the grid
     assert np.allclose(masks[1:].sum((1, 2)) * 0.05**2, 0.16, rtol=0.45) and (masks[1:].sum((1, 2)) > 64).all()
 
 
-def test_a_config_takes_goal_and_place_from_the_yard_and_the_command_line_has_the_last_word() -> None:
+def test_a_config_takes_goal_and_object_from_the_yard_unless_the_command_line_sets_them() -> None:
     (one,) = yards([3])
     cfg = load_config(["scene=yard", "scene.seed=3"])
     assert tuple(cfg.landmarks.goal) == one.goal and tuple(cfg.landmarks.object) == one.object
@@ -186,12 +188,12 @@ def test_a_config_takes_goal_and_place_from_the_yard_and_the_command_line_has_th
 
 
 @pytest.mark.parametrize("seed", ["1,2", "x", "-1", "1.5"])
-def test_a_seed_that_is_none_is_refused_by_its_key(seed: str) -> None:
+def test_an_invalid_seed_is_refused_by_its_key(seed: str) -> None:
     with pytest.raises(ValueError, match=r"scene\.seed: expected one whole number"):
         load_config(["scene=yard", f"scene.seed={seed}"])
 
 
-def test_a_negative_seed_and_empty_bounds_are_refused() -> None:
+def test_a_negative_seed_empty_bounds_and_zero_workers_are_refused() -> None:
     with pytest.raises(ValueError, match=r"scene\.seed"):
         yard(-1)
     with pytest.raises(ValueError, match="bounds"):
@@ -200,6 +202,6 @@ def test_a_negative_seed_and_empty_bounds_are_refused() -> None:
         yards([3], workers=0)
 
 
-def test_one_yard_is_trained_in_by_two_words(own_cache: Path) -> None:
+def test_two_overrides_suffice_for_an_environment_in_one_yard(own_cache: Path) -> None:
     env = splatrl.make_env(["scene=yard", "scene.seed=3"], batch_size=[2])
     assert env.rollout(2)["pixels"].float().std() > 10
