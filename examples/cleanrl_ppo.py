@@ -37,7 +37,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--task", default="splatrl/Grid-v0")
     parser.add_argument("--robots", type=int, default=32)
-    parser.add_argument("--steps", type=int, default=32, help="of each robot between updates")
+    parser.add_argument("--steps", type=int, default=32, help="steps per robot between updates")
     parser.add_argument("--frames", type=int, default=60_000)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
@@ -85,7 +85,9 @@ def main() -> None:
                 nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
                 optimizer.step()
         frames = (update + 1) * options.robots * options.steps
-        print(f"{frames:,} frames, success {np.mean(ended[-100:] or [0]):.2f} of the last {len(ended[-100:])} episodes")
+        print(
+            f"{frames:,} frames, success {np.mean(ended[-100:] or [0]):.2f} over the last {len(ended[-100:])} episodes"
+        )
     envs.close()
 
 

@@ -32,7 +32,7 @@ def main() -> None:
     )
     for batch in collector:
         reward = batch["next", "reward"].mean().item()
-        print(f"{options.backend}: {batch.numel()} frames of {list(batch.batch_size)}, mean reward {reward:.2f}")
+        print(f"{options.backend}: {batch.numel()} frames of shape {list(batch.batch_size)}, mean reward {reward:.2f}")
     collector.shutdown()
 
 

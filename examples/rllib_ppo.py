@@ -26,8 +26,8 @@ def main() -> None:
     """Train, and print the mean return."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--iterations", type=int, default=50)
-    parser.add_argument("--runners", type=int, default=1, help="processes beside this one; 0 is this one")
-    parser.add_argument("--batch", type=int, default=1024, help="frames of an iteration")
+    parser.add_argument("--runners", type=int, default=1, help="worker processes; 0 collects in this process")
+    parser.add_argument("--batch", type=int, default=1024, help="frames per iteration")
     options = parser.parse_args()
     ray.init(include_dashboard=False)
     register_env("splatrl", make)

@@ -25,8 +25,8 @@ def read_arrays(path: Path, most: int | None = None) -> Arrays:
         ValueError: for anything but a complete .npz of plain arrays, or for arrays larger than that.
     """
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file of arrays")
-    with refusing(path, "a whole .npz of plain arrays"):
+        raise FileNotFoundError(f"{path}: no such .npz file")
+    with refusing(path, "a complete .npz of plain arrays"):
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
             held, limit = sum(entry.file_size for entry in entries), path.stat().st_size if most is None else most
@@ -41,7 +41,9 @@ def read_arrays(path: Path, most: int | None = None) -> Arrays:
 def _check_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
     """Refuse an array whose header promises more data than follows: NumPy would allocate it before reading."""
     if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others allow dictionaries of any size
-        raise ValueError(f"{entry.filename}: expected it stored or deflated, got compression {entry.compress_type}")
+        raise ValueError(
+            f"{entry.filename}: expected stored or deflated data, got compression type {entry.compress_type}"
+        )
     with archive.open(entry) as stream:
         version = np.lib.format.read_magic(stream)
         header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0

@@ -9,7 +9,7 @@ LARGEST = 1e6
 
 def _positive(name: str, value: float) -> None:
     if not 0 < value <= LARGEST:
-        raise ValueError(f"{name}: expected finite metres above 0, at most {LARGEST:,.0f}, got {value}")
+        raise ValueError(f"{name}: expected a positive number of metres, at most {LARGEST:,.0f}, got {value}")
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,7 @@ def intrinsics(fov: float, width: int, height: int) -> Tensor:
         ValueError: for a field of view outside (0, π).
     """
     if not 0.0 < fov < math.pi:
-        raise ValueError(f"fov: expected radians in (0, π), got {fov}")
+        raise ValueError(f"fov: expected an angle in (0, π) radians, got {fov}")
     focal = 0.5 * width / math.tan(0.5 * fov)
     return torch.tensor([[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]])
 

@@ -28,8 +28,8 @@ def chosen_device(name: str) -> torch.device:
     if device.type == "cuda":
         if (device.index or 0) >= torch.cuda.device_count():
             raise ValueError(
-                f"device: expected one of this machine, got {name}: PyTorch {torch.__version__} finds "
-                f"{torch.cuda.device_count()} CUDA devices; device=auto takes what there is"
+                f"device: expected a device of this machine, got {name}, but PyTorch {torch.__version__} finds "
+                f"{torch.cuda.device_count()} CUDA devices; device=auto selects an available device"
             )
         if device.index is not None:
             torch.cuda.set_device(device)

@@ -56,7 +56,7 @@ def read_config(path: Path) -> DictConfig:
         raise ValueError(f"{path}: expected keys and values, got {content!r:.80}")
     for text in _texts(content):
         if "${" in text and not REFERENCE.fullmatch(text):
-            raise ValueError(f"{path}: expected references of a whole value such as ${{robot.height}}, got {text:.80}")
+            raise ValueError(f"{path}: expected references to a single key such as ${{robot.height}}, got {text:.80}")
     return OmegaConf.create(content)
 
 
@@ -86,7 +86,7 @@ def parsed_json(source: str, text: str | bytes) -> Any:
     """
     nests = text.count("[") + text.count("{") if isinstance(text, str) else text.count(b"[") + text.count(b"{")
     if nests > MAX_NESTS:
-        raise ValueError(f"{source}: expected JSON of at most {MAX_NESTS:,} lists and objects, got {nests:,}")
+        raise ValueError(f"{source}: expected JSON with at most {MAX_NESTS:,} lists and objects, got {nests:,}")
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:  # invalid JSON or UTF-8, or numbers with thousands of digits
@@ -103,7 +103,7 @@ def _text(path: Path, limit: int) -> str:
     try:
         return content.decode()
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: expected text in UTF-8, got {error}") from error
+        raise ValueError(f"{path}: expected UTF-8 text, got {error}") from error
 
 
 def _check_events(text: str) -> None:

@@ -54,7 +54,7 @@ def alone_in(folder: Path) -> Iterator[None]:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     except BlockingIOError as error:
-        raise ValueError(f"{folder}: expected an unused folder, but another process works there") from error
+        raise ValueError(f"{folder}: expected an unused folder, got one that another process is using") from error
     finally:
         os.close(held)
 
@@ -68,7 +68,7 @@ def new_folder(path: Path) -> Iterator[Path]:
         ValueError: if the path exists already.
     """
     if path.exists():
-        raise ValueError(f"{path}: expected a new folder, found one")
+        raise ValueError(f"{path}: expected a new folder, got one that already exists")
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     temporary.mkdir()
     try:

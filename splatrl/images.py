@@ -85,14 +85,14 @@ def read_grey(path: Path) -> NDArray[Any]:
     """
     with _opened(path, None, ("PNG",)) as image:
         if image.mode not in ("L", "I;16"):
-            raise ValueError(f"expected one channel of 8 or 16 bits, got the mode {image.mode}")
+            raise ValueError(f"expected one channel of 8 or 16 bits, got mode {image.mode}")
         return np.array(image)
 
 
 @contextmanager
 def _opened(path: Path, stream: BinaryIO | None, formats: tuple[str, ...]) -> Iterator[Image.Image]:
     """Open an image without decoding it, check its size, and name the path in every error."""
-    with refusing(path, f"a whole {' or '.join(formats)}"), Image.open(stream or path, formats=formats) as image:
+    with refusing(path, f"a complete {' or '.join(formats)}"), Image.open(stream or path, formats=formats) as image:
         require_small(path, image.width, image.height)  # from the header, before decoding
         yield image
 
@@ -111,16 +111,18 @@ def open_video(path: Path) -> Iterator["InputContainer"]:
     import av
 
     options = {"protocol_whitelist": "file", "format_whitelist": ",".join(CONTAINERS)}
-    whole = f"a whole video ({', '.join(CONTAINERS)})"
+    whole = f"a complete video ({', '.join(CONTAINERS)})"
     with refusing(path, whole), av.open(str(path.resolve()), container_options=options) as container:
         if not set(container.format.name.split(",")) & set(CONTAINERS):
             raise ValueError(f"{path}: expected a video, got the format {container.format.name}")
         if not container.streams.video:
-            raise ValueError(f"{path}: expected a video, found no stream of images")
+            raise ValueError(f"{path}: expected a video, found no video stream")
         track = container.streams.video[0]
         aspect = pixel_aspect(container)
         if not 1.0 / MOST_OBLONG <= aspect <= MOST_OBLONG:
-            raise ValueError(f"{path}: expected pixels about as wide as high, got {track.sample_aspect_ratio}")
+            raise ValueError(
+                f"{path}: expected nearly square pixels, got an aspect ratio of {track.sample_aspect_ratio}"
+            )
         require_small(path, *square_size(track.width, track.height, aspect))
         track.codec_context.options = {"max_pixels": str(MAX_PIXELS)}  # frames may be larger than the container says
         yield container

@@ -58,17 +58,17 @@ def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
         return
     changed = [line for line in differences(now["settings"], then["settings"]) if not line.startswith(FREE)]
     if now["scene"] != then["scene"]:
-        changed.append("scene: its Gaussians are others")
+        changed.append("scene: its Gaussians differ")
     if changed:
-        lines = ["resume: expected the scene and settings with which the run began, got others:"]
+        lines = ["resume: expected the scene and settings with which the run began, got different ones:"]
         raise ValueError(
-            "\n".join([*lines, *(f"  {line}" for line in changed), "resume_changed=true goes on with them"])
+            "\n".join(
+                [*lines, *(f"  {line}" for line in changed), "to resume with them anyway, type resume_changed=true"]
+            )
         )
-    other = [f"{key} {now[key]} in place of {then[key]}" for key in ("isa", "threads") if now[key] != then[key]]
+    other = [f"{key} {now[key]} instead of {then[key]}" for key in ("isa", "threads") if now[key] != then[key]]
     if other:
-        warnings.warn(
-            f"resume: going on with {', '.join(other)}; the bytes may differ in the last places", stacklevel=2
-        )
+        warnings.warn(f"resume: resuming with {', '.join(other)}; results may differ in the last bits", stacklevel=2)
 
 
 def _settings(config: Mapping[str, Any]) -> dict[str, Any]:

@@ -30,7 +30,7 @@ def check_height(bounds: Bounds, task: Task) -> None:
     lowest = float(task.motion.body_to_world(task.motion.states())[:, 2, 3].min())
     if lowest < bounds[0][2] - 1e-6:
         raise ValueError(
-            f"robot.height: expected robots above {bounds[0][2]:.3g} m, where scene.bounds begin, got {lowest:.3g}"
+            f"robot.height: expected robots above {bounds[0][2]:.3g} m, the bottom of scene.bounds, got {lowest:.3g}"
         )
 
 
@@ -53,10 +53,10 @@ def check_goal(task: Task, reached: Tensor) -> None:
         if isinstance(value, Tensor):
             got = [round(number, 3) for number in value[:2].tolist()]
             raise ValueError(
-                f"task.{name}: expected it where robots walk, x from {x} and y from {y} m, got {got}; "
+                f"task.{name}: expected a point in the walkable area, x from {x} and y from {y} m, got {got}; "
                 f"type another {landmark}, or wider task.motion.lower and upper"
             )
-    raise ValueError(f"task: expected a goal where robots walk, x from {x} and y from {y} m, got none")
+    raise ValueError(f"task: expected a goal in the walkable area, x from {x} and y from {y} m, found none")
 
 
 def check_sprite(drawing: Drawing, robot: Robot, task: Task) -> None:
@@ -77,6 +77,6 @@ def check_sprite(drawing: Drawing, robot: Robot, task: Task) -> None:
     needed = math.sqrt(task.red_share * across * down / (ROUND * drawing.sprite.aspect))
     if drawing.size < needed:
         raise ValueError(
-            f"drawing.size: expected at least {needed:.2g} m, so that a robot that comes no nearer than half of "
-            f"task.motion.step={task.motion.step:g} sees {task.red_share:.0%} of red, got {drawing.size:g}"
+            f"drawing.size: expected at least {needed:.2g} m, so that red fills {task.red_share:.0%} of the view of a "
+            f"robot that gets no closer than half of task.motion.step={task.motion.step:g}, got {drawing.size:g}"
         )

@@ -30,7 +30,7 @@ def stacked(modules: Sequence[Module], name: str = "task") -> Module:
     result = copy.copy(first)
     result._buffers, result._modules = dict(first._buffers), dict(first._modules)
     if any(type(module) is not type(first) for module in modules):
-        raise ValueError(f"{name}: expected one kind in all scenes, got {', '.join(_kinds(modules))}")
+        raise ValueError(f"{name}: expected the same class in all scenes, got {', '.join(_kinds(modules))}")
     own: tuple[str, ...] = getattr(first, "of_scene", ())
     for key in first._modules:
         result._modules[key] = stacked([module.get_submodule(key) for module in modules], f"{name}.{key}")

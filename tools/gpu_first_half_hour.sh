@@ -79,7 +79,7 @@ tool_step() { # TOOL NAME SECONDS COMMAND...
 # Installs the kit's wheels once, and copies the checkout's own Python and CUDA sources over them.
 unpack() {
     local mark
-    [[ -d $kit/wheels ]] || die "$kit: expected the folder of tools/gpu_kit.sh"
+    [[ -d $kit/wheels ]] || die "$kit: expected a folder packed by tools/gpu_kit.sh"
     mark=$(cat "$kit"/wheels/*.whl | sha256sum)
     if [[ $(cat "$WORK/mark" 2>/dev/null) != "$mark" ]]; then
         rm -rf "$WORK/site" "$WORK/mark"
@@ -90,7 +90,7 @@ unpack() {
     fi
     cp -r splatrl/. "$WORK/site/splatrl/" && cp -r conf/. "$WORK/site/splatrl/conf/"
     sha256sum --check --quiet "$kit/sources.sha256" >>"$log" 2>&1 ||
-        say "the C++ here is not that of the wheel: pack the kit again, and do not trust what follows"
+        say "the C++ sources here differ from those in the wheel: pack the kit again, and do not trust the results below"
     mkdir -p "$WORK/cache"
     [[ ! -f $kit/kernels.tar.gz ]] || tar -xzf "$kit/kernels.tar.gz" -C "$WORK/cache"
 }
@@ -208,7 +208,7 @@ export PYTHONPATH=$WORK/site:$PWD PYTHONUNBUFFERED=1 PYTEST_DISABLE_PLUGIN_AUTOL
 export SPLATRL_CACHE=$WORK/cache SPLATRL_SCENES=$kit/scenes TORCH_EXTENSIONS_DIR=$WORK/extensions
 gpu=$("$PYTHON" -c 'import torch as t; print(t.cuda.get_device_name() if t.cuda.is_available() else "")' 2>>"$log")
 arch=$("$PYTHON" -c 'import torch as t; print("sm_%d%d" % t.cuda.get_device_capability() if t.cuda.is_available() else "sm_90")' 2>>"$log")
-say "${gpu:-no GPU: nothing that needs one is run${dry:+, but emulated}}; $commit"
+say "${gpu:-no GPU: steps that need one are not run${dry:+, but emulated}}; $commit"
 step versions 60 "$PYTHON" benchmarks/gpu_kernels.py --count --arch "$arch"
 for part in "${parts[@]}"; do
     "part_$part"

@@ -44,7 +44,7 @@ find_interpreter() {
     interpreter=$python
     [[ $python == */* ]] || interpreter=python$python
     version=$("$interpreter" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null) ||
-        die "--python $python: found no interpreter that runs; give the path of one, such as \$(uv python find $python)"
+        die "--python $python: found no working interpreter; give the path of one, such as \$(uv python find $python)"
     [[ $python == */* || $version == "$python" ]] || die "--python $python: $interpreter is $version"
 }
 
@@ -74,7 +74,7 @@ pack_kitchen() {
     if [[ -f $scene ]]; then
         install -D -m 644 "$scene" "$folder/scenes/kitchen/kitchen.spz"
     else
-        echo "kitchen: left out, no $scene; SPLATRL_SCENES names the folder of scenes"
+        echo "kitchen: left out, found no $scene; set SPLATRL_SCENES to the folder of scenes"
     fi
 }
 
@@ -120,7 +120,7 @@ while (($#)); do
     esac
     shift
 done
-[[ $arch =~ ^sm_[0-9]+$ ]] || die "--arch $arch: expected sm_90 or the like"
+[[ $arch =~ ^sm_[0-9]+$ ]] || die "--arch $arch: expected an architecture such as sm_90"
 [[ $limit =~ ^[0-9]+$ ]] || die "--limit $limit: expected a number of MiB"
 ((${#parts[@]})) || parts=("${PARTS[@]}")
 [[ $folder == /* ]] || folder=$PWD/$folder

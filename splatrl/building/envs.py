@@ -30,7 +30,7 @@ def make_env(
         ValueError: for a batch size of another shape, or a config that is refused.
     """
     if batch_size is not None and (isinstance(batch_size, int) or len(batch_size) != 1 or batch_size[0] < 1):
-        raise ValueError(f"batch_size: expected a list of one number of at least 1, or None, got {batch_size}")
+        raise ValueError(f"batch_size: expected a list with one whole number of at least 1, or None, got {batch_size}")
     cfg = load_config(overrides)
     world = build_world(cfg)
     curriculum = instantiate(cfg.curriculum)([one.plan for one in world.worlds])

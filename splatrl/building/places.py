@@ -163,7 +163,9 @@ def constructor(cfg: DictConfig, group: str, device: torch.device) -> Callable[.
     if node is None:
         others = [kind for kind in KINDS if choice.get(kind) is not None]
         if not others:
-            raise ValueError(f"{group}: expected {' or '.join(KINDS)} in it, got {', '.join(map(str, choice))}")
+            raise ValueError(
+                f"{group}: expected a constructor for {' or '.join(KINDS)}, got {', '.join(map(str, choice))}"
+            )
         raise ValueError(f"{group}: expected device={' or '.join(others)} for this choice, got device={device}")
     return instantiate(node)
 

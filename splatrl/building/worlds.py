@@ -55,7 +55,7 @@ def build_world(cfg: DictConfig) -> World | Worlds:
     )
     tasks = [place.task for place in places if isinstance(place.task, torch.nn.Module)]
     if len(tasks) < len(places):
-        raise ValueError(f"task: expected a torch module for several scenes, got {type(places[0].task).__name__}")
+        raise ValueError(f"task: expected a torch module, as several scenes need, got {type(places[0].task).__name__}")
     checker, task = SeveralCheckers([place.checker for place in places]), stacked(tasks)
     return Worlds(worlds, drawing, checker, robot, task, transforms, device, made_by, sensors)
 
@@ -87,8 +87,10 @@ def _make_transforms(nodes: DictConfig, memory: int) -> list[Transform]:
     order, names = list(nodes.order), [str(name) for name in nodes if name != "order"]
     unknown = [name for name in order if name not in names]
     if unknown:
-        raise ValueError(f"transforms.order: expected some of {', '.join(names)}, got {', '.join(map(str, unknown))}")
+        raise ValueError(
+            f"transforms.order: expected only names from {', '.join(names)}, got {', '.join(map(str, unknown))}"
+        )
     left_out = [name for name in names if nodes[name] and name not in order]
     if left_out:
-        raise ValueError(f"transforms.order: expected a place for {', '.join(left_out)}, got {order}")
+        raise ValueError(f"transforms.order: expected an entry for {', '.join(left_out)}, got {order}")
     return [*(instantiate(nodes[name]) for name in order if nodes[name]), *memory_transforms(memory)]

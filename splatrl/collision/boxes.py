@@ -32,7 +32,7 @@ def box_keys(
     check_resolution(resolution)
     low, high = checked_points("lower", lower), checked_points("upper", upper)
     if low.shape != high.shape or not (high > low).all():
-        raise ValueError(f"upper: expected {list(low.shape)} corners above lower, got {high.tolist()}")
+        raise ValueError(f"upper: expected corners of shape {list(low.shape)}, each above lower, got {high.tolist()}")
     first, end = np.floor(low / resolution + _FACE_SLACK), np.ceil(high / resolution - _FACE_SLACK)
     first, end = (np.clip(key, -_FARTHEST, _FARTHEST).astype(np.int64) for key in (first, end))
     return first, np.maximum(end, first + 1)

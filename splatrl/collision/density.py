@@ -45,11 +45,11 @@ class DensitySettings:
         if not 0.0 <= self.min_opacity <= 1.0:
             raise ValueError(f"min_opacity: expected an opacity in [0, 1], got {self.min_opacity}")
         if not 0.0 < self.cutoff < 1.0:
-            raise ValueError(f"cutoff: expected a share in (0, 1), got {self.cutoff}")
+            raise ValueError(f"cutoff: expected a fraction in (0, 1), got {self.cutoff}")
         if not self.min_volume >= 0.0:
-            raise ValueError(f"min_volume: expected cubic metres of at least 0, got {self.min_volume}")
+            raise ValueError(f"min_volume: expected a non-negative number of cubic metres, got {self.min_volume}")
         if self.max_scale is not None and not self.max_scale > 0.0:
-            raise ValueError(f"max_scale: expected metres above 0, or None, got {self.max_scale}")
+            raise ValueError(f"max_scale: expected a positive number of metres, or None, got {self.max_scale}")
 
 
 DEFAULT_DENSITY = DensitySettings()

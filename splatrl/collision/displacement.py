@@ -49,7 +49,7 @@ class Displacement:
             max_travel: maximum distance that a point of the body may travel in one step, metres.
         """
         if start.shape != end.shape:
-            raise ValueError(f"end: expected as many poses as start, {start.shape[0]}, got {end.shape[0]}")
+            raise ValueError(f"end: expected {start.shape[0]} poses, as many as in start, got {end.shape[0]}")
         self._start, self._end = start, end
         self._still = (start[:, :3, :3] == end[:, :3, :3]).flatten(1).all(1)
         self._start_quats = rotations_to_quats(start[:, :3, :3])

@@ -49,7 +49,9 @@ class FclChecker:
                 0.
         """
         if blocks is not None and not (math.isfinite(blocks) and blocks > 0):
-            raise ValueError(f"blocks: expected finite metres above 0, or None for one octree, got {blocks}")
+            raise ValueError(
+                f"blocks: expected a positive, finite number of metres, or None for one octree, got {blocks}"
+            )
         self.occupancy = occupancy
         self.body = body
         self.blocks = blocks

@@ -52,7 +52,7 @@ def unreached_voxels(
             too large to be flooded.
     """
     if not (math.isfinite(opening) and opening >= 0):
-        raise ValueError(f"fill: expected finite metres of at least 0, got {opening}")
+        raise ValueError(f"fill: expected a non-negative, finite number of metres, got {opening}")
     places = None if seeds is None else checked_points("seeds", seeds)
     padded, origin = _widened(occupied, np.array(origin_key, np.int64), resolution, around)
     wide = round(opening / resolution)
@@ -125,5 +125,5 @@ def _flooded(
 def warn_unfilled(opening: float) -> None:
     """Warn that nothing was filled, and why."""
     warnings.warn(
-        f"fill: expected a free place {opening:g} m wide near the goal, got none; nothing is filled", stacklevel=3
+        f"fill: expected free space {opening:g} m wide near the goal, found none; nothing is filled", stacklevel=3
     )

@@ -66,7 +66,7 @@ class NativeQueries:
         metres = torch.empty(len(places), dtype=torch.float32)
         if self.core.clearance(places.data_ptr(), metres.data_ptr(), len(places), self.threads) >= 0:
             checked_points("points", points)
-            raise ValueError("points: expected finite places in scenes that there are")
+            raise ValueError("points: expected finite points and valid scene indices")
         return _to_device_of(metres, points)
 
     def _move(self, query: Callable[..., int], start: Tensor, end: Tensor, out: Tensor) -> Tensor:
@@ -166,14 +166,14 @@ def check_shape(name: str, values: Tensor, shape: tuple[int, ...]) -> None:
 def check_pairs(starts: Tensor, ends: Tensor) -> None:
     """Refuse moves with different numbers of starts and ends."""
     if len(starts) != len(ends):
-        raise ValueError(f"end: expected as many poses as start, {len(starts)}, got {len(ends)}")
+        raise ValueError(f"end: expected {len(starts)} poses, as many as in start, got {len(ends)}")
 
 
 def refuse(**poses: Tensor) -> None:
     """Raise an error that names the first pose that is not rigid, and why it is not."""
     for name, values in poses.items():
         checked_poses(name, values.float())
-    raise ValueError(f"{', '.join(poses)}: expected rigid poses in scenes that there are")
+    raise ValueError(f"{', '.join(poses)}: expected rigid poses and valid scene indices")
 
 
 def _dimensions(body: Body) -> tuple[tuple[float, float, float], float, float]:

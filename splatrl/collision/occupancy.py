@@ -54,7 +54,7 @@ class Occupancy(Voxels):
         """
         array = np.asarray(keys)
         if array.ndim != 2 or array.shape[1] != 3 or not np.issubdtype(array.dtype, np.integer):
-            raise ValueError(f"keys: expected integers [M, 3], got {array.dtype} {list(array.shape)}")
+            raise ValueError(f"keys: expected integers of shape [M, 3], got {array.dtype} {list(array.shape)}")
         if len(array) == 0:
             return cls.empty(resolution)
         origin = array.min(0)
@@ -159,7 +159,9 @@ class Occupancy(Voxels):
         occupancy = cls.from_points(points, resolution, crop, max_voxels)
         if occupancy.count == 0:
             extent = [np.round(corner, 3).tolist() for corner in (points.min(0), points.max(0))]
-            raise ValueError(f"{path}: crop: expected points in it, got none in {crop}; the cloud spans {extent}")
+            raise ValueError(
+                f"{path}: crop: expected a box that contains points, got {crop}; the point cloud spans {extent}"
+            )
         return occupancy
 
     @classmethod
@@ -238,7 +240,9 @@ class Occupancy(Voxels):
             ValueError: for grids of different resolutions, or so far apart that the grid around both is too large.
         """
         if not math.isclose(self.resolution, other.resolution, rel_tol=1e-9):
-            raise ValueError(f"|: expected two grids of one resolution, got {self.resolution} and {other.resolution} m")
+            raise ValueError(
+                f"|: expected two grids of the same resolution, got {self.resolution} and {other.resolution} m"
+            )
         grids = [grid for grid in (self, other) if grid.occupied.size]
         floaters, filled = self.floaters + other.floaters, self.filled + other.filled
         if not grids:

@@ -35,8 +35,8 @@ def encode_octree(occupancy: Occupancy) -> NDArray[np.int8]:
     if outside.any():
         key = keys[outside.argmax()] - _OFFSET
         raise ValueError(
-            f"occupancy: expected voxel keys in [{-_OFFSET}, {_OFFSET}), got {key.tolist()}, "
-            f"{np.round(key * occupancy.resolution, 3).tolist()} m at a resolution of {occupancy.resolution} m"
+            f"occupancy: expected voxel keys in [{-_OFFSET}, {_OFFSET}), got {key.tolist()} "
+            f"({np.round(key * occupancy.resolution, 3).tolist()} m, at a resolution of {occupancy.resolution} m)"
         )
     nodes = np.sort(_morton(keys.astype(np.uint64)))
     full = np.ones(len(nodes), bool)

@@ -51,7 +51,7 @@ def read_pcd(path: Path) -> NDArray[np.float64]:
     held = path.stat().st_size - header.size
     least = header.count * (header.stride if header.data == "binary" else header.width)
     if held < least:  # an ASCII value takes at least one byte
-        raise ValueError(f"{path}: expected {least} bytes or more after the header, got {held}")
+        raise ValueError(f"{path}: expected at least {least} bytes after the header, got {held}")
     if header.count == 0:
         return np.zeros((0, 3))
     if header.data == "binary":
@@ -75,17 +75,17 @@ def _read_header(path: Path) -> PcdHeader:
         start = stream.read(MAX_HEADER)
     end = re.search(rb"^DATA[^\n]*\n", start, re.MULTILINE)
     if end is None:
-        raise ValueError(f"{path}: expected a PCD file with a header that ends in DATA, got none")
+        raise ValueError(f"{path}: expected a PCD file whose header ends with a DATA line, found none")
     lines = [line.split() for line in start[: end.end()].decode("ascii", "replace").splitlines()]
     entries = {line[0]: line[1:] for line in lines if line and not line[0].startswith("#")}
     missing = [key for key in KEYS if not entries.get(key)]
     if missing:
-        raise ValueError(f"{path}: header: expected the lines {', '.join(KEYS)}, got none with {', '.join(missing)}")
+        raise ValueError(f"{path}: header: expected the lines {', '.join(KEYS)}, found no {', '.join(missing)}")
     data = entries["DATA"][0]
     if data not in ("ascii", "binary"):
         raise ValueError(
             f"{path}: DATA: expected ascii or binary, got {data!r}; "
-            "convert it by PCL's pcl_convert_pcd_ascii_binary with 0 or 1"
+            "convert the file with PCL's pcl_convert_pcd_ascii_binary, output format 0 or 1"
         )
     names = entries["FIELDS"]
     sizes, counts = (_numbers(path, key, entries.get(key, ["1"] * len(names)), len(names)) for key in ("SIZE", "COUNT"))
@@ -99,7 +99,7 @@ def _read_header(path: Path) -> PcdHeader:
     rows = math.prod(_numbers(path, "WIDTH", entries["WIDTH"], 1) + _numbers(path, "HEIGHT", entries["HEIGHT"], 1))
     (points,) = _numbers(path, "POINTS", entries.get("POINTS", [str(rows)]), 1)
     if points != rows:
-        raise ValueError(f"{path}: POINTS: expected WIDTH × HEIGHT, {rows}, got {points}")
+        raise ValueError(f"{path}: POINTS: expected WIDTH × HEIGHT = {rows}, got {points}")
     return PcdHeader(
         data=data,
         count=rows,

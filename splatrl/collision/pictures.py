@@ -40,7 +40,7 @@ def draw_maps(voxels: Voxels, path: Path, low: float, high: float) -> None:
         ValueError: if ``low`` is not below ``high``.
     """
     if not low < high:
-        raise ValueError(f"low: expected metres below high, got {low} and {high}")
+        raise ValueError(f"low: expected a height below high ({high} m), got {low} m")
     bottom, top, ceiling = (_layer(voxels, z) for z in (low, high - 1e-9, high + 1.0))
     body = voxels.occupied[:, :, bottom : top + 1].any(2)
     under = voxels.occupied[:, :, :bottom].any(2)
@@ -54,11 +54,11 @@ def draw_maps(voxels: Voxels, path: Path, low: float, high: float) -> None:
     extent = (left, left + size[0], front, front + size[1])
     heights = _heights(voxels, ceiling)
     image = axes[0].imshow(heights.T, origin="lower", extent=extent, cmap=COLORS, interpolation="nearest")
-    axes[0].set_title("height of what is solid, m")
+    axes[0].set_title("height of solid voxels, m")
     figure.colorbar(image, ax=axes[0], shrink=0.8)
     colors = ListedColormap([NOTHING, FREE, SOLID])
     axes[1].imshow(kinds.T, origin="lower", extent=extent, cmap=colors, vmin=0, vmax=2, interpolation="nearest")
-    axes[1].set_title(f"free (green) between {low:g} and {high:g} m")
+    axes[1].set_title(f"free space (green) between {low:g} and {high:g} m")
     for axis in axes:
         axis.set_xlabel("x, m")
         axis.set_facecolor(NOTHING)

@@ -34,11 +34,11 @@ def read_points(path: str | os.PathLike[str]) -> NDArray[np.float64]:
         ValueError: for a file that does not match its extension, is damaged, or holds no point.
     """
     path = _checked_path(path)
-    with refusing(path, "a whole point cloud"):
+    with refusing(path, "a complete point cloud"):
         points = READERS[path.suffix.lower()](path)
     finite = points[np.isfinite(points).all(1)]
     if len(finite) == 0:
-        raise ValueError(f"{path}: expected points, got {len(points)}, none of them finite")
+        raise ValueError(f"{path}: expected finite points, got {len(points)} points, none of them finite")
     return finite
 
 
@@ -67,12 +67,13 @@ def _checked_path(path: str | os.PathLike[str]) -> Path:
     path = Path(path).expanduser()
     if path.suffix.lower() not in READERS:
         raise ValueError(
-            f"{path}: expected a point cloud that ends in {', '.join(READERS)}, got {path.suffix or 'no ending'!r}"
+            f"{path}: expected a point cloud with the extension {' or '.join(READERS)}, "
+            f"got {path.suffix or 'no extension'!r}"
         )
     if path.is_dir():
-        raise ValueError(f"{path}: expected a point cloud, got a folder")
+        raise ValueError(f"{path}: expected a point cloud file, got a folder")
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such point cloud")
+        raise FileNotFoundError(f"{path}: no such point cloud file")
     return path
 
 
@@ -80,12 +81,12 @@ def _read_ply(path: Path) -> NDArray[np.float64]:
     header = read_ply_header(path)
     vertex = header.elements.get("vertex")
     if vertex is None:
-        raise ValueError(f"{path}: expected an element vertex, got {', '.join(header.elements) or 'none'}")
+        raise ValueError(f"{path}: expected an element called vertex, got {', '.join(header.elements) or 'none'}")
     missing = [axis for axis in AXES if vertex.properties.get(axis, "list") == "list"]
     if missing:
         raise ValueError(
-            f"{path}: expected vertices with x, y and z, got none with {', '.join(missing)}; "
-            f"they have {', '.join(vertex.properties) or 'nothing'}"
+            f"{path}: expected vertices with x, y and z, found no {', '.join(missing)}; "
+            f"their properties are {', '.join(vertex.properties) or 'none'}"
         )
     (points,) = vertex_columns(path, header, [AXES], [np.float64])
     return points

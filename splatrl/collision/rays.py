@@ -30,7 +30,7 @@ def room_around(voxels: Voxels) -> NDArray[np.uint8]:
 def check_reach(reach: float) -> None:
     """Refuse a reach that is not a finite number above 0."""
     if not (math.isfinite(reach) and reach > 0):
-        raise ValueError(f"reach: expected metres above 0, got {reach}")
+        raise ValueError(f"reach: expected a positive, finite number of metres, got {reach}")
 
 
 def check_beams(beams: Tensor) -> None:

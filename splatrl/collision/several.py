@@ -29,7 +29,9 @@ class SeveralCheckers:
 
     def __init__(self, checkers: Sequence[Checker]):
         if not checkers or any(checker.body != checkers[0].body for checker in checkers):
-            raise ValueError(f"checkers: expected some of one body, got {[checker.body for checker in checkers]}")
+            raise ValueError(
+                f"checkers: expected at least one, all for one body, got {[checker.body for checker in checkers]}"
+            )
         self.checkers = list(checkers)
         self._native = _natively(self.checkers)
 
@@ -101,7 +103,7 @@ class _InScenes:
     def _scenes(self, count: int) -> int:
         """Return the address of the rows' scene indices."""
         if len(self._scene) != count:
-            raise ValueError(f"scene: expected one for each of {count} rows, got {len(self._scene)}")
+            raise ValueError(f"scene: expected {count} scene indices, one per row, got {len(self._scene)}")
         return self._scene.data_ptr()
 
 
@@ -138,5 +140,5 @@ class _Rows:
                 asked = query(checker)(*(value[rows] for value in values))
                 answer = asked.new_empty(len(mine), *asked.shape[1:]) if answer is None else answer
                 answer[rows] = asked
-        assert answer is not None, "no rows, or none in a scene that there is"
+        assert answer is not None, "no rows, or none with a valid scene index"
         return answer

@@ -66,7 +66,7 @@ class Verification:
         return tuple(one for one in self.disagreements if one.margin > margin)
 
     def __str__(self) -> str:
-        lines = [f"{self.agreed} of {self.poses} agreed; the oracle calls {self.hits} hits"]
+        lines = [f"{self.agreed} of {self.poses} agreed; the oracle reports {self.hits} hits"]
         if self.disagreements:
             worst = max(one.margin for one in self.disagreements)
             lines[0] += f"; {len(self.missed)} missed, margins up to {worst:.1e} m"
@@ -114,7 +114,7 @@ def _compared(
     checker: Checker, oracle: Checker, queries: Tensor, ask: Callable[[Checker, Tensor], Tensor]
 ) -> Verification:
     if checker.body != oracle.body:
-        raise ValueError(f"oracle: expected one for {checker.body}, got one for {oracle.body}")
+        raise ValueError(f"oracle: expected a checker for {checker.body}, got one for {oracle.body}")
     everything = torch.arange(len(queries), device=queries.device)
     answers, expected = ask(checker, everything), ask(oracle, everything)
     rows = (answers != expected).nonzero()[:, 0]

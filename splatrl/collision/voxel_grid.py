@@ -41,7 +41,7 @@ def checked_points(name: str, values: Tensor | ArrayLike) -> NDArray[np.float64]
     finite = np.isfinite(array)
     if not finite.all():
         row = int((~finite.all(1)).argmax())
-        raise ValueError(f"{name}: expected finite metres, got {array[row].tolist()} in row {row}")
+        raise ValueError(f"{name}: expected finite coordinates, got {array[row].tolist()} in row {row}")
     return array
 
 
@@ -81,7 +81,7 @@ def grid_shape(
         lower, upper = (np.round(key * resolution, 3).tolist() for key in (first_key, end_key))
         raise ValueError(
             f"grid from {lower} to {upper} m at a resolution of {resolution} m: expected at most {max_voxels} voxels, "
-            f"got {[x, y, z]}, {x * y * z} in all; crop it, take a coarser resolution or raise "
+            f"got {[x, y, z]}, {x * y * z} in total; crop the grid, choose a coarser resolution, or raise "
             "collision.occupancy.max_voxels"
         )
     return x, y, z

@@ -116,7 +116,7 @@ class Voxels:
         try:
             return cls._unpacked(arrays, max_voxels)
         except (LookupError, TypeError, AttributeError, OverflowError) as error:
-            raise ValueError(f"occupancy: expected the arrays that to_arrays gives, got {error}") from error
+            raise ValueError(f"occupancy: expected the arrays written by to_arrays, got {error}") from error
 
     @classmethod
     def _unpacked(cls, arrays: Mapping[str, NDArray[Any]], max_voxels: int) -> "Self":
@@ -124,10 +124,12 @@ class Voxels:
         count, packed = math.prod(shape), arrays["occupied_bits"]
         if count > max_voxels:
             raise ValueError(
-                f"shape: expected at most {max_voxels} voxels, got {shape}; collision.occupancy.max_voxels raises it"
+                f"shape: expected at most {max_voxels} voxels, got {shape}; raise collision.occupancy.max_voxels"
             )
         if min(shape, default=0) < 0 or packed.dtype != np.uint8 or packed.shape != ((count + 7) // 8,):
-            raise ValueError(f"occupied_bits: expected uint8 bits of {shape} voxels, got {packed.dtype} {packed.shape}")
+            raise ValueError(
+                f"occupied_bits: expected packed bits (uint8) of {shape} voxels, got {packed.dtype} {packed.shape}"
+            )
         bits = np.unpackbits(packed, count=count).astype(bool).reshape(shape)
         floaters, filled = int(arrays["floaters"]), int(arrays["filled"])
         return cls(bits, tuple(arrays["origin_key"].tolist()), float(arrays["resolution"]), floaters, filled)

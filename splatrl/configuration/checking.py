@@ -35,13 +35,13 @@ WORDS = {"evaluation.checkpoint": ("last", "best"), "logger.backend": ("csv", "t
 NULLABLE = ("starts.farthest", "renderer.threads")
 COMMON = ("renderer", "drawing", "around_drawing")
 """Nodes that an env builds only once, so that they must be the same in all of its scenes."""
-BY_SCENE = "or let splatrl-scene <the splat> --out <a folder> find one, and type scene=<the folder>"
+BY_SCENE = "or let splatrl-scene <splat file> --out <folder> find one, and type scene=<folder>"
 EXAMPLES = {
-    "run": "run=<the folder of a training>",
+    "run": "run=<run folder>",
     "robot.height": f"robot.height=0.4, metres above the floor, {BY_SCENE}",
-    "landmarks.goal": f"landmarks.goal=[x,y,yaw], two in metres and one in degrees, of what sees something, {BY_SCENE}",
-    "landmarks.object": f"landmarks.object=[x,y,z], in metres, of a free place for a thing, {BY_SCENE}",
-    "scene.path": "scene.path=<a splat file or a folder>",
+    "landmarks.goal": f"landmarks.goal=[x,y,yaw], in metres and degrees, facing something, {BY_SCENE}",
+    "landmarks.object": f"landmarks.object=[x,y,z], in metres, a free place for the object, {BY_SCENE}",
+    "scene.path": "scene.path=<splat file or folder>",
 }
 """Examples, shown in error messages, of what to type for required values that are often forgotten."""
 
@@ -62,7 +62,7 @@ def check_config(cfg: DictConfig) -> None:
         ValueError: names the key, what was expected and what was given.
     """
     if isinstance(OmegaConf.select(cfg, "scene.places"), ListConfig) and not cfg.scene.places:
-        raise ValueError("scene.paths: expected some scenes, got none; type scene.paths=[garden/,yard:3]")
+        raise ValueError("scene.paths: expected at least one scene, got none; type scene.paths=[garden/,yard:3]")
     places = place_configs(cfg)
     for name, place in zip(place_names(cfg), places, strict=True):
         check_constructors(place)

@@ -140,7 +140,7 @@ def _parsed(word: str, sweeps: bool) -> Override:
     try:
         override: Override = OverridesParser.create().parse_override(word)
     except HydraException as error:
-        raise UserError(f"{word}: expected {key}=value with closed brackets, and odd signs quoted") from error
+        raise UserError(f"{word}: expected {key}=value with balanced brackets and special characters quoted") from error
     if override.is_sweep_override() and not sweeps:
         text = word.partition("=")[2]
         several = f"scene=many 'scene.paths=[{text}]' for several" if key == "scene" else f"{key}=[{text}] for a list"
@@ -196,9 +196,9 @@ def _check_choice(key: str, choice: str) -> None:
     near = difflib.get_close_matches(choice.lower(), valid, 1)
     hint = f"; did you mean {key}={near[0]}?" if near else ""
     if group == "scene" and (SEEDED.fullmatch(choice) or Path(choice).expanduser().exists()):
-        kinds = "only names of configs, only paths that exist, or only seeds as in yard:1,yard:2"
+        kinds = "only names of configs, only existing paths, or only seeds such as yard:1,yard:2"
         raise UserError(f"{key}: expected {kinds}, got {choice} among others")
-    paths = ", or a path that exists" if group == "scene" else ""
+    paths = ", or an existing path" if group == "scene" else ""
     raise UserError(f"{key}: expected one of {', '.join(valid)}{paths}, got {choice}{hint}")
 
 
@@ -215,9 +215,9 @@ def _check_key(key: str, known: DictConfig) -> None:
     hint = f", did you mean {' or '.join(near)}?" if near else "."
     place = ".".join(parents)
     if valid:
-        known_keys = f"Valid keys {f'of {place}' if parents else 'at the top'}: {', '.join(valid)}"
+        known_keys = f"Valid keys {f'of {place}' if parents else 'at the top level'}: {', '.join(valid)}"
     elif options(place):
-        known_keys = f"{place}=... chooses values of other keys: {', '.join(options(place))}"
+        known_keys = f"{place} is a config group with the options {', '.join(options(place))}"
     else:
         known_keys = f"{place} has no keys"
     raise UserError(f"{key}: no such key{hint} {known_keys}")
@@ -274,7 +274,7 @@ def check_kind(key: str, usual: object, given: object) -> None:
         names = [f"{key}.{name}=..." for name in usual if not str(name).startswith("_")]
         fits, expected = isinstance(given, dict), f"keys and values, such as {(*names, key + '={}')[0]}"
     else:
-        fits, expected = not isinstance(given, list | dict), "a word"
+        fits, expected = not isinstance(given, list | dict), "a single value"
     if not fits:
         shown = f"[{','.join(map(str, given))}]" if isinstance(given, list) else given
         raise UserError(f"{key}: expected {expected}, got {'nothing' if shown == '' else shown}")

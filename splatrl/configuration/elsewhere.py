@@ -44,10 +44,10 @@ def config_elsewhere(folder: Path, words: Sequence[str], allow_targets: Sequence
     """
     own, path = run_config(folder, allow_targets), folder / TYPED
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: expected what was typed for the training, found no such file")
+        raise FileNotFoundError(f"{path}: expected the overrides typed for the training, found no such file")
     typed = read_yaml(path)
     if not isinstance(typed, list) or not all(isinstance(word, str) and "${" not in word for word in typed):
-        raise ValueError(f"{path}: expected a list of overrides without references, got {typed!r:.80}")
+        raise ValueError(f"{path}: expected a list of overrides without ${{...}} references, got {typed!r:.80}")
     dropped = (*OF_A_RUN, *(OF_A_SCENE if any(word.startswith("scene=") for word in words) else ()))
     kept = [word for word in typed if not f"{_key(word)}.".startswith(tuple(f"{key}." for key in dropped))]
     there = load_config([*kept, *words])

@@ -43,7 +43,9 @@ def last_typed(overrides: Sequence[str], key: str, usual: object) -> Any:
     parsed = OverridesParser.create().parse_override(given[-1])
     if parsed.is_sweep_override():
         typed = given[-1].partition("=")[2]
-        raise ValueError(f"{key}: expected one value, got {typed}; start a command for each, or trainings with -m")
+        raise ValueError(
+            f"{key}: expected one value, got {typed}; run the command once per value, or sweep trainings with -m"
+        )
     return unquoted(parsed.value())
 
 

@@ -38,7 +38,7 @@ MOST_USED = {
 }
 """Choices and keys to list first, per command; the other commands have few keys, already ordered in their YAML."""
 HYDRAS = {
-    "-m, --multirun": "every combination of values with commas between, as in seed=0,1,2",
+    "-m, --multirun": "run every combination of comma-separated values, as in seed=0,1,2",
     "--cfg job": "print the config and stop",
     "--hydra-help": "Hydra's own options",
 }
@@ -116,7 +116,7 @@ def help_page(name: str, overrides: Sequence[str] = ()) -> str:
     if first:
         lines += ["", "MOST USED", "", *(line for key in first for line in _of_key(key, found))]
     if found.choices:
-        lines += ["", "CHOICES: name=option; * is what is taken", ""]
+        lines += ["", "CHOICES: name=option; * marks the selected option", ""]
     for choice in found.choices:
         lines += _entry(choice.key, choice.comment)
         for option, header in choice.options.items():
@@ -131,7 +131,7 @@ def help_page(name: str, overrides: Sequence[str] = ()) -> str:
         for key in dict.fromkeys(part for whole in keys for part in _parts(whole)):
             if key in found.values or key in found.comments:
                 lines += _of_key(key, found)
-    lines += ["", "??? has to be given; ${...} takes the value of another key.", ""]
+    lines += ["", "??? must be given; ${...} stands for the value of another key.", ""]
     return "\n".join([*lines, *(line for option, text in HYDRAS.items() for line in _entry(option, text))])
 
 

@@ -38,7 +38,7 @@ def _new_folder(path: str) -> str:
 
 def _refuse(folder: Path, error: OSError, key: str) -> NoReturn:
     """Exit with one line: Hydra makes folders before the command itself runs, and would print a traceback."""
-    told = f"{folder}: cannot write: {os.strerror(error.errno or 0)}; say where to write by {key}="
+    told = f"{folder}: cannot write: {os.strerror(error.errno or 0)}; choose another folder with {key}="
     sys.exit(f"splatrl-{HydraConfig.get().job.name}: {told}")
 
 
@@ -172,7 +172,9 @@ def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
     cfg = run_config(folder, OmegaConf.from_dotlist(changes).get("allow_targets", ()))
     groups = [o for o in changes if is_group(o.split("=")[0])]
     if groups:
-        raise ValueError(f"resume={folder}: expected changes of single keys, got {', '.join(groups)}")
+        raise ValueError(
+            f"resume={folder}: expected overrides of single keys, not of config groups, got {', '.join(groups)}"
+        )
     merged = OmegaConf.merge(cfg, OmegaConf.from_dotlist(changes))
     assert isinstance(merged, DictConfig), type(merged)
     return merged

@@ -90,7 +90,7 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
         elif key == "scene" and path.startswith("["):
             raise ValueError(f"scene: expected one scene, got {path}; type scene=many 'scene.paths={path}'")
         elif key == "scene" and Path(path).suffix and "," not in path and path not in options("scene"):
-            raise ValueError(f"scene: expected {', '.join(options('scene'))} or a path that exists, got {path}")
+            raise ValueError(f"scene: expected one of {', '.join(options('scene'))}, or an existing path, got {path}")
         elif key == "scene" and path in options("scene"):
             result.append(f"scene={path}")  # without any quotes
         else:
@@ -228,7 +228,8 @@ def _chosen(text: str, key: str = "scene.paths") -> list[str]:
     if text in known:
         return [f"scene={text}"]
     if not Path(text).expanduser().exists():
-        raise ValueError(f"{key}: expected {', '.join(known)}, one of them with a seed (yard:3), or a path, got {text}")
+        expected = f"one of {', '.join(known)}, one with a seed such as yard:3, or an existing path"
+        raise ValueError(f"{key}: expected {expected}, got {text}")
     from splatrl.configuration.scene_files import check_scene
 
     check_scene(Path(text).expanduser())
@@ -264,7 +265,7 @@ def _yard_seed(overrides: Sequence[str]) -> int:
     seeds = [override.partition("=")[2] for override in overrides if override.startswith("scene.seed=")]
     if seeds and not re.fullmatch("[0-9]{1,18}", seeds[-1]):
         raise ValueError(
-            f"scene.seed: expected one whole number from 0, to which the yard's goal belongs, got {seeds[-1]}"
+            f"scene.seed: expected one whole number of at least 0, which also sets the yard's goal, got {seeds[-1]}"
         )
     return int(seeds[-1]) if seeds else 0
 

@@ -27,7 +27,7 @@ def check_scene(path: Path) -> None:
     if path.is_dir() and not any((path / name).is_file() for name in (SCENE_FILE, BLOCKS_FILE, META)):
         raise ValueError(
             f"scene: expected a splat file, or a folder with {SCENE_FILE} or {BLOCKS_FILE}, got {path}; "
-            f"splatrl-scene <the splat> --out {path} writes one"
+            f"make one with splatrl-scene <splat file> --out {path}"
         )
 
 

@@ -37,7 +37,7 @@ def check_targets(cfg: DictConfig, sources: Sequence[ConfigSource]) -> None:
     for key, target in targets(cfg):
         if target not in known and not (isinstance(target, str) and _defined_in(target, trusted)):
             raise ValueError(
-                f"{key}: expected a constructor that stands in conf/, or that a package of yours defines, with "
+                f"{key}: expected a constructor that appears in conf/, or that is defined in a package named in "
                 f"allow_targets=[<package>], got {target!r}"
             )
 
@@ -52,11 +52,13 @@ def targets(cfg: DictConfig) -> list[tuple[str, object]]:
     try:
         for count, (key, value) in enumerate(_followed(cfg, "")):
             if count == MAX_VALUES:
-                raise ValueError(f"config: expected at most {MAX_VALUES:,} values with references followed, got more")
+                raise ValueError(
+                    f"config: expected at most {MAX_VALUES:,} values once references are followed, got more"
+                )
             if key.rpartition(".")[2] == "_target_":
                 found.append((key, value))
     except (OmegaConfBaseException, RecursionError) as error:
-        raise ValueError(f"config: expected references that end in values, got {error}") from error
+        raise ValueError(f"config: expected references that resolve to values, got {error}") from error
     return found
 
 
@@ -73,7 +75,7 @@ def _followed(node: DictConfig | ListConfig, place: str) -> Iterator[tuple[str, 
             name = str(error).partition("'")[2].partition("'")[0]
             group = name.partition(".")[0]
             hint = f"; choose a {group}=... that has it" if is_group(group) else ""
-            raise ValueError(f"{where}: expected {name} to be there, got none{hint}") from error
+            raise ValueError(f"{where}: expected a value for {name}, found no such key{hint}") from error
         yield where, value
         if isinstance(value, DictConfig | ListConfig):
             yield from _followed(value, where)
@@ -88,7 +90,7 @@ def _defined_in(target: str, packages: Sequence[str]) -> bool:
     try:
         return within(str(getattr(get_object(target), "__module__", None)))
     except (ImportError, ValueError) as error:
-        raise ValueError(f"expected {target} to be there, got {error}") from error
+        raise ValueError(f"expected {target} to be importable, got {error}") from error
 
 
 _known: dict[tuple[str, str], set[object]] = {}

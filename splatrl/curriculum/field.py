@@ -76,7 +76,8 @@ def cost_field(motion: PlannedMotion, checker: Checker, reached: Reached) -> Fie
         raise ValueError(f"scene: expected free poses, got {len(nodes)} poses that all collide; {WAYS_OUT}")
     if not (goals := free & at_goal).any():
         raise ValueError(
-            f"task.goal: expected a free pose at the goal, got {int(at_goal.sum())} that collide; {WAYS_OUT}"
+            f"task.goal: expected a free pose at the goal, found none among {int(at_goal.sum())} poses there; "
+            f"{WAYS_OUT}"
         )
     rows = (free & ~goals).nonzero().squeeze(1)
     taps = [_open(motion, checker, nodes[rows], action) for action in motion.actions()]

@@ -84,7 +84,7 @@ def ground(
     lower, upper = (bound.double().cpu().numpy() for bound in (motion.lower, motion.upper))
     x, y = (int(np.floor((high - low) / cell + 1e-6)) + 1 for low, high in zip(lower, upper, strict=True))
     if x < 2 or y < 2 or x * y > MOST_NODES:
-        raise ValueError(f"task.cell: expected 2 × 2 to {MOST_NODES:,} nodes within the bounds, got {x} × {y}")
+        raise ValueError(f"task.cell: expected a cell size that gives 2 × 2 to {MOST_NODES:,} nodes, got {x} × {y}")
     shape = x, y
     index = np.stack(np.meshgrid(np.arange(x), np.arange(y), indexing="ij"), -1).reshape(-1, 2)
 
@@ -98,8 +98,8 @@ def ground(
     if not free_nodes.any():
         (left, bottom), (right, top) = lower.tolist(), upper.tolist()
         raise ValueError(
-            f"expected places where the robot fits, got none from x {left:.3g} to {right:.3g} and y {bottom:.3g} to "
-            f"{top:.3g} m; try other task.motion.lower and upper, or a smaller robot.body"
+            f"expected places where the robot fits, found none for x from {left:.3g} to {right:.3g} and y from "
+            f"{bottom:.3g} to {top:.3g} m; try other task.motion.lower and upper, or a smaller robot.body"
         )
     ends: list[NDArray[np.int64]] = []
     lengths: list[NDArray[np.float64]] = []
@@ -176,7 +176,7 @@ class Geodesics(nn.Module):
         """
         nodes, wanted = np.flatnonzero(place.open), for_training + for_tests
         if len(nodes) < wanted:
-            raise ValueError(f"task.goals: expected at most {len(nodes)}, the free places there are, got {wanted}")
+            raise ValueError(f"task.goals: expected at most {len(nodes)} goals, one per free place, got {wanted}")
         return cls([place], [np.random.default_rng(seed).choice(nodes, wanted, replace=False)], for_training)
 
     @classmethod

@@ -13,7 +13,7 @@ from splatrl.motions.base import PlannedMotion
 UNREACHABLE = -1
 ALIKE = 0.1
 """Two actions count as equally good if the steps left after them differ by no more than this."""
-NO_GOAL = "task: expected one with goal states, to which shortest paths can be planned"
+NO_GOAL = "task: expected a task with goal states, to which shortest paths can be planned"
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def plan(
     if at_goal is None or field is None:
         if not free.any():
             raise ValueError(
-                f"scene: expected free poses, got {len(states)} poses in which no robot can begin; {WAYS_OUT}"
+                f"scene: expected free poses, got {len(states)} poses in which no robot can start; {WAYS_OUT}"
             )
         rows = free.nonzero().squeeze(1)
         return Plan(states, free, torch.where(free, 0, UNREACHABLE), actions, motion, checker, rows, reached)
@@ -141,6 +141,7 @@ def plan(
     starts = (distance > 0) & (distance <= (distance.max() if farthest is None else farthest))
     if not starts.any():
         raise ValueError(
-            f"task.goal: expected a path to it from some free pose, got none from {int(free.sum())}; {WAYS_OUT}"
+            "task.goal: expected a path to the goal from at least one free pose, found none from "
+            f"{int(free.sum())}; {WAYS_OUT}"
         )
     return Plan(states, free, distance, actions, motion, checker, starts.nonzero().squeeze(1), reached, field)

@@ -29,7 +29,7 @@ class Schedule:
     def __post_init__(self) -> None:
         require_number("levels", self.levels, 1, whole=True)
         if not 0 < self.threshold <= 1:
-            raise ValueError(f"curriculum.threshold: expected a rate in (0, 1], got {self.threshold}")
+            raise ValueError(f"curriculum.threshold: expected a success rate in (0, 1], got {self.threshold}")
         require_number("curriculum.window", self.window, 1, whole=True)
 
     def start(self) -> Tensor:

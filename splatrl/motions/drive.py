@@ -57,7 +57,7 @@ class DriveMotion(StoppingMotion):
         headings: int = 36,
     ):
         if not time_step > 0:
-            raise ValueError(f"task.motion.time_step: expected more than 0 seconds, got {time_step}")
+            raise ValueError(f"task.motion.time_step: expected a positive number of seconds, got {time_step}")
         if len(linear) != 2 or not linear[0] <= 0 < linear[1] or not angular_deg > 0:
             raise ValueError(
                 f"task.motion: expected linear = [at most 0, more than 0] m/s and angular_deg > 0, "

@@ -65,7 +65,7 @@ class LegsMotion(PhysicsMotion):
         **options: Any,
     ):
         if len(forward) != 2 or not -2.0 <= forward[0] <= 0.0 < forward[1] <= 2.0:
-            raise ValueError(f"task.motion.forward: expected [from -2 to 0, from 0 to 2] m/s, got {list(forward)}")
+            raise ValueError(f"task.motion.forward: expected -2 ≤ lowest ≤ 0 < highest ≤ 2 m/s, got {list(forward)}")
         require_number("task.motion.turn", turn, 0.01, 4.0)
         require_number("task.motion.commands", commands, 1, 1000, whole=True)
         require_number("task.motion.span", span, STRIDE, 1e3)
@@ -85,7 +85,9 @@ class LegsMotion(PhysicsMotion):
         """Put the robot into a scene; see ``PhysicsMotion``."""
         super().settle(terrain)
         if self.limits.shape[1] != JOINTS or self.physics.model.nq < 7 + JOINTS:
-            raise ValueError(f"{self.path}: expected the {JOINTS} joints of quadruped, got {self.limits.shape[1]}")
+            raise ValueError(
+                f"{self.path}: expected the {JOINTS} joints of quadruped, got {self.limits.shape[1]} actuators"
+            )
         self.angles = self.limits
         self.home = torch.cat([self.home, self.home.new_zeros(JOINTS + COMMAND * self.commands)])
         self.stand = self.home[ANGLES : ANGLES + JOINTS]

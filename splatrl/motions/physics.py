@@ -118,7 +118,9 @@ class PhysicsMotion(nn.Module):
         self.thing_paths = {str(name): mjcf_path(str(place)) for name, place in (things or {}).items()}
         self.looks = {str(name): Path(place).expanduser() for name, place in (looks or {}).items()}
         if unknown := set(self.looks) - set(self.thing_paths):
-            raise ValueError(f"task.motion.looks: expected names of things, got {', '.join(sorted(unknown))}")
+            raise ValueError(
+                f"task.motion.looks: expected names from task.motion.things, got {', '.join(sorted(unknown))}"
+            )
         self.time_step, self.substep, self.threads = time_step, substep, threads
         self.variation, self.ceiling = variation or Variation(), ceiling
         self.models = Models()
@@ -129,7 +131,9 @@ class PhysicsMotion(nn.Module):
         if ceiling is not None:
             require_number("task.motion.ceiling", ceiling, 0.2, 1e3)
         if unknown := set(self.pushed) - set(self.thing_paths):
-            raise ValueError(f"task.motion.pushed: expected names of things, got {', '.join(sorted(unknown))}")
+            raise ValueError(
+                f"task.motion.pushed: expected names from task.motion.things, got {', '.join(sorted(unknown))}"
+            )
         self.register_buffer("limits", torch.zeros(2, 0), persistent=False)
         self.register_buffer("home", torch.zeros(0, dtype=torch.float64), persistent=False)
         self.settle(level_ground())
@@ -160,11 +164,14 @@ class PhysicsMotion(nn.Module):
         model = world.model
         joint = int(model.body_jntadr[model.body(world.robot).id])
         if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE or model.jnt_qposadr[joint] != 0:
-            raise ValueError(f"{self.path}: body {world.robot!r}: expected a <freejoint/>, by which it moves")
+            raise ValueError(
+                f"{self.path}: body {world.robot!r}: expected a <freejoint/> that lets it move, found none"
+            )
         substeps = self.held / model.opt.timestep
         if round(substeps) < 1 or abs(substeps - round(substeps)) > 1e-6:
             raise ValueError(
-                f"task.motion.time_step: expected a multiple of the robot's {model.opt.timestep:g} s, got {self.held:g}"
+                f"task.motion.time_step: expected a multiple of the robot's timestep, {model.opt.timestep:g} s, "
+                f"got {self.held:g}"
             )
         self.physics = Physics(bank(model, self.variation), round(substeps), self.threads)
         self.terrain, self.world = terrain, world
@@ -322,7 +329,7 @@ class PhysicsMotion(nn.Module):
         body = model.body(self.world.things[name]).id if name in self.world.things else 0
         joint = int(model.body_jntadr[body])
         if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
-            raise ValueError(f"task.motion.things: expected {name!r} with a free joint, got none")
+            raise ValueError(f"task.motion.things: expected {name!r} to have a free joint, found none")
         first = FIRST + int(model.jnt_qposadr[joint])
         return slice(first, first + 7)
 
@@ -387,9 +394,7 @@ class PhysicsMotion(nn.Module):
         number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, f"{ROBOT}{self.camera}")
         if number < 0:
             known = [model.camera(each).name.removeprefix(ROBOT) for each in range(model.ncam)]
-            raise ValueError(
-                f"{self.path}: camera: expected one called {self.camera!r}, got {', '.join(known) or 'none'}"
-            )
+            raise ValueError(f"{self.path}: expected a camera called {self.camera!r}, got {', '.join(known) or 'none'}")
         return str(model.body(int(model.cam_bodyid[number])).name)
 
     def _control_limits(self, model: Any) -> Tensor:
@@ -397,9 +402,9 @@ class PhysicsMotion(nn.Module):
         for number in range(model.nu):
             if not model.actuator_ctrllimited[number]:
                 name = model.actuator(number).name or number
-                raise ValueError(f"{self.path}: actuator {name!r}: expected a ctrlrange, got none")
+                raise ValueError(f"{self.path}: actuator {name!r}: expected a ctrlrange, found none")
         if not model.nu:
-            raise ValueError(f"{self.path}: <actuator>: expected at least one, got none")
+            raise ValueError(f"{self.path}: expected at least one <actuator>, found none")
         return torch.from_numpy(model.actuator_ctrlrange.T.copy()).float()
 
     def _range(self, name: str) -> list[float] | None:
@@ -411,6 +416,6 @@ class PhysicsMotion(nn.Module):
     def _told(self, found: list[float] | None, actuator: str, key: str) -> list[float]:
         if found is None:
             raise ValueError(
-                f"task.motion.{key}: expected a value for {self.path}, which has no actuator called {actuator!r}"
+                f"task.motion.{key}: expected a value, got none, and {self.path} has no actuator called {actuator!r}"
             )
         return found

@@ -46,7 +46,7 @@ class StepMotion(PlanarMotion):
         cell: float,
     ):
         if not step > 0:
-            raise ValueError(f"task.motion.step: expected more than 0 metres, got {step}")
+            raise ValueError(f"task.motion.step: expected a positive number of metres, got {step}")
         turns = round(360.0 / angle_step_deg) if angle_step_deg > 0 else 0
         if turns < 1 or abs(turns * angle_step_deg - 360.0) > 1e-6:
             raise ValueError(f"task.motion.angle_step_deg: expected a divisor of 360, got {angle_step_deg}")

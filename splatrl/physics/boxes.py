@@ -35,7 +35,7 @@ def solid_above(
         ValueError: for a ``top`` that is not above ``turf``.
     """
     if not top > turf >= 0.0:
-        raise ValueError(f"top: expected metres above turf, {turf:g}, got {top}")
+        raise ValueError(f"top: expected a height above turf ({turf:g} m), got {top}")
     edge, occupied = voxels.resolution, voxels.occupied
     x, y, bottom = (
         (np.arange(count) + key) * edge for count, key in zip(occupied.shape, voxels.origin_key, strict=True)

@@ -74,7 +74,9 @@ def compose(robot: Any, terrain: Terrain, things: Mapping[str, Any] | None = Non
     try:
         return Composed(world.compile(), first, tops)
     except ValueError as error:
-        raise ValueError(f"robot: expected MJCF that fits into a scene, got {' '.join(str(error).split())}") from error
+        raise ValueError(
+            f"robot: expected MJCF that compiles together with the scene, got {' '.join(str(error).split())}"
+        ) from error
 
 
 def _attach(world: Any, spec: Any, prefix: str, name: str) -> str:
@@ -82,7 +84,8 @@ def _attach(world: Any, spec: Any, prefix: str, name: str) -> str:
     bodies, loose = list(spec.worldbody.bodies), list(spec.worldbody.geoms)
     if loose:
         raise ValueError(
-            f"{name}: geom {loose[0].name or 0!r}: expected one in a body; the ground comes from the scene"
+            f"{name}: geom {loose[0].name or 0!r}: expected a geom inside a body, got one in <worldbody>; "
+            "the ground comes from the scene"
         )
     if len(bodies) != 1:
         raise ValueError(f"{name}: expected one body in <worldbody>, got {len(bodies)}")

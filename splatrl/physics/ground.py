@@ -77,11 +77,11 @@ class Ground:
         """One-line warning to users about a ground that is not a plane; None if it is one."""
         if self.is_plane:
             return None
-        below = f", and {self.sunk:.0%} of where one could stand is below it" if self.sunk > 1.0 - ONE_PLANE else ""
+        below = f", and {self.sunk:.0%} of the places to stand lie below it" if self.sunk > 1.0 - ONE_PLANE else ""
         low, high = self.range
         return (
             f"the ground is not one plane: {1 - self.on:.0%} of {self.places} places lie more than {THICKNESS:g} m off "
-            f"the best one, from {low:+.2f} to {high:+.2f} m{below}; bodies would float or sink there"
+            f"the best fit, from {low:+.2f} to {high:+.2f} m{below}; bodies would float or sink there"
         )
 
     def __str__(self) -> str:
@@ -130,8 +130,8 @@ def fit_ground(renderer: Renderer, voxels: Voxels, lower: Sequence[float], upper
     medians = np.array([np.median(points[place == one], 0) for one in np.unique(place)]).reshape(-1, 3)
     if len(medians) < FEWEST_PLACES:
         raise ValueError(
-            f"ground: expected at least {FEWEST_PLACES} places with a floor below {CLEARANCE:g} m of free space from "
-            f"{list(lower)} to {list(upper)}, got {len(medians)}; bodies need a ground to stand on"
+            f"ground: expected at least {FEWEST_PLACES} places with {CLEARANCE:g} m of free space above a floor from "
+            f"{list(lower)} to {list(upper)}, got {len(medians)}; bodies need ground to stand on"
         )
     plane = _levelled(points, medians, _refined(points, _rough(medians)))
     off, seen = medians @ plane[:3] - plane[3], points @ plane[:3] - plane[3]

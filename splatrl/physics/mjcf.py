@@ -56,7 +56,7 @@ def read_mjcf(path: Path | str) -> Any:
     """
     mujoco, path = needed(), Path(path)
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: expected a file of MJCF, found none")
+        raise FileNotFoundError(f"{path}: expected an MJCF file, found none")
     reading = _Reading(path.parent.resolve())
     text = _small(path, MOST_TEXT)
     trees = _checked(path, text, reading)
@@ -70,7 +70,7 @@ def read_mjcf(path: Path | str) -> Any:
     except (ValueError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: expected MJCF, got {_one_line(error)}") from error
     if odd := [name for name in NUMBERS if not np.isfinite(getattr(model, name)).all()]:
-        raise ValueError(f"{path}: expected finite numbers, got others in {odd[0]}")
+        raise ValueError(f"{path}: expected finite numbers, got infinite ones or NaN in {odd[0]}")
     return spec
 
 
@@ -79,9 +79,9 @@ def _checked(path: Path, text: bytes, reading: _Reading) -> list[ElementTree.Ele
     try:
         words = text.decode()
         if "\0" in words:  # another encoding could hide a document type, whose entities expand
-            raise ValueError("bytes that are no text in UTF-8")
+            raise ValueError("bytes that are not UTF-8 text")
         if "<!DOCTYPE" in words or "<!ENTITY" in words:
-            raise ValueError("an XML document type")
+            raise ValueError("an XML document type declaration")
         tree = ElementTree.fromstring(words)
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise ValueError(f"{path}: expected XML, got {error}") from error
@@ -92,9 +92,11 @@ def _checked(path: Path, text: bytes, reading: _Reading) -> list[ElementTree.Ele
             raise ValueError(f"{path}: expected at most {MOST_ELEMENTS:,} elements, got more")
         where = f"{path}: <{node.tag}>"
         if any("}" in name for name in (node.tag, *node.attrib)):
-            raise ValueError(f"{where}: expected a robot without XML namespaces, under which MuJoCo knows no element")
+            raise ValueError(
+                f"{where}: expected a robot without XML namespaces, since MuJoCo knows no elements in them"
+            )
         if node.tag in MULTIPLYING:
-            raise ValueError(f"{where}: expected a robot without it; write out what it stands for")
+            raise ValueError(f"{where}: expected a robot without this element; write out what it expands to")
         _check_sizes(where, node)
         if node.tag == "include":
             name = node.get("file", "")
@@ -135,7 +137,9 @@ def _read_files(path: Path, node: ElementTree.Element, places: dict[str, str], r
             continue
         where = f"{path}: <{node.tag} {key}>"
         if node.tag not in FOLDERS:
-            raise ValueError(f"{where}: expected a mesh, texture, skin or height field to have files, got {name!r:.80}")
+            raise ValueError(
+                f"{where}: expected files only for meshes, textures, skins and height fields, got {name!r:.80}"
+            )
         if places.get("strippath", "false") == "true":
             name = PurePosixPath(name).name
         folder = places.get(FOLDERS[node.tag], places.get("assetdir", ""))
@@ -146,7 +150,7 @@ def _read_files(path: Path, node: ElementTree.Element, places: dict[str, str], r
         reading.size += len(content)
         if reading.size > MOST_ASSETS or len(reading.assets) >= MOST_FILES:
             raise ValueError(
-                f"{where}: expected at most {MOST_FILES} files of {MOST_ASSETS:,} bytes together, got more"
+                f"{where}: expected at most {MOST_FILES} files with {MOST_ASSETS:,} bytes in total, got more"
             )
         reading.assets[full] = content
 
@@ -155,10 +159,12 @@ def _inside(where: str, folder: Path, name: str) -> Path:
     """Resolve a name to a file in a folder or below, and refuse any other place."""
     pure = PurePosixPath(name)
     if not name or pure.is_absolute() or ".." in pure.parts or "\\" in name or "\0" in name:
-        raise ValueError(f"{where}: expected a path in the folder of the file, got {name!r:.80}")
+        raise ValueError(f"{where}: expected a path inside the MJCF file's folder, got {name!r:.80}")
     found = (folder / name).resolve()
     if not found.is_relative_to(folder):
-        raise ValueError(f"{where}: expected a path in the folder of the file, got a link out of it, {name!r:.80}")
+        raise ValueError(
+            f"{where}: expected a path inside the MJCF file's folder, got a link that leaves it, {name!r:.80}"
+        )
     if not found.is_file():
         raise ValueError(f"{where}: expected a file {name!r:.80} beside the MJCF, found none")
     return found

@@ -56,7 +56,9 @@ class Physics:
         self._spec = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
         sizes = {(mujoco.mj_stateSize(model, self._spec), model.nu, model.nsensordata) for model in self.models}
         if len(sizes) > 1:
-            raise ValueError(f"models: expected one size of state, controls and sensors, got {sorted(sizes)}")
+            raise ValueError(
+                f"models: expected the same sizes of state, controls and sensors in all, got {sorted(sizes)}"
+            )
         self.substeps, self.threads = substeps, threads_of(threads)
         for model in self.models:
             model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a failed row must stay failed

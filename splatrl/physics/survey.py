@@ -57,7 +57,7 @@ def find_terrain(
         ValueError: for bounds without area, a negative reach, a ``top`` near the ground, or too few places to stand.
     """
     if not reach >= 0.0:
-        raise ValueError(f"reach: expected metres from 0, got {reach}")
+        raise ValueError(f"reach: expected a non-negative number of metres, got {reach}")
     ground = fit_ground(NativeRenderer(scene.gaussians, antialiased), occupancy, lower, upper)
     low, high = [value - reach for value in lower], [value + reach for value in upper]
     return _surveyed(ground, merged_boxes(solid_above(occupancy, ground, low, high, top)))

@@ -35,7 +35,7 @@ class Terrain:
         if abs(float(self.plane[:3].norm()) - 1.0) > 1e-6 or not self.plane[2] > UPRIGHT:
             raise ValueError(f"terrain.plane: expected a unit normal that points up, got {self.plane[:3].tolist()}")
         if not (self.boxes[:, 3:] > 0).all():
-            raise ValueError("terrain.boxes: expected half sizes above 0, got others")
+            raise ValueError("terrain.boxes: expected positive half sizes, got at least one that is not")
 
     def height(self, places: Tensor) -> Tensor:
         """Return the height of the ground: [..., 2] float64 x and y -> [...] float64 z, metres."""

@@ -55,7 +55,9 @@ class TrackSettings(CourseSettings):
         for name in ("opening", "frame"):
             require_number(f"task.course.{name}", getattr(self, name), 1e-3, 1e3)
         if self.opening >= self.frame:
-            raise ValueError(f"task.course.opening: expected metres below frame, {self.frame}, got {self.opening}")
+            raise ValueError(
+                f"task.course.opening: expected a size below task.course.frame ({self.frame} m), got {self.opening}"
+            )
 
     def drawn(self, room: Room, draw: np.random.Generator) -> Floats | None:
         """Draw one track; see ``CourseSettings.drawn``."""

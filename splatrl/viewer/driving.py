@@ -48,14 +48,14 @@ class Driving:
         self.keys: dict[str, Callable[[], None]] = {}
         for key in keys:
             self._offer(server, key.key, key.name, partial(driver.act, key.action))
-        self._offer(server, AGAIN, "again from the same start", driver.again)
+        self._offer(server, AGAIN, "restart from the same start", driver.again)
         self._offer(server, OTHER, "another start", driver.begin)
         if takes is not None:
             self._offer(server, DISCARD, "discard the episode", self._discard)
-            done = gui.add_button("write what is kept, and end")
+            done = gui.add_button("save the kept episodes and stop")
             done.on_click(lambda _: self.finished.set())
         hint = " · ".join(f"**{key.key}** {key.name}" for key in keys)
-        gui.add_markdown(f"Keys: {hint}. Arrows and a gamepad drive as well; W A S D move the camera.")
+        gui.add_markdown(f"Keys: {hint}. Arrow keys and a gamepad also drive; W A S D move the camera.")
         _run_script(server, input_script(world.task.motion))
         self._show()
 
@@ -100,7 +100,7 @@ class Driving:
         pose = self.world.task.motion.body_to_world(driver.state.cpu())[0]
         self.shown.show(pose, driver.pixels, driver.outcome, driver.steps == 0)
         self.view.image = enlarged(driver.pixels)
-        said = "any key begins another episode" if driver.done else words(driver.outcome)
+        said = "any key starts another episode" if driver.done else words(driver.outcome)
         result = f"**{words(driver.outcome)}**, {said}" if driver.done else said
         if driver.outcome is not Outcome.COLLISION and driver.free < 1:
             result = f"{result}, blocked"

@@ -34,7 +34,7 @@ class GoalsShown:
         self.nodes: list[Any] = []
         blank = torch.zeros(world.robot.image_height, world.robot.image_width, 3, dtype=torch.uint8)
         told = ImageGoal.KEY in world.told
-        self.image = server.gui.add_image(enlarged(blank), label="what is seen at the goal") if told else None
+        self.image = server.gui.add_image(enlarged(blank), label="view at the goal") if told else None
 
     def show(self, now: TensorDictBase) -> str:
         """Show the goals in one robot's observation [1]; return their distances and directions in words."""

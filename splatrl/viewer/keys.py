@@ -65,7 +65,9 @@ def keys_of(motion: PlannedMotion) -> list[Key]:
         actions, wanted = motion.actions().cpu(), motion.action_spec.shape
         if actions.shape[1:] != wanted:
             numbers = f"{wanted.numel()} numbers"
-            raise ValueError(f"task: expected actions that keys can tell, a speed and a turn, got {numbers} an action")
+            raise ValueError(
+                f"task: expected actions that keys can express, a speed and a turn, got {numbers} per action"
+            )
         actions = motion.action_spec.cpu().project(actions)
         signs = [tuple(row) for row in torch.sign(actions).int().tolist()]
         words = [" ".join(f"{value:.3g}" for value in row) for row in actions.tolist()]

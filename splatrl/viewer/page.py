@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 SOLID, FREE, NO_WAY, WALKED, LIMITS = (88, 110, 150), (46, 160, 67), (227, 179, 65), (31, 111, 235), (130, 80, 223)
 AWAY, ABOVE = 0.8, 0.7
 """Horizontal distance and height of the initial camera from the scene's centre, as multiples of its longer side."""
-AS_MANY = "as many as are quick"
+AS_MANY = "automatic"
 SIDES = 8
 """Number of viewpoints around the scene, at the same distance, from which its colours are averaged."""
 
@@ -86,13 +86,13 @@ class Page:
                 "/free", np.concatenate([leads, others]), colors, point_size=size, point_shape="circle"
             )
 
-        self._later("free, at the robot's height", add)
+        self._later("free space at the robot's height", add)
 
     def show_path(self, folder: Path) -> None:
         """Show the path of the camera that captured a scene as a layer, if the scene's folder has one."""
         lines = path_lines(folder, PATH)
         if lines is not None and len(lines):
-            self._lines("the camera's path", lines, WALKED, True)
+            self._lines("camera path", lines, WALKED, True)
 
     def move_bounds(self, bounds: Bounds) -> None:
         """Draw the bounds somewhere else."""
@@ -103,7 +103,7 @@ class Page:
         counts = [f"{count:,}" for count in self.splats.counts]
         if len(counts) < 2:
             return
-        hint = "the most important ones; more look better, fewer are drawn more quickly"
+        hint = "the most important splats first: more look better, fewer render faster"
         with self.layers:
             choice = self.server.gui.add_dropdown("splats drawn", [AS_MANY, *counts], initial_value=AS_MANY, hint=hint)
 

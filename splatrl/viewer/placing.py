@@ -62,8 +62,10 @@ class Placing:
                 self._switch(key)
         for handle in handles(self.values, self.height):
             self._control(handle)
-        self.status = gui.add_markdown("" if folder is not None else "Only a folder's `scene.yaml` can be saved to.")
-        self.button = gui.add_button(f"save into {SCENE_FILE}", disabled=folder is None)
+        self.status = gui.add_markdown(
+            "" if folder is not None else "Only scenes in a folder, with a `scene.yaml`, can be saved."
+        )
+        self.button = gui.add_button(f"save to {SCENE_FILE}", disabled=folder is None)
 
         @self.button.on_click
         def save(_: object) -> None:
@@ -93,7 +95,7 @@ class Placing:
             except (ValueError, OSError) as error:
                 self.status.content = f"**not saved**: {error}"
                 return False
-        self.status.content = f"saved {', '.join(changed)}" if changed else "nothing has changed"
+        self.status.content = f"saved {', '.join(changed)}" if changed else "nothing to save"
         return True
 
     def _require_unchanged(self, folder: Path, keys: Iterable[str]) -> None:
@@ -101,7 +103,9 @@ class Placing:
         now = read_description(folder)
         others = [f"{key}: {now.get(key)}" for key in keys if now.get(key) != self._stated.get(key)]
         if others:
-            raise ValueError(f"{SCENE_FILE} has been changed meanwhile, {', '.join(others)}; open the page again")
+            raise ValueError(
+                f"{SCENE_FILE} has been changed in the meantime ({', '.join(others)}); start splatrl-view again"
+            )
 
     def _follow(self, key: str) -> None:
         """Update the input field, the lines and the status for a value that has changed."""
@@ -111,7 +115,7 @@ class Placing:
         if key == "bounds" and all(low < high for low, high in zip(*value, strict=True)):
             self.page.move_bounds(value)
         solid = key == "goal" and bool(self.world.checker.collides(self._goal_pose())[0])
-        free = " · something solid is there" if solid else ""
+        free = " · a robot would collide at the goal" if solid else ""
         self.status.content = f"not saved yet: {', '.join(changes(self.saved, self.values)) or 'nothing'}{free}"
 
     def look(self, wait: bool = True) -> None:

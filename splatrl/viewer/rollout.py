@@ -44,8 +44,10 @@ class Rollout:
         self.goals = GoalsShown(server, "/policy_goals", self.world)
         self.status = server.gui.add_markdown("")
         self.plays = server.gui.add_checkbox("play", True)
-        self.speed = server.gui.add_slider("steps a second", 1, 30, 1, 6)
-        self.sampled = server.gui.add_checkbox("sampled", True, hint="or the most likely action")
+        self.speed = server.gui.add_slider("steps per second", 1, 30, 1, 6)
+        self.sampled = server.gui.add_checkbox(
+            "sampled", True, hint="sample actions from the policy; otherwise take the most likely one"
+        )
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def start(self) -> None:

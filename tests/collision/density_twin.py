@@ -1,5 +1,4 @@
-"""The density of voxels from its definition, every voxel against every Gaussian: the readable twin of
-``splatrl/native/occupancy.cpp``."""
+"""Readable reference for the voxel density of ``splatrl/native/occupancy.cpp``: every voxel against every Gaussian."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,21 +7,23 @@ from splatrl.geometry import quats_to_rotations
 from splatrl.scenes.gaussians import Gaussians
 
 EXTENT = 3.0
-"""A Gaussian ends this many standard deviations from its mean."""
+"""Standard deviations from its mean at which a Gaussian is cut off."""
 
 
 def density_of(gaussians: Gaussians, centers: NDArray[np.float64], resolution: float) -> NDArray[np.float64]:
-    """Sum opacity · exp(−½ d²) over all Gaussians, d from the mean to the box around the voxel along their axes.
+    """Sum opacity · exp(−½ d²) over all Gaussians.
 
-    A Gaussian reaches a voxel where d is at most its extent and its bounding box along the world's axes touches it.
+    d is the Mahalanobis distance from the mean to the bounding box of the voxel along the Gaussian's axes.
+
+    A Gaussian reaches a voxel if d is at most ``EXTENT`` and its world-aligned bounding box touches the voxel.
 
     Args:
-        gaussians: in the world frame.
-        centers: [M, 3] of voxels, metres.
-        resolution: edge of a voxel, metres.
+        gaussians: Gaussians in the world frame.
+        centers: [M, 3], centres of the voxels, metres.
+        resolution: edge length of a voxel, metres.
 
     Returns:
-        [M]
+        [M], density of each voxel.
     """
     rotations = quats_to_rotations(gaussians.quats.double()).numpy()
     scales, means, opacities = (v.double().numpy() for v in (gaussians.scales, gaussians.means, gaussians.opacities))

@@ -1,4 +1,4 @@
-"""An independent, slow answer to "does the body touch a voxel": separating axes and closest points in float64."""
+"""An independent, slow test of whether a body touches a voxel, by separating axes and closest points in float64."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from splatrl.collision import Occupancy
 
 
 def separation(body: Body, body_to_world: np.ndarray, occupancy: Occupancy) -> float:
-    """Metres between the body and the nearest solid voxel where they are apart, negative where they overlap.
+    """Return a signed separation of body and solid voxels, metres: positive if apart, negative if they overlap.
 
     The absolute value need not be a distance; it is small wherever the answer depends on rounding.
     """
@@ -37,7 +37,7 @@ def _point_distances(centers: np.ndarray, half: float) -> np.ndarray:
 
 
 def _segment_distances(tip: np.ndarray, centers: np.ndarray, half: float) -> np.ndarray:
-    """From the segment between -tip and tip: the distance is convex along it, so ternary search finds the least."""
+    """Return distances to the segment from -tip to tip; they are convex along it, so ternary search finds the least."""
     low, high = np.full(len(centers), -1.0), np.ones(len(centers))
     for _ in range(80):
         left, right = low + (high - low) / 3, high - (high - low) / 3

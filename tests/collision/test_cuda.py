@@ -1,4 +1,4 @@
-"""The checker for GPUs against the one for CPUs: its kernels' source, emulated and, where there is a GPU, run on it."""
+"""The GPU checker against the CPU checker: its kernels run in an emulation and, where there is one, on a GPU."""
 
 import math
 import pickle
@@ -21,14 +21,17 @@ from tests.collision.test_native import moves_in, poses_in, rooms
 from tests.emulator import emulated
 
 SURE = 1e-7
-"""Metres: the finest margin that ``verify`` resolves. A GPU rounds differently: it fuses multiply and add."""
+"""Finest margin that ``verify`` resolves, metres. A GPU rounds differently because it fuses multiply and add."""
 SCENES = ("clutter", "rooms", "fine")
 Make = Callable[[Occupancy, Body], CudaChecker]
 
 
 @pytest.fixture(scope="module")
 def scenes() -> dict[str, Occupancy]:
-    """The last has columns of more than two words, and bodies in it touch more columns than a warp reads at once."""
+    """Occupancies by name.
+
+    Columns of "fine" span more than two words, and its bodies touch more columns than a warp reads at once.
+    """
     fine = np.random.default_rng(3).random((40, 30, 150)) < 0.0005
     fine[:, :, 20] |= np.random.default_rng(4).random((40, 30)) < 0.7
     return {"clutter": clutter(), "rooms": rooms(), "fine": Occupancy(fine, (-11, 5, -70), 0.02)}
@@ -36,7 +39,7 @@ def scenes() -> dict[str, Occupancy]:
 
 @pytest.fixture(params=["emulated", pytest.param("gpu", marks=pytest.mark.gpu)])
 def make(request: pytest.FixtureRequest) -> Make:
-    """Makes checkers on either machine."""
+    """Return a function that makes checkers, emulated or on a GPU."""
     if request.param == "gpu":
         device = request.getfixturevalue("cuda_device")
         return lambda occupancy, body: CudaChecker(occupancy, body, device=device)
@@ -44,13 +47,13 @@ def make(request: pytest.FixtureRequest) -> Make:
 
 
 def emulated_checker(occupancy: Occupancy, body: Body) -> CudaChecker:
-    """A checker whose kernels the CPU runs."""
+    """Make a checker whose kernels run on the CPU."""
     return CudaChecker(occupancy, body, load=emulated)
 
 
 @dataclass
 class There:
-    """A checker that is given tensors on its own device, which it reads in place."""
+    """Gives a checker tensors on its own device, which it reads in place, and returns its answers on the CPU."""
 
     checker: CudaChecker
 
@@ -63,19 +66,19 @@ class There:
 
 @dataclass
 class Swept:
-    """A checker that has answered already."""
+    """A checker that returns precomputed answers."""
 
     body: Body
     swept: Tensor
 
     def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
-        """The answers."""
+        """Return the precomputed answers."""
         assert len(start) == len(end) == len(self.swept)
         return self.swept
 
 
 def assert_same_moves(checker: CudaChecker, native: NativeChecker, start: Tensor, end: Tensor) -> Tensor:
-    """Moves get the answers of the CPU; returns which hit."""
+    """Assert that moves get the same answers as on the CPU, and return which of them hit."""
     there = There(checker)
     swept = there.sweeps(start, end)
     found = verify_sweeps(Swept(checker.body, swept), native, start, end)
@@ -92,7 +95,7 @@ def assert_same_moves(checker: CudaChecker, native: NativeChecker, start: Tensor
 @pytest.mark.parametrize("count", [2000, pytest.param(100_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("body", BODIES)
 @pytest.mark.parametrize("name", SCENES)
-def test_no_pose_differs_from_the_cpu(make, scenes, name, body, count):
+def test_every_pose_gets_the_same_answer_as_on_the_cpu(make, scenes, name, body, count):
     poses = poses_in(scenes[name], count)
     found = verify(There(make(scenes[name], body)), NativeChecker(scenes[name], body), poses)
     assert 0.05 * count < found.hits < 0.95 * count
@@ -103,7 +106,7 @@ def test_no_pose_differs_from_the_cpu(make, scenes, name, body, count):
 @pytest.mark.parametrize("turning", [False, True])
 @pytest.mark.parametrize("body", BODIES)
 @pytest.mark.parametrize("name", SCENES)
-def test_no_move_differs_from_the_cpu(make, scenes, name, body, turning, count):
+def test_every_move_gets_the_same_answer_as_on_the_cpu(make, scenes, name, body, turning, count):
     occupancy = scenes[name]
     start, end = moves_in(occupancy, count, turning)
     hits = assert_same_moves(make(occupancy, body), NativeChecker(occupancy, body), start, end)
@@ -112,7 +115,7 @@ def test_no_move_differs_from_the_cpu(make, scenes, name, body, turning, count):
 
 @pytest.mark.parametrize("body", BODIES)
 @pytest.mark.parametrize("name", ["rooms", "fine"])
-def test_a_long_move_and_a_turn_on_the_spot_get_the_answers_of_the_cpu(make, scenes, name, body):
+def test_long_moves_and_turns_on_the_spot_get_the_same_answers_as_on_the_cpu(make, scenes, name, body):
     occupancy = scenes[name]
     start, other = poses_in(occupancy, 60), poses_in(occupancy, 60, seed=1)
     here, there, turned = start[:, :3, 3], other[:, :3, 3], other[:, :3, :3]
@@ -121,8 +124,8 @@ def test_a_long_move_and_a_turn_on_the_spot_get_the_answers_of_the_cpu(make, sce
 
 
 @pytest.mark.parametrize("body", [Box((0.5, 0.25, 0.125)), Sphere(0.25), Capsule(0.125, 0.5)])
-def test_parallel_edges_and_exact_touches_get_the_answers_of_the_cpu(make, body):
-    """Eighths of a turn about the axes, places and ways on a lattice."""
+def test_parallel_edges_and_exact_touches_get_the_same_answers_as_on_the_cpu(make, body):
+    """Rotations are multiples of 45° about the axes; positions and moves lie on a lattice."""
     occupancy = Occupancy(np.random.default_rng(0).random((3, 4, 2)) < 0.2, (0, 0, 0), 0.5)
     generator = torch.Generator().manual_seed(0)
     rotation = torch.eye(3).expand(800, 3, 3)
@@ -141,7 +144,7 @@ def test_parallel_edges_and_exact_touches_get_the_answers_of_the_cpu(make, body)
 
 @pytest.mark.parametrize("body", BODIES)
 @pytest.mark.parametrize("name", SCENES)
-def test_clearance_is_that_of_the_cpu(make, scenes, name, body):
+def test_clearance_is_the_same_as_on_the_cpu(make, scenes, name, body):
     points = poses_in(scenes[name], 1000)[:, :3, 3]
     found, expected = (
         There(make(scenes[name], body)).clearance(points),
@@ -153,7 +156,7 @@ def test_clearance_is_that_of_the_cpu(make, scenes, name, body):
 
 
 @pytest.mark.parametrize("most_blocks", [1, 3, 2**16])
-def test_an_answer_depends_on_nothing_else_in_the_batch(make, scenes, monkeypatch, most_blocks):
+def test_an_answer_does_not_depend_on_the_rest_of_the_batch(make, scenes, monkeypatch, most_blocks):
     monkeypatch.setattr(cuda, "_MOST_BLOCKS", most_blocks)
     there = There(make(scenes["rooms"], BODIES[0]))
     start, end = moves_in(scenes["rooms"], 2500, turning=False)
@@ -171,7 +174,7 @@ def test_an_answer_depends_on_nothing_else_in_the_batch(make, scenes, monkeypatc
             assert torch.equal(some, all_[rows])
 
 
-def test_the_order_of_threads_changes_no_answer(scenes):
+def test_the_order_of_threads_does_not_change_the_answers(scenes):
     start, end = moves_in(scenes["fine"], 200, turning=True)
     checker = emulated_checker(scenes["fine"], BODIES[0])
     fraction, hits = checker.free_fraction(start, end), checker.collides(start)
@@ -182,7 +185,7 @@ def test_the_order_of_threads_changes_no_answer(scenes):
 
 
 @pytest.mark.parametrize("body", BODIES)
-def test_nothing_is_hit_where_nothing_is_solid_nor_outside_the_grid(make, body):
+def test_nothing_is_hit_in_an_empty_grid_or_outside_the_grid(make, body):
     poses = random_poses(100, (-1, -1, -1), (1, 1, 1))
     for empty in (Occupancy.empty(), Occupancy(np.zeros((3, 4, 5), bool), (0, 0, 0), 0.1)):
         there = There(make(empty, body))
@@ -197,7 +200,7 @@ def test_nothing_is_hit_where_nothing_is_solid_nor_outside_the_grid(make, body):
     assert there.sweeps(at((-50.0, 0.05, 0.05)), at((50.0, 0.05, 0.05))).tolist() == [True]
 
 
-def test_no_queries_get_no_answers(make):
+def test_empty_batches_give_empty_answers(make):
     there, none = There(make(CUBE, BODIES[0])), torch.empty(0, 4, 4)
     assert (there.collides(none).shape, there.collides(none).dtype) == ((0,), torch.bool)
     assert there.sweeps(none, none).shape == (0,)
@@ -206,17 +209,17 @@ def test_no_queries_get_no_answers(make):
 
 
 SPOILT = {
-    "no number": lambda pose: pose[0, 1].fill_(math.nan),
-    "no position": lambda pose: pose[2, 3].fill_(math.inf),
-    "stretched": lambda pose: pose[1, 1].fill_(1.01),
-    "a reflection": lambda pose: pose[2, 2].mul_(-1.0),
-    "another last row": lambda pose: pose[3, 0].fill_(0.1),
-    "a scale in the last row": lambda pose: pose[3, 3].fill_(2.0),
+    "NaN rotation": lambda pose: pose[0, 1].fill_(math.nan),
+    "infinite position": lambda pose: pose[2, 3].fill_(math.inf),
+    "stretched axis": lambda pose: pose[1, 1].fill_(1.01),
+    "reflection": lambda pose: pose[2, 2].mul_(-1.0),
+    "wrong last row": lambda pose: pose[3, 0].fill_(0.1),
+    "scale in the last row": lambda pose: pose[3, 3].fill_(2.0),
 }
 
 
 @pytest.mark.parametrize("how", SPOILT)
-def test_a_pose_that_is_none_is_a_hit_until_its_row_is_told(make, how):
+def test_an_invalid_pose_counts_as_a_hit_and_its_row_is_reported(make, how):
     checker = make(CUBE, BODIES[0])
     assert isinstance(checker, Faulty)
     good = at(*[(3.0, 0.0, 0.0)] * 70).to(checker.device)
@@ -226,7 +229,7 @@ def test_a_pose_that_is_none_is_a_hit_until_its_row_is_told(make, how):
     told = "row 41: expected finite numbers and, for a pose, an orthonormal rotation"
     for ask in (lambda: checker.collides(bad), lambda: checker.sweeps(bad, good), lambda: checker.sweeps(good, bad)):
         assert ask().nonzero().flatten().tolist() == [41, 66]
-        checker.sweeps(good, good)  # a valid batch clears no fault
+        checker.sweeps(good, good)  # a valid batch does not clear the fault
         with pytest.raises(ValueError, match=told):
             checker.raise_faults()
         checker.raise_faults()
@@ -237,7 +240,7 @@ def test_a_pose_that_is_none_is_a_hit_until_its_row_is_told(make, how):
         checker.raise_faults()
 
 
-def test_a_point_that_is_none_has_no_clearance_until_its_row_is_told(make):
+def test_an_invalid_point_has_zero_clearance_and_its_row_is_reported(make):
     checker = make(CUBE, BODIES[0])
     points = torch.full((5, 3), 2.0)
     points[3, 2], points[4, 0] = math.nan, -math.inf
@@ -248,7 +251,7 @@ def test_a_point_that_is_none_has_no_clearance_until_its_row_is_told(make):
 
 
 def test_rotations_are_refused_where_the_cpu_refuses_them(make):
-    """Both decide whether a pose is rigid, each with its own arithmetic."""
+    """Each decides with its own arithmetic whether a pose is rigid."""
     checker, native = make(CUBE, BODIES[1]), NativeChecker(CUBE, BODIES[1])
     generator = torch.Generator().manual_seed(0)
     poses = random_poses(400, (1, 1, 1), (2, 2, 2))
@@ -272,7 +275,7 @@ def test_wrong_shapes_and_bodies_are_refused_at_once(make):
         checker.collides(torch.eye(4))
     with pytest.raises(ValueError, match=r"end: expected shape \[B, 4, 4\], got \[3, 3, 4\]"):
         checker.sweeps(poses, poses[:, :3])
-    with pytest.raises(ValueError, match="end: expected as many poses as start, 3, got 2"):
+    with pytest.raises(ValueError, match="end: expected 3 poses, as many as in start, got 2"):
         checker.free_fraction(poses, poses[:2])
     with pytest.raises(ValueError, match=r"points: expected shape \[B, 3\], got \[3, 4\]"):
         checker.clearance(torch.zeros(3, 4))
@@ -280,7 +283,7 @@ def test_wrong_shapes_and_bodies_are_refused_at_once(make):
         kernel_defines("box")
 
 
-def test_strided_double_and_unaligned_poses_are_read_right(make, scenes):
+def test_strided_double_and_unaligned_poses_are_read_correctly(make, scenes):
     checker = make(scenes["clutter"], BODIES[0])
     poses = poses_in(scenes["clutter"], 300).to(checker.device)
     expected = checker.collides(poses)
@@ -293,9 +296,9 @@ def test_strided_double_and_unaligned_poses_are_read_right(make, scenes):
     assert torch.equal(checker.clearance(poses[:, :3, 3]), checker.clearance(poses[:, :3, 3].contiguous()))
 
 
-def test_tensors_elsewhere_make_the_way_and_are_refused_at_once(make, scenes, monkeypatch):
+def test_tensors_on_another_device_are_copied_and_invalid_ones_are_refused_at_once(make, scenes, monkeypatch):
     checker, native = make(scenes["rooms"], BODIES[0]), NativeChecker(scenes["rooms"], BODIES[0])
-    if checker.device.type == "cpu":  # where no tensor is on another device
+    if checker.device.type == "cpu":  # here no tensor is on another device, so pretend
         monkeypatch.setattr(checker, "_faults_for", lambda *values: checker._faults_elsewhere)
     start, end = moves_in(scenes["rooms"], 100, turning=False)
     assert torch.equal(checker.sweeps(start, end), native.sweeps(start, end))
@@ -304,14 +307,14 @@ def test_tensors_elsewhere_make_the_way_and_are_refused_at_once(make, scenes, mo
     bad[7, 0, 0] = math.nan
     with pytest.raises(ValueError, match=r"end: expected finite numbers, got .* in row 7"):
         checker.sweeps(start, bad)
-    with pytest.raises(ValueError, match=r"points: expected finite metres, got .* in row 0"):
+    with pytest.raises(ValueError, match=r"points: expected finite coordinates, got .* in row 0"):
         checker.clearance(torch.full((1, 3), math.nan))
     checker.raise_faults()
 
 
 @pytest.mark.gpu
 @pytest.mark.parametrize("body", BODIES)
-def test_queries_wait_for_nothing_and_can_be_recorded(cuda_device, scenes, body):
+def test_queries_never_synchronise_and_can_be_captured_in_a_cuda_graph(cuda_device, scenes, body):
     checker = CudaChecker(scenes["rooms"], body, cuda_device)
     start, end = (poses.to(cuda_device) for poses in moves_in(scenes["rooms"], 500, turning=True))
     expected = checker.free_fraction(start, end), checker.sweeps(start, end), checker.collides(start)
@@ -331,7 +334,7 @@ def test_queries_wait_for_nothing_and_can_be_recorded(cuda_device, scenes, body)
 
 
 @pytest.mark.gpu
-def test_a_pickle_answers_alike(cuda_device, scenes):
+def test_a_pickled_checker_gives_the_same_answers(cuda_device, scenes):
     checker = CudaChecker(scenes["clutter"], BODIES[2], cuda_device)
     poses = poses_in(scenes["clutter"], 300).to(cuda_device)
     twin = pickle.loads(pickle.dumps(checker))

@@ -12,7 +12,7 @@ from splatrl.scenes.gaussians import Gaussians
 from tests.collision.density_twin import density_of
 
 EVERY_PIECE = DensitySettings(min_volume=0.0)
-"""Settings that drop no floaters."""
+"""Density settings under which no floater is dropped."""
 
 
 def gaussians(means, scales, opacities=0.9, quats=(1.0, 0.0, 0.0, 0.0)) -> Gaussians:
@@ -33,12 +33,12 @@ def joined(*parts: Gaussians) -> Gaussians:
 
 
 def sheet(first, second, spacing: float, z: float = 0.0) -> torch.Tensor:
-    """A horizontal sheet of points."""
+    """Return a horizontal sheet of points."""
     return torch.cartesian_prod(torch.arange(*first, spacing), torch.arange(*second, spacing), torch.tensor([z]))
 
 
 def brute_force(g: Gaussians, occupancy: Occupancy, cutoff: float) -> np.ndarray:
-    """Keys of the solid voxels of a padded grid."""
+    """Return the keys of the solid voxels, computed for every voxel of a padded grid."""
     lower = np.array(occupancy.origin_key) - 3
     keys = np.argwhere(np.ones(np.array(occupancy.occupied.shape) + 6, bool)) + lower
     density = density_of(g, (keys + 0.5) * occupancy.resolution, occupancy.resolution)
@@ -46,12 +46,12 @@ def brute_force(g: Gaussians, occupancy: Occupancy, cutoff: float) -> np.ndarray
 
 
 @pytest.mark.parametrize(("seed", "shape"), [(0, (9, 14, 11)), (1, (17, 6, 8))])
-def test_the_density_is_that_of_its_readable_twin(seed: int, shape: tuple[int, int, int]) -> None:
+def test_the_density_matches_the_readable_reference(seed: int, shape: tuple[int, int, int]) -> None:
     generator = torch.Generator().manual_seed(seed)
     count = 60
     g = gaussians(
         torch.rand(count, 3, generator=generator) * torch.tensor(shape),
-        torch.exp(torch.rand(count, 3, generator=generator) * 5.0 - 4.0),  # a hundredth of a voxel to three voxels
+        torch.exp(torch.rand(count, 3, generator=generator) * 5.0 - 4.0),  # 0.02 to 2.7 voxels
         torch.rand(count, generator=generator),
         torch.randn(count, 4, generator=generator),
     )
@@ -68,7 +68,7 @@ def test_the_density_is_that_of_its_readable_twin(seed: int, shape: tuple[int, i
 
 
 @pytest.mark.parametrize("resolution", [0.05, 0.13])
-def test_solid_voxels_are_those_of_a_sum_over_all_pairs(resolution):
+def test_solid_voxels_match_a_brute_force_sum_over_all_pairs(resolution):
     generator = torch.Generator().manual_seed(3)
     count = 150
     g = gaussians(
@@ -84,7 +84,7 @@ def test_solid_voxels_are_those_of_a_sum_over_all_pairs(resolution):
 
 
 @pytest.mark.parametrize("turned", [True, False])
-def test_large_thin_gaussians_reach_every_voxel_that_a_sum_over_all_pairs_reaches(turned):
+def test_large_thin_gaussians_fill_the_same_voxels_as_a_brute_force_sum(turned):
     generator = torch.Generator().manual_seed(5)
     count = 12
     g = gaussians(
@@ -120,7 +120,7 @@ def test_a_slanted_sheet_of_thin_large_gaussians_has_no_hole(axis):
     assert occupancy.contains(sheet((-0.9, 0.9), (-0.7, 0.7), 0.007) @ tilt.T).all()
 
 
-def test_a_closed_box_of_gaussians_keeps_its_inside_free_and_apart_from_the_outside():
+def test_the_inside_of_a_closed_box_of_gaussians_is_free_and_separate_from_the_outside():
     faces = [sheet((0.0, 1.0), (0.0, 1.0), 0.03, z).roll(axis, dims=1) for axis in range(3) for z in (0.0, 0.99)]
     occupancy = Occupancy.from_gaussians(gaussians(torch.cat(faces), 0.015), 0.05)
     free, _ = ndimage.label(np.pad(~occupancy.occupied, 1, constant_values=True))
@@ -129,7 +129,7 @@ def test_a_closed_box_of_gaussians_keeps_its_inside_free_and_apart_from_the_outs
     assert free[tuple(middle)] not in (0, free[0, 0, 0])
 
 
-def test_floaters_below_the_smallest_volume_are_dropped_and_larger_things_stay():
+def test_floaters_below_the_minimum_volume_are_dropped_and_larger_things_stay():
     floor = gaussians(sheet((0.0, 1.6), (0.0, 1.1), 0.03), 0.02)
     floater = gaussians([[0.5, 0.4, 0.3]], 0.04)
     ball = gaussians([[0.5, 0.4, 0.7]], 0.2)
@@ -140,7 +140,7 @@ def test_floaters_below_the_smallest_volume_are_dropped_and_larger_things_stay()
     assert kept.contains([[0.5, 0.4, 0.02], [0.5, 0.4, 0.3], [0.5, 0.4, 0.7]]).tolist() == [True, False, True]
 
 
-def test_the_smallest_volume_is_a_volume_at_every_resolution():
+def test_the_minimum_volume_means_the_same_at_every_resolution():
     rod = gaussians(sheet((0.0, 0.5), (0.0, 0.09), 0.02), 0.01)
     for resolution in (0.025, 0.05, 0.1):
         volume = Occupancy.from_gaussians(rod, resolution, EVERY_PIECE).volume
@@ -149,14 +149,14 @@ def test_the_smallest_volume_is_a_volume_at_every_resolution():
         assert Occupancy.from_gaussians(rod, resolution, above).count == 0
 
 
-def test_diagonal_neighbours_hang_together():
+def test_diagonal_neighbours_belong_to_one_component():
     means = [[0.075 + 0.05 * i, 0.075 + 0.05 * i, 0.075 + 0.05 * i] for i in range(10)]
     chain = gaussians(means, 0.002)
     whole = Occupancy.from_gaussians(chain, density=DensitySettings(min_volume=10 * 0.05**3))
     assert whole.keys().tolist() == [[i + 1] * 3 for i in range(10)]
 
 
-def test_haze_below_the_smallest_opacity_is_free():
+def test_haze_below_the_minimum_opacity_is_free():
     fog = gaussians(sheet((0.0, 1.0), (0.0, 1.0), 0.01), 0.05, opacities=0.09)
     assert Occupancy.from_gaussians(fog).count == 0
     assert Occupancy.from_gaussians(fog, density=DensitySettings(min_opacity=0.05)).count > 0
@@ -180,14 +180,14 @@ def test_sky_and_stray_gaussians_neither_grow_the_grid_nor_fill_it():
     assert crowded.keys().tolist() == alone.keys().tolist()
 
 
-def test_a_larger_scale_limit_lets_large_gaussians_in():
+def test_gaussians_above_the_scale_limit_are_ignored():
     ball = gaussians([[0.0, 0.0, 0.0]], 1.5)
-    assert Occupancy.from_gaussians(ball, 0.2).count > 0  # 20 voxels are 4 m
+    assert Occupancy.from_gaussians(ball, 0.2).count > 0  # the default limit is 20 voxels, here 4 m
     assert Occupancy.from_gaussians(ball, 0.05).count == 0
     assert Occupancy.from_gaussians(ball, 0.2, density=DensitySettings(max_scale=1.4)).count == 0
 
 
-def test_a_crop_bounds_what_is_solid():
+def test_only_what_lies_in_the_crop_is_solid():
     floor = gaussians(sheet((-1.0, 1.0), (-1.0, 1.0), 0.03), 0.02)
     occupancy = Occupancy.from_gaussians(floor, crop=((-0.5, -0.25, -1.0), (0.5, 0.35, 1.0)))
     assert occupancy.bounds[0][:2] == pytest.approx([-0.5, -0.25])
@@ -195,7 +195,7 @@ def test_a_crop_bounds_what_is_solid():
     assert Occupancy.from_gaussians(floor, crop=((5, 5, 5), (6, 6, 6))).count == 0
 
 
-def test_a_single_gaussian_is_as_solid_as_it_is_large():
+def test_a_single_gaussian_is_solid_up_to_the_radius_of_the_cutoff():
     occupancy = Occupancy.from_gaussians(gaussians([[0.3, -0.2, 0.1]], 0.2), 0.05)  # 0.9 e^(-d²/2) > ln 2: d < 0.72
     assert occupancy.contains([[0.3, -0.2, 0.1], [0.42, -0.2, 0.1], [0.3, -0.2, -0.02]]).all()
     assert not occupancy.contains([[0.51, -0.2, 0.1], [0.3, 0.01, 0.1]]).any()
@@ -225,7 +225,7 @@ def test_a_density_setting_out_of_range_is_refused_by_name(name, value):
         DensitySettings(**{name: value})
 
 
-def test_voxels_of_pieces_are_those_of_all_in_one():
+def test_building_from_pieces_gives_the_same_voxels_as_from_the_whole():
     g = gaussians(torch.rand(4000, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([3.0, 2.0, 0.1]), 0.04)
     pieces = [lambda rows=rows: g[rows] for rows in (slice(0, 500), slice(500, 1100), slice(1100, 4000))]
     for crop in (None, ((-1.0, -2.0, -1.0), (0.7, 0.33, 3.0))):

@@ -17,11 +17,11 @@ def random_poses(count: int, seed: int, reach: float = 1.0) -> torch.Tensor:
 
 
 def path(move: Displacement, row: int) -> torch.Tensor:
-    """All poses of one row: [steps + 1, 4, 4]."""
+    """Return all poses of one row: [steps + 1, 4, 4]."""
     return torch.cat([move.at(torch.tensor([row]), torch.tensor([index])) for index in range(int(move.steps[row]) + 1)])
 
 
-def test_rigid_poses_pass_as_float64():
+def test_rigid_poses_are_returned_as_float64():
     poses = random_poses(5, 0).float()
     checked = checked_poses("start", poses)
     assert checked.dtype == torch.float64
@@ -64,7 +64,7 @@ def test_the_first_pose_that_is_not_rigid_is_named(fault, expected):
         checked_poses("start", poses)
 
 
-def test_another_shape_is_refused():
+def test_poses_of_another_shape_are_refused():
     with pytest.raises(ValueError, match=r"end: expected shape \[B, 4, 4\], got \[4, 4\]"):
         checked_poses("end", torch.eye(4))
 
@@ -78,7 +78,7 @@ def test_a_move_starts_and_ends_exactly_where_it_should():
         assert torch.equal(poses[-1], end[row])
 
 
-def test_the_origin_goes_straight_and_the_body_turns_evenly():
+def test_the_origin_moves_straight_and_the_body_turns_at_a_constant_rate():
     start = torch.eye(4, dtype=torch.float64)[None]
     turn = axis_rotations(2, torch.tensor([1.2], dtype=torch.float64))
     end = rigid(turn, torch.tensor([[0.6, -0.3, 0.0]], dtype=torch.float64))
@@ -105,7 +105,7 @@ def test_no_point_of_the_body_travels_further_than_allowed_between_two_poses(see
 
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 10_000))
-def test_a_move_and_its_reverse_have_the_same_poses_bit_by_bit(seed):
+def test_a_move_and_its_reverse_have_bitwise_equal_poses(seed):
     start, end = random_poses(4, seed), random_poses(4, seed + 1)
     end[2] = start[2].clone()
     end[3, :3, :3] = start[3, :3, :3] @ axis_rotations(0, torch.tensor(math.pi, dtype=torch.float64))
@@ -115,7 +115,7 @@ def test_a_move_and_its_reverse_have_the_same_poses_bit_by_bit(seed):
         assert torch.equal(path(forth, row), path(back, row).flip(0))
 
 
-def test_a_pure_shift_keeps_the_rotation_that_was_given():
+def test_a_pure_translation_keeps_the_given_rotation():
     start = random_poses(2, 5)
     end = start.clone()
     end[:, :3, 3] += torch.tensor([0.3, 0.1, 0.0])
@@ -132,7 +132,7 @@ def test_the_body_turns_the_shorter_way_round():
     assert (poses[1:-1, 1, 0] < 0).all()
 
 
-def test_a_turn_across_half_a_circle_goes_the_shorter_way_too():
+def test_a_turn_across_180_degrees_goes_the_shorter_way_too():
     yaw = torch.tensor([2.9, -2.9], dtype=torch.float64)
     start, end = rigid(axis_rotations(2, yaw), torch.zeros(2, 3, dtype=torch.float64)).split(1)
     poses = path(Displacement(start, end, 1.0, 0.1), 0)
@@ -141,5 +141,5 @@ def test_a_turn_across_half_a_circle_goes_the_shorter_way_too():
 
 
 def test_batches_of_different_length_are_refused():
-    with pytest.raises(ValueError, match="end: expected as many poses as start, 3, got 2"):
+    with pytest.raises(ValueError, match="end: expected 3 poses, as many as in start, got 2"):
         Displacement(random_poses(3, 0), random_poses(2, 0), 0.1, 0.1)

@@ -15,7 +15,7 @@ def true_distances(occupancy: Occupancy, points: np.ndarray) -> np.ndarray:
 
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), share=st.sampled_from([0.01, 0.1, 0.6]))
-def test_clearance_bounds_the_true_distance_from_below_and_by_less_than_its_promise(seed, share):
+def test_clearance_is_below_the_true_distance_by_less_than_a_voxel_diagonal(seed, share):
     rng = np.random.default_rng(seed)
     occupied = rng.random((7, 5, 9)) < share
     occupied[3, 2, 4] = True
@@ -30,7 +30,7 @@ def test_clearance_bounds_the_true_distance_from_below_and_by_less_than_its_prom
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (5, 1, 7), (17, 33, 16), (40, 21, 31)])
 @pytest.mark.parametrize("share", [0.0, 0.002, 0.1, 0.6, 1.0])
-def test_distances_are_those_of_scipy(shape: tuple[int, int, int], share: float) -> None:
+def test_distances_match_scipys_distance_transform(shape: tuple[int, int, int], share: float) -> None:
     occupied = np.random.default_rng(0).random(shape) < share
     if share == 0.002:
         occupied[0, 0, -1] = True
@@ -46,7 +46,7 @@ def test_clearance_is_zero_in_a_solid_voxel():
     assert DistanceField(occupancy).clearance(occupancy.centers()).max() == 0.0
 
 
-def test_clearance_far_outside_the_grid_is_nearly_the_distance():
+def test_clearance_far_outside_the_grid_is_nearly_the_true_distance():
     occupancy = Occupancy.from_keys([[0, 0, 0], [9, 4, 2]], 0.1)
     bound = DistanceField(occupancy).clearance([[-30.0, 0.05, 0.05], [0.95, 0.45, 40.3]])
     assert bound == pytest.approx([30.0, 40.0], abs=0.1)

@@ -26,21 +26,21 @@ def test_a_union_is_solid_where_either_is(seeds):
     assert (a | b).keys().tolist() == (b | a).keys().tolist()
 
 
-def test_a_union_with_nothing_is_the_same():
+def test_a_union_with_an_empty_grid_changes_nothing():
     grid = random_grid(1)
     assert same(grid | Occupancy.empty(0.1), grid)
     assert same(Occupancy.empty(0.1) | grid, grid)
     assert (Occupancy.empty(0.1) | Occupancy.empty(0.1)).count == 0
 
 
-def test_a_union_of_two_resolutions_or_of_places_too_far_apart_is_refused():
-    with pytest.raises(ValueError, match=r"expected two grids of one resolution, got 0.1 and 0.05 m"):
+def test_a_union_of_different_resolutions_or_of_grids_too_far_apart_is_refused():
+    with pytest.raises(ValueError, match=r"expected two grids of the same resolution, got 0.1 and 0.05 m"):
         random_grid(1) | Occupancy.empty(0.05)
     with pytest.raises(ValueError, match=r"expected at most 67108864 voxels"):
         Occupancy.from_keys([[0, 0, 0]], 0.1) | Occupancy.from_keys([[1000, 1000, 1000]], 0.1)
 
 
-def test_what_boxes_add_boxes_clear_again():
+def test_carving_the_boxes_that_were_added_restores_the_grid():
     lower, upper = [[0.1, -0.2, 0.3], [5.0, 5.0, 5.0]], [[0.3, 0.1, 0.7], [5.5, 5.2, 5.1]]
     wall = Occupancy.from_boxes([[-1.0, 2.0, 0.0]], [[1.0, 2.1, 1.0]], 0.1)
     added = wall.with_boxes(lower, upper)
@@ -48,7 +48,7 @@ def test_what_boxes_add_boxes_clear_again():
     assert added.carved(lower, upper).keys().tolist() == wall.keys().tolist()
 
 
-def test_a_cleared_box_is_free_and_all_beside_it_is_as_before():
+def test_a_carved_box_is_free_and_the_rest_is_unchanged():
     block = Occupancy.from_boxes([[0.0, 0.0, 0.0]], [[1.0, 0.8, 0.6]], 0.1)
     carved = block.carved([[0.25, -1.0, 0.2]], [[0.5, 9.0, 0.4]])
     assert block.count - carved.count == 3 * 8 * 2
@@ -86,7 +86,7 @@ def test_from_scene_clears_and_adds_boxes_before_it_fills():
         Occupancy.from_scene(scene, add=[[[0, 0, 0], [1, 0, 1]]])
 
 
-def test_a_report_counts_what_is_there():
+def test_a_report_counts_solid_voxels_pieces_and_volumes():
     boxes = Occupancy.from_boxes([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]], [[0.2, 0.2, 0.2], [0.6, 0.1, 0.1]], 0.1)
     report = boxes.report()
     assert (report.occupied, report.components, report.shape) == (9, 2, (6, 2, 2))
@@ -96,7 +96,7 @@ def test_a_report_counts_what_is_there():
     assert Occupancy.empty().report().components == 0
 
 
-def test_a_report_remembers_the_floaters_that_were_dropped():
+def test_the_count_of_dropped_floaters_is_reported_and_survives_edits():
     floor = torch.cartesian_prod(torch.arange(0, 1.6, 0.03), torch.arange(0, 1.1, 0.03), torch.tensor([0.0]))
     scene = blobs(torch.cat([floor, torch.tensor([[0.5, 0.4, 0.3]])]), 0.02)
     kept, every = (

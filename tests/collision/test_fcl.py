@@ -49,7 +49,7 @@ def test_a_body_hits_a_voxel_once_its_surface_reaches_it(body, reach, axis):
     assert hits.tolist() == [False, False, True, True]
 
 
-def test_a_box_may_hit_only_because_it_is_turned():
+def test_whether_a_box_hits_depends_on_its_rotation():
     checker = FclChecker(CUBE, Box((0.4, 0.1, 0.1)))
     beside = (0.05, 0.28, 0.05)  # 0.18 m beside the voxel: the box reaches 0.05 m, turned it reaches 0.2 m
     assert checker.collides(at(beside)).tolist() == [False]
@@ -58,7 +58,7 @@ def test_a_box_may_hit_only_because_it_is_turned():
     assert checker.collides(at(beside, rotation=axis_rotations(1, torch.tensor(math.pi / 2)))).tolist() == [False]
 
 
-def test_the_sense_of_rotation_is_counter_clockwise():
+def test_positive_yaw_turns_counter_clockwise():
     checker = FclChecker(Occupancy.from_keys([[1, 1, 0]], 0.1), Box((0.4, 0.02, 0.02)))
     yaw = torch.tensor([math.pi / 4, -math.pi / 4])
     poses = rigid(axis_rotations(2, yaw), torch.tensor([0.0, 0.0, 0.05]).expand(2, 3))
@@ -66,7 +66,7 @@ def test_the_sense_of_rotation_is_counter_clockwise():
 
 
 @pytest.mark.parametrize("body", BODIES)
-def test_the_distance_field_changes_no_answer_of_fcl(body):
+def test_the_distance_field_shortcut_does_not_change_fcls_answers(body):
     occupancy = clutter(1, 0.01)
     lower, upper = occupancy.bounds
     poses = random_poses(4000, lower - 0.4, upper + 0.4, 1)
@@ -87,7 +87,7 @@ def test_the_distance_field_changes_no_answer_of_fcl(body):
     assert hits.tolist() == raw
 
 
-def test_bytes_go_to_fcl_without_a_sign_where_c_has_none(monkeypatch):
+def test_octree_bytes_are_passed_unsigned_where_char_is_unsigned(monkeypatch):
     known, given = _octree(CUBE), []
 
     def unsigned(resolution, stream):
@@ -102,9 +102,9 @@ def test_bytes_go_to_fcl_without_a_sign_where_c_has_none(monkeypatch):
     assert signed.min() < 0 and signed.tobytes() == bare.tobytes() and bare.dtype == np.uint8
 
 
-def test_a_hit_does_not_stick_to_the_poses_after_it():
+def test_a_hit_does_not_carry_over_to_later_poses():
     checker = FclChecker(CUBE, Box((0.6, 0.1, 0.1)))
-    near, far = (0.05, 0.05, 0.05), (0.05, 0.05, 0.2)  # 0.05 m off, too near for the distance field to settle
+    near, far = (0.05, 0.05, 0.05), (0.05, 0.05, 0.2)  # 0.05 m away, too near for the distance field to decide
     assert checker.collides(at(near, far, near, far, far)).tolist() == [True, False, True, False, False]
     assert checker.collides(at(far)).tolist() == [False]
     assert checker.clearance(torch.tensor([far])) < checker.body.radius
@@ -138,7 +138,7 @@ def test_answers_have_the_promised_dtypes():
     assert checker.clearance(torch.zeros(2, 3)).dtype == torch.float32
 
 
-def test_poses_that_fcl_would_take_for_free_are_refused():
+def test_invalid_poses_that_fcl_would_call_free_are_refused():
     checker = FclChecker(CUBE, Box((0.2, 0.2, 0.2)))
     poses = at((0.0, 0.0, 0.0), (0.0, math.nan, 0.0), (math.nan, 0.0, 0.0))
     with pytest.raises(ValueError, match=r"body_to_world: expected finite numbers, got .* in row 1"):
@@ -160,9 +160,9 @@ def test_a_sweep_finds_the_thin_wall_that_both_ends_miss(body):
     assert checker.sweeps(start, at((0.1, 0.02, 0.01))).tolist() == [False]
 
 
-def test_a_turn_sweeps_what_lies_between():
+def test_a_turn_hits_what_lies_between_its_ends():
     rod = Box((0.8, 0.04, 0.04))
-    checker = FclChecker(Occupancy.from_keys([[2, 2, 0]], 0.1), rod)  # 45° to the left, 0.35 m off
+    checker = FclChecker(Occupancy.from_keys([[2, 2, 0]], 0.1), rod)  # 45° to the left, 0.35 m away
     right, left, back = (
         at((0.0, 0.0, 0.05), rotation=axis_rotations(2, torch.tensor(yaw))) for yaw in (0.2, 1.4, -1.2)
     )
@@ -171,7 +171,7 @@ def test_a_turn_sweeps_what_lies_between():
     assert checker.sweeps(right, back).tolist() == [False]
 
 
-def test_free_fraction_is_where_the_last_free_step_ends():
+def test_the_free_fraction_ends_at_the_last_free_step():
     wall = Occupancy(np.ones((1, 20, 20), bool), (10, -10, -10), 0.05)  # from x = 0.5
     checker = FclChecker(wall, Box((0.2, 0.1, 0.1)))  # so the origin is stopped at x = 0.4
     start = at((0.0, 0.01, 0.0), (0.0, 0.01, 0.0), (0.45, 0.01, 0.0), (0.0, 0.01, 0.0))
@@ -200,7 +200,7 @@ def test_the_pose_at_the_free_fraction_is_free(body):
 
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 10_000), body=st.sampled_from(BODIES))
-def test_a_sweep_holds_its_ends_and_is_the_same_in_both_directions(seed, body):
+def test_a_sweep_includes_its_ends_and_is_the_same_in_both_directions(seed, body):
     checker = FclChecker(clutter(seed, 0.01), body)
     start, end = (random_poses(20, (-0.8, 0.2, -0.3), (0.8, 1.5, 0.7), seed + k) for k in (0, 1))
     swept = checker.sweeps(start, end)
@@ -210,7 +210,7 @@ def test_a_sweep_holds_its_ends_and_is_the_same_in_both_directions(seed, body):
 
 
 @pytest.mark.parametrize("body", BODIES)
-def test_copies_and_pickles_answer_alike(body):
+def test_copies_and_pickles_give_the_same_answers(body):
     checker = FclChecker(clutter(), body)
     poses = random_poses(100, (-0.8, 0.2, -0.3), (0.8, 1.5, 0.7))
     for twin in (pickle.loads(pickle.dumps(checker)), copy.deepcopy(checker)):
@@ -218,7 +218,7 @@ def test_copies_and_pickles_answer_alike(body):
         assert torch.equal(twin.collides(poses), checker.collides(poses))
 
 
-def test_a_body_clear_of_the_bound_is_free_and_clearance_comes_from_the_field():
+def test_a_body_whose_clearance_exceeds_its_radius_is_free():
     occupancy = clutter()
     checker = FclChecker(occupancy, Sphere(0.17))
     poses = random_poses(500, (-1.5, -0.5, -1.0), (1.5, 2.0, 1.5))
@@ -227,14 +227,14 @@ def test_a_body_clear_of_the_bound_is_free_and_clearance_comes_from_the_field():
     assert not checker.collides(poses)[clear].any()
 
 
-def test_an_occupancy_beyond_the_octree_is_refused():
+def test_an_occupancy_beyond_the_range_of_the_octree_is_refused():
     with pytest.raises(ValueError, match="expected voxel keys in"):
         FclChecker(Occupancy.from_points([[400.0, 0.0, 0.0]], 0.01), Sphere(0.1))
 
 
 @pytest.mark.parametrize("body", BODIES)
 @pytest.mark.parametrize("blocks", [0.25, 0.4, 30.0])
-def test_an_octree_a_block_gives_the_same_answers_as_one_octree(body, blocks):
+def test_one_octree_per_block_gives_the_same_answers_as_a_single_octree(body, blocks):
     occupancy = clutter()
     one, many = FclChecker(occupancy, body), FclChecker(occupancy, body, blocks=blocks)
     poses, ends = (random_poses(400, (-0.9, 0.1, -0.4), (0.9, 1.6, 0.8), seed) for seed in (0, 1))
@@ -244,7 +244,7 @@ def test_an_octree_a_block_gives_the_same_answers_as_one_octree(body, blocks):
     assert torch.equal(many.free_fraction(poses[:40], ends[:40]), one.free_fraction(poses[:40], ends[:40]))
 
 
-def test_every_block_with_a_voxel_in_it_has_an_octree():
+def test_every_block_that_contains_a_voxel_has_an_octree():
     occupancy = Occupancy.from_keys([[0, 0, 0], [3, 3, 3], [4, 0, 0], [-1, 0, 0], [-4, 3, 3], [-5, 0, 0]], 0.1)
     assert len(fcl_octrees(occupancy)) == 1
     assert len(fcl_octrees(occupancy, 0.4)) == 4
@@ -252,9 +252,9 @@ def test_every_block_with_a_voxel_in_it_has_an_octree():
     assert fcl_octrees(Occupancy.empty(), 0.4) == []
 
 
-def test_copies_keep_their_blocks_and_blocks_that_are_no_length_are_refused():
+def test_copies_keep_their_block_size_and_invalid_block_sizes_are_refused():
     assert copy.deepcopy(FclChecker(CUBE, Sphere(0.1), blocks=0.5)).blocks == 0.5
     for blocks in (0.0, -4.0, math.nan, math.inf):
-        with pytest.raises(ValueError, match="blocks: expected finite metres above 0"):
+        with pytest.raises(ValueError, match="blocks: expected a positive, finite number of metres"):
             FclChecker(CUBE, Sphere(0.1), blocks=blocks)
     assert not FclChecker(Occupancy.empty(), Sphere(0.1), blocks=4.0).collides(at((0.0, 0.0, 0.0))).any()

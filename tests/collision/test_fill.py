@@ -11,7 +11,7 @@ ROOM = ((0.0, 0.0, 0.0), (3.0, 2.0, 1.5))
 
 
 def hollow(lower, upper, resolution=0.05) -> Occupancy:
-    """Six walls one voxel thick."""
+    """Make a hollow box with walls one voxel thick."""
     low, high = np.array(lower), np.array(upper)
     walls = []
     for axis in range(3):
@@ -26,7 +26,7 @@ def hollow(lower, upper, resolution=0.05) -> Occupancy:
 
 
 def room_with_cupboard(gap: float = 0.0) -> Occupancy:
-    """A closed room with a hollow cupboard in it, whose front has a gap of some width over its full height."""
+    """Make a closed room with a hollow cupboard whose front has a full-height gap of the given width."""
     room = hollow(*ROOM) | hollow((2.0, 0.5, 0.05), (2.6, 1.4, 0.9))
     return room.carved([[2.0, 0.9, 0.1]], [[2.05, 0.9 + gap, 0.85]]) if gap else room
 
@@ -43,18 +43,18 @@ def test_a_hollow_cupboard_becomes_solid_and_the_room_stays_free():
 
 
 @pytest.mark.parametrize(("gap", "closed"), [(0.05, True), (0.1, True), (0.2, True), (0.25, False), (0.4, False)])
-def test_an_opening_is_closed_up_to_the_stated_width(gap, closed):
+def test_openings_up_to_the_stated_width_are_closed(gap, closed):
     filled = room_with_cupboard(gap).solid(0.2, MIDDLE)
     assert filled.contains(INSIDE).all() == closed
     assert (filled.filled > 0) == closed
 
 
-def test_without_a_width_only_what_is_closed_is_filled():
+def test_with_a_width_of_zero_only_closed_cavities_are_filled():
     assert room_with_cupboard().solid(0.0, MIDDLE).contains(INSIDE).all()
     assert not room_with_cupboard(0.05).solid(0.0, MIDDLE).filled
 
 
-def test_the_seeds_say_which_side_is_reached():
+def test_the_side_that_contains_the_seeds_stays_free():
     filled = room_with_cupboard().solid(0.2, INSIDE)
     assert filled.contains(MIDDLE).all()
     assert not filled.contains(INSIDE).any()
@@ -67,7 +67,7 @@ def test_a_few_seeds_on_the_wrong_side_do_no_harm():
     assert not filled.contains(MIDDLE).any()
 
 
-def test_without_seeds_the_largest_region_is_the_free_one():
+def test_without_seeds_the_largest_region_stays_free():
     filled = room_with_cupboard().solid(0.2)
     assert filled.contains(INSIDE).all()
     assert not filled.contains(MIDDLE).any()
@@ -77,29 +77,29 @@ def test_a_seed_in_a_corner_too_narrow_for_the_ball_finds_the_room_beside_it():
     assert room_with_cupboard().solid(0.2, [[0.06, 0.06, 0.06]]).contains(INSIDE).all()
 
 
-def test_what_is_open_to_the_outside_of_the_grid_alone_is_filled():
-    backless = room_with_cupboard().carved([[0.0, 0.0, 0.0]], [[0.05, 2.0, 1.5]])  # a room of five walls
+def test_a_cavity_that_opens_only_to_the_outside_of_the_grid_is_filled():
+    backless = room_with_cupboard().carved([[0.0, 0.0, 0.0]], [[0.05, 2.0, 1.5]])  # one side of the room is open
     attic = hollow((1.0, 0.0, 1.45), (2.0, 2.0, 2.0)).carved([[1.0, 0.05, 1.95]], [[2.0, 1.9, 2.0]])
     filled = (backless | attic).solid(0.2, MIDDLE)
     assert filled.contains([[1.5, 1.0, 1.7]]).all()
     assert not filled.contains(MIDDLE).any()
 
 
-def test_a_robot_around_a_thing_that_fills_its_grid_stays_free():
+def test_the_space_around_an_object_that_fills_its_grid_stays_free():
     block = Occupancy.from_boxes([[-0.5, -0.5, 0.0], [-0.2, -0.2, 0.0]], [[0.5, 0.5, 0.1], [0.2, 0.2, 1.0]], 0.05)
     seeds, around = [[1.0, 0.0, 0.5]], ((-1.2, -1.2, 0.4), (1.2, 1.2, 0.6))
     filled = block.solid(0.2, seeds, around)
     assert filled.keys().tolist() == block.keys().tolist()
 
 
-def test_a_crevice_that_only_small_things_enter_stays_free_near_its_mouth():
+def test_a_narrow_crevice_stays_free_near_its_mouth():
     filled = room_with_cupboard(0.1).solid(0.2, MIDDLE)
     assert not filled.contains([[2.02, 0.95, 0.5], [2.1, 0.95, 0.5]]).any()
     assert filled.contains([[2.4, 0.95, 0.5]]).all()
 
 
-def test_where_nothing_is_free_near_the_seeds_nothing_is_filled_and_a_warning_says_so():
-    with pytest.warns(UserWarning, match=r"fill: expected a free place 0.2 m wide near the goal, got none"):
+def test_without_free_space_near_the_seeds_nothing_is_filled_and_a_warning_says_so():
+    with pytest.warns(UserWarning, match=r"fill: expected free space 0.2 m wide near the goal, found none"):
         filled = room_with_cupboard().solid(0.2, [[30.0, 0.0, 0.0]])
     assert filled.filled == 0
     with pytest.warns(UserWarning, match="nothing is filled"):
@@ -107,8 +107,8 @@ def test_where_nothing_is_free_near_the_seeds_nothing_is_filled_and_a_warning_sa
 
 
 @pytest.mark.parametrize("opening", [-0.1, float("nan"), float("inf")])
-def test_an_opening_that_is_no_width_is_refused(opening):
-    with pytest.raises(ValueError, match="fill: expected finite metres of at least 0"):
+def test_an_opening_that_is_not_a_valid_width_is_refused(opening):
+    with pytest.raises(ValueError, match="fill: expected a non-negative, finite number of metres"):
         room_with_cupboard().solid(opening)
 
 
@@ -123,7 +123,7 @@ def test_malformed_seeds_and_corners_are_refused_by_name():
 
 @pytest.fixture(scope="module")
 def worlds(shared_scenes):
-    """The kitchen at the height of its counters, hollow and filled."""
+    """Worlds of the kitchen for a robot at counter height, first hollow and then filled."""
     path = shared_scenes / "kitchen" / "kitchen.spz"
     common = ["scene=kitchen", f"scene.path={path}", "robot.height=0.4"]
     return [build_world(load_config([*common, f"collision.occupancy.fill={fill}"])) for fill in ("null", 0.2)]
@@ -141,7 +141,7 @@ def test_the_counters_of_a_kitchen_are_filled_and_its_middle_is_not(worlds):
     assert filled.contains(rng.uniform((-0.7, 0.0, 0.1), (0.7, 0.8, 1.8), (4000, 3))).mean() < 0.01
 
 
-def test_filling_the_kitchen_takes_no_start_that_reaches_the_goal(worlds):
+def test_filling_the_kitchen_removes_no_start_that_reaches_the_goal(worlds):
     hollow_plan, filled_plan = worlds[0].plan, worlds[1].plan
     assert filled_plan.distance.tolist() == hollow_plan.distance.tolist()
     assert filled_plan.free.sum() < 0.8 * hollow_plan.free.sum()
@@ -149,7 +149,7 @@ def test_filling_the_kitchen_takes_no_start_that_reaches_the_goal(worlds):
     assert (hollow_plan.distance[inside] < 0).all()
 
 
-def test_the_yard_stays_as_free_as_it_was():
+def test_filling_the_backyard_fills_the_shed_and_changes_no_distance():
     world = build_world(load_config(["collision.occupancy.fill=0.2"]))
     bare = Occupancy.from_scene(world.scene)
     before = plan(world.task.motion, FclChecker(bare, Box((0.4, 0.4, 0.1))), world.task.reached)

@@ -1,4 +1,4 @@
-"""A captured kitchen against hand-made collision boxes."""
+"""The occupancy of a captured kitchen, compared with hand-made collision boxes."""
 
 from pathlib import Path
 from xml.etree import ElementTree
@@ -24,7 +24,7 @@ def occupancy(shared_scenes: Path) -> Occupancy:
 
 @pytest.fixture(scope="module")
 def boxes(shared_scenes: Path) -> np.ndarray:
-    """[N, 2, 3] lower and upper corners of the hand-made boxes: three counters, three walls."""
+    """Lower and upper corners of the hand-made boxes, three counters and three walls: [N, 2, 3]."""
     corners = []
     for body in ElementTree.parse(shared_scenes / "kitchen" / "collision.xml").iter("body"):
         center, half = (np.array(e.split(), float) for e in (body.attrib["pos"], body.find("geom").attrib["size"]))
@@ -63,7 +63,7 @@ def test_a_body_that_enters_a_counter_from_the_middle_hits_it(occupancy, boxes):
         assert body.sweeps(start, end).float().mean() >= 0.99
 
 
-def test_the_grid_is_that_of_the_room(occupancy):
+def test_the_grid_is_no_larger_than_the_room(occupancy):
     lower, upper = occupancy.bounds
     assert (lower > [-2.2, -1.5, -0.3]).all()
     assert (upper < [2.4, 1.4, 2.7]).all()

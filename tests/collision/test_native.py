@@ -1,4 +1,4 @@
-"""The fast checker against FCL and the readable twin: only touches within rounding may differ."""
+"""The native checker against FCL and the readable torch checker: only touches within rounding may differ."""
 
 import copy
 import math
@@ -19,12 +19,12 @@ from splatrl.native import _core
 from tests.collision.test_fcl import BODIES, CUBE, at, clutter, random_poses
 
 SURE = 1e-5
-"""Metres: closer than this to a touch, FCL's own rounding decides."""
+"""Distance from a touch, metres, below which FCL's own rounding decides."""
 SCENES = ("clutter", "rooms")
 
 
 def rooms() -> Occupancy:
-    """Thin walls with a door, a floor and a table, at coordinates that are not round."""
+    """Make thin walls with a door, a floor and a table, shifted off the origin."""
     lower = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 1.6, 0.0], [0.7, 1.2, 0.6], [0.7, 1.2, 0.0]]
     upper = [
         [4.0, 3.0, 0.05],
@@ -49,7 +49,7 @@ def poses_in(occupancy: Occupancy, count: int, seed: int = 0) -> torch.Tensor:
 
 
 def moves_in(occupancy: Occupancy, count: int, turning: bool, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
-    """Moves of up to 0.5 m along each axis."""
+    """Return the start and end poses of random moves of up to 0.5 m along each axis."""
     start = poses_in(occupancy, count, seed)
     generator = torch.Generator().manual_seed(seed + 1)
     way = torch.rand(count, 3, generator=generator) - 0.5
@@ -99,13 +99,13 @@ def smaller(body: Body) -> Body:
 @pytest.mark.parametrize("count", [3000, pytest.param(100_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("body", BODIES)
 @pytest.mark.parametrize("name", SCENES)
-def test_no_pose_differs_from_fcl_but_within_rounding(scenes, name, body, count):
+def test_poses_differ_from_fcl_only_within_rounding(scenes, name, body, count):
     assert_parity(scenes[name], body, count)
 
 
 @pytest.mark.parametrize("body", BODIES)
 @pytest.mark.parametrize("name", SCENES)
-def test_no_pose_differs_from_the_readable_twin(scenes, name, body):
+def test_poses_get_the_same_answers_from_the_torch_checker(scenes, name, body):
     occupancy = scenes[name]
     found = verify(NativeChecker(occupancy, body), TorchChecker(occupancy, body), poses_in(occupancy, 3000, 2))
     assert found.hits > 100
@@ -116,14 +116,14 @@ def test_no_pose_differs_from_the_readable_twin(scenes, name, body):
 @pytest.mark.parametrize("turning", [False, True])
 @pytest.mark.parametrize("body", BODIES)
 @pytest.mark.parametrize("name", SCENES)
-def test_a_sweep_misses_nothing_that_a_hundred_steps_of_fcl_find(scenes, name, body, turning, count):
+def test_a_sweep_misses_nothing_that_fcl_finds_in_a_hundred_steps(scenes, name, body, turning, count):
     assert_nothing_missed(scenes[name], body, count, turning)
 
 
 @pytest.mark.parametrize("count", [250, pytest.param(4000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("body", BODIES)
 @pytest.mark.parametrize("name", SCENES)
-def test_no_straight_sweep_differs_from_the_readable_twin(scenes, name, body, count):
+def test_straight_sweeps_get_the_same_answers_from_the_torch_checker(scenes, name, body, count):
     occupancy = scenes[name]
     start, end = moves_in(occupancy, count, turning=False, seed=3)
     native, twin = NativeChecker(occupancy, body), TorchChecker(occupancy, body)
@@ -134,11 +134,11 @@ def test_no_straight_sweep_differs_from_the_readable_twin(scenes, name, body, co
     same[[one.row for one in found.disagreements]] = False
     short = (twin.free_fraction(start, end) - native.free_fraction(start, end))[same]
     assert short.min() > -1e-5
-    assert short.max() < 2e-3  # a micrometre of slack is this much of the move where a body comes in at a slant
+    assert short.max() < 2e-3  # for a body that comes in at a slant, a micrometre of slack is this much of the move
 
 
 @pytest.mark.parametrize("body", BODIES)
-def test_a_turning_sweep_hits_what_the_readable_twin_does_but_within_a_fifth_of_a_voxel(scenes, body):
+def test_turning_sweeps_differ_from_the_torch_checker_only_near_a_touch(scenes, body):
     occupancy = scenes["rooms"]
     start, end = moves_in(occupancy, 150, turning=True, seed=5)
     found = verify_sweeps(NativeChecker(occupancy, body), TorchChecker(occupancy, body), start, end)
@@ -148,7 +148,7 @@ def test_a_turning_sweep_hits_what_the_readable_twin_does_but_within_a_fifth_of_
 
 @pytest.mark.parametrize("turning", [False, True])
 @pytest.mark.parametrize("body", BODIES)
-def test_the_free_fraction_is_free_and_less_than_1_exactly_where_something_is_hit(scenes, body, turning):
+def test_the_free_fraction_is_free_and_below_1_exactly_where_something_is_hit(scenes, body, turning):
     occupancy = scenes["rooms"]
     checker = NativeChecker(occupancy, body)
     start, end = moves_in(occupancy, 1000, turning, seed=7)
@@ -171,7 +171,7 @@ def test_the_free_fraction_is_free_and_less_than_1_exactly_where_something_is_hi
     place=st.tuples(st.floats(-0.9, 0.9), st.floats(0.1, 1.6), st.floats(-0.4, 0.8)),
     body=st.sampled_from(BODIES),
 )
-def test_any_rotation_gets_the_answer_of_the_readable_twin(quat, place, body):
+def test_any_rotation_gets_the_same_answer_from_the_torch_checker(quat, place, body):
     occupancy = clutter()
     pose = at(place, rotation=quats_to_rotations(torch.tensor([quat]))[0])
     found = verify(NativeChecker(occupancy, body), TorchChecker(occupancy, body), pose)
@@ -185,8 +185,8 @@ def test_any_rotation_gets_the_answer_of_the_readable_twin(quat, place, body):
     way=st.tuples(*[st.integers(-6, 6)] * 3),
     body=st.sampled_from([Box((0.5, 0.25, 0.125)), Sphere(0.25), Capsule(0.125, 0.5)]),
 )
-def test_degenerate_rotations_and_ways_get_the_answer_of_the_readable_twin(quarters, place, way, body):
-    """Eighths of a turn about the axes, places and ways on a lattice: parallel edges and exact touches everywhere."""
+def test_degenerate_rotations_and_moves_get_the_same_answers_from_the_torch_checker(quarters, place, way, body):
+    """Rotations by multiples of 45° and moves on a lattice make edges parallel and touches exact everywhere."""
     occupancy = Occupancy(np.random.default_rng(0).random((3, 4, 2)) < 0.2, (0, 0, 0), 0.5)
     rotation = torch.eye(3)
     for axis, quarter in enumerate(quarters):
@@ -201,7 +201,7 @@ def test_degenerate_rotations_and_ways_get_the_answer_of_the_readable_twin(quart
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
 @pytest.mark.parametrize("count", [0, 1, 63, 5000])
-def test_neither_threads_nor_the_size_of_a_batch_change_an_answer(scenes, threads, count):
+def test_neither_threads_nor_the_batch_size_change_an_answer(scenes, threads, count):
     body = BODIES[0]
     one = NativeChecker(scenes["rooms"], body, threads=1)
     many = NativeChecker(scenes["rooms"], body, threads=threads)
@@ -216,7 +216,7 @@ def answers(checker: NativeChecker, start: torch.Tensor, end: torch.Tensor) -> l
 
 
 @pytest.mark.parametrize("body", BODIES)
-def test_a_pose_gets_its_answers_in_any_lane_beside_any_others(scenes, body):
+def test_an_answer_does_not_depend_on_the_simd_lane_or_the_rest_of_the_batch(scenes, body):
     checker = NativeChecker(scenes["rooms"], body)
     start, end = moves_in(scenes["rooms"], 80, turning=False)
     expected = answers(checker, start, end)
@@ -232,7 +232,7 @@ def test_a_pose_gets_its_answers_in_any_lane_beside_any_others(scenes, body):
 def test_every_instruction_set_gives_the_same_answers(scenes, name, body, isa, monkeypatch):
     moves = [moves_in(scenes[name], 300, turning) for turning in (False, True)]
     expected = [answers(NativeChecker(scenes[name], body), *ends) for ends in moves]
-    monkeypatch.setenv("SPLATRL_ISA", isa)  # read by each checker that is made
+    monkeypatch.setenv("SPLATRL_ISA", isa)  # each new checker reads it
     mine = [answers(NativeChecker(scenes[name], body), *ends) for ends in moves]
     assert all(
         torch.equal(a, b) for some, same in zip(mine, expected, strict=True) for a, b in zip(some, same, strict=True)
@@ -241,7 +241,7 @@ def test_every_instruction_set_gives_the_same_answers(scenes, name, body, isa, m
 
 @pytest.mark.parametrize("aside", [0.0, 1e-9, 3e-7, 1e-5])
 @pytest.mark.parametrize("back", [1.0, -1.0])
-def test_a_capsule_along_its_axis_or_nearly_so_is_a_longer_capsule(scenes, aside, back):
+def test_sweeping_a_capsule_along_its_axis_equals_a_longer_capsule(scenes, aside, back):
     start = poses_in(scenes["rooms"], 2000).double()
     forward, sideways = start[:, :3, 2], start[:, :3, 0]
     middle, end = start.clone(), start.clone()
@@ -261,7 +261,7 @@ def test_a_body_whose_middle_is_in_a_solid_voxel_hits_however_thin_it_is(body):
     thin = {Box: Box((0.4, 0.3, 1e-3)), Sphere: Sphere(1e-3), Capsule: Capsule(1e-3, 0.4)}[type(body)]
     spots = at((0.03, 0.04, 0.05), (0.0, 0.02, 0.02), (0.1, 0.1, 0.1), (0.102, 0.1, 0.1))
     checker = NativeChecker(Occupancy(np.ones((1, 1, 1), bool), (0, 0, 0), 0.1), thin)
-    touched = [True, True, True, type(body) is Box]  # its long side reaches back
+    touched = [True, True, True, type(body) is Box]  # the long side of the box reaches back
     assert checker.collides(spots).tolist() == touched
     away = at((1.0, 1.0, 1.0)).expand(4, 4, 4)
     assert checker.sweeps(spots, away).tolist() == checker.sweeps(away, spots).tolist() == touched
@@ -269,7 +269,7 @@ def test_a_body_whose_middle_is_in_a_solid_voxel_hits_however_thin_it_is(body):
 
 
 @pytest.mark.parametrize("row", [0, 5, 31, 32, 39])
-def test_the_first_of_several_poses_that_are_not_rigid_is_named(row):
+def test_the_first_of_several_invalid_poses_is_named(row):
     checker = NativeChecker(CUBE, Box((0.2, 0.2, 0.2)))
     bad = at(*[(0.0, 0.0, 0.0)] * 41)
     bad[row, 0, 3], bad[40, 1, 1] = math.nan, 2.0
@@ -278,7 +278,7 @@ def test_the_first_of_several_poses_that_are_not_rigid_is_named(row):
 
 
 @pytest.mark.parametrize("body", BODIES)
-def test_nothing_is_hit_where_nothing_is_solid_nor_outside_the_grid(body):
+def test_nothing_is_hit_in_an_empty_grid_or_outside_the_grid(body):
     poses = random_poses(100, (-1, -1, -1), (1, 1, 1))
     for empty in (Occupancy.empty(), Occupancy(np.zeros((3, 4, 5), bool), (0, 0, 0), 0.1)):
         checker = NativeChecker(empty, body)
@@ -294,7 +294,7 @@ def test_nothing_is_hit_where_nothing_is_solid_nor_outside_the_grid(body):
 
 @pytest.mark.parametrize("height", [0, 70, 127, 128, 255])
 @pytest.mark.parametrize("body", BODIES)
-def test_a_move_up_a_tall_column_meets_the_voxel_at_any_height(body, height):
+def test_a_move_up_a_tall_column_hits_the_voxel_at_any_height(body, height):
     tall = np.zeros((1, 1, 256), bool)
     tall[0, 0, height] = True
     checker = NativeChecker(Occupancy(tall, (0, 0, 0), 0.1), body)
@@ -318,7 +318,7 @@ def test_clearance_is_infinite_where_nothing_is_solid(shape):
     assert NativeChecker(empty, Sphere(0.1)).clearance(torch.zeros(3, 3)).isinf().all()
 
 
-def test_clearance_is_a_bound_of_the_distance_within_a_few_voxels():
+def test_clearance_is_a_tight_lower_bound_of_the_distance():
     occupancy = rooms()
     points = poses_in(occupancy, 2000)[:, :3, 3]
     bound = NativeChecker(occupancy, Sphere(0.1)).clearance(points)
@@ -352,13 +352,13 @@ def test_poses_that_are_not_rigid_are_refused_by_row():
         checker.collides(torch.diag(torch.tensor([1.0, 1.0, -1.0, 1.0]))[None])
     with pytest.raises(ValueError, match=r"body_to_world: expected shape \[B, 4, 4\], got \[4, 4\]"):
         checker.collides(torch.eye(4))
-    with pytest.raises(ValueError, match="end: expected as many poses as start, 3, got 2"):
+    with pytest.raises(ValueError, match="end: expected 3 poses, as many as in start, got 2"):
         checker.sweeps(good, good[:2])
-    with pytest.raises(ValueError, match=r"points: expected finite metres, got .* in row 1"):
+    with pytest.raises(ValueError, match=r"points: expected finite coordinates, got .* in row 1"):
         checker.clearance(torch.tensor([[0.0, 0.0, 0.0], [math.nan, 0.0, 0.0]]))
 
 
-def test_strided_and_double_poses_are_read_right(scenes):
+def test_strided_and_double_poses_are_read_correctly(scenes):
     occupancy = scenes["clutter"]
     checker, poses = NativeChecker(occupancy, BODIES[0]), poses_in(occupancy, 500)
     expected = checker.collides(poses)
@@ -369,7 +369,7 @@ def test_strided_and_double_poses_are_read_right(scenes):
 
 
 @pytest.mark.parametrize("body", BODIES)
-def test_copies_and_pickles_answer_alike(scenes, body):
+def test_copies_and_pickles_give_the_same_answers(scenes, body):
     checker = NativeChecker(scenes["clutter"], body, threads=1)
     poses = poses_in(scenes["clutter"], 300)
     for twin in (pickle.loads(pickle.dumps(checker)), copy.deepcopy(checker)):

@@ -1,4 +1,4 @@
-"""A checker for robots that go through everything."""
+"""The checker for robots that pass through everything."""
 
 import torch
 
@@ -9,7 +9,7 @@ from splatrl.geometry import rigid
 from tests.tiny import BODY
 
 
-def test_nothing_is_touched_where_another_checker_finds_a_wall() -> None:
+def test_nothing_is_hit_where_another_checker_finds_a_wall() -> None:
     points = torch.cartesian_prod(*[torch.linspace(0.0, 0.95, 20)] * 3).numpy()
     occupancy = Occupancy.from_points(points, 0.05)
     start = rigid(torch.eye(3), torch.tensor([[0.5, 0.5, 0.5], [-2.0, 0.5, 0.5], [3.0, 3.0, 3.0]]))
@@ -25,6 +25,6 @@ def test_nothing_is_touched_where_another_checker_finds_a_wall() -> None:
     assert clearance.isinf().all() and clearance.shape == (3,) and (clearance > 0).all()
 
 
-def test_no_pose_is_no_answer() -> None:
+def test_empty_batches_give_empty_answers() -> None:
     nothing, none = NoChecker(None, Box((0.1, 0.1, 0.1))), torch.zeros(0, 4, 4)
     assert nothing.collides(none).shape == nothing.free_fraction(none, none).shape == (0,)

@@ -33,7 +33,7 @@ def blobs(means: torch.Tensor, scale: float) -> Gaussians:
     )
 
 
-def test_a_voxel_holds_its_lower_faces_and_not_its_upper_ones():
+def test_a_voxel_contains_its_lower_faces_but_not_its_upper_ones():
     occupancy = Occupancy(np.ones((1, 1, 1), bool), (2, -1, 0), 0.5)
     points = torch.tensor([[1.0, -0.5, 0.0], [1.49, -0.01, 0.49], [1.5, -0.5, 0.0], [1.0, 0.0, 0.0], [0.99, -0.1, 0.1]])
     assert occupancy.contains(points).tolist() == [True, True, False, False, False]
@@ -69,7 +69,7 @@ def test_a_box_thinner_than_a_voxel_fills_one_layer():
     assert occupancy.origin_key == (0, 0, 1)
 
 
-def test_a_face_on_a_voxel_boundary_fills_nothing_beyond_it_in_spite_of_rounding():
+def test_a_face_on_a_voxel_boundary_fills_nothing_beyond_it_despite_rounding():
     assert 0.3 / 0.1 < 3
     assert Occupancy.from_boxes([[0.3, 0.3, 0.3]], [[0.4, 0.5, 0.6]], 0.1).occupied.shape == (1, 2, 3)
     lower, upper = torch.tensor([[[-10.3, 0.3, 90.1]], [[-10.2, 0.7, 90.4]]])  # float32
@@ -115,7 +115,7 @@ def test_trimming_keeps_every_solid_voxel_in_the_smallest_grid():
     shape=st.tuples(*[st.integers(0, 6)] * 3),
     origin=st.tuples(*[st.integers(-1000, 1000)] * 3),
 )
-def test_arrays_and_pickles_give_the_same_occupancy_back(seed, shape, origin):
+def test_an_occupancy_round_trips_through_arrays_and_pickles(seed, shape, origin):
     occupancy = Occupancy(np.random.default_rng(seed).random(shape) < 0.4, origin, 0.07)
     assert same(Occupancy.from_arrays(occupancy.to_arrays()), occupancy)
     assert same(pickle.loads(pickle.dumps(occupancy)), occupancy)
@@ -129,7 +129,7 @@ def test_arrays_survive_an_npz_file(tmp_path):
 
 
 def remembering(gaussians: Gaussians, bounds=((0.0, 0.0, 0.0), (1.0, 0.6, 1.2))) -> tuple[SimpleNamespace, list[str]]:
-    """A scene with a cache in memory, and the keys under which it was built."""
+    """Make a scene with a cache in memory, and the list of cache keys under which anything was built."""
     kept: dict[str, dict] = {}
 
     def cached(kind, settings, build, most):
@@ -184,7 +184,7 @@ def test_from_scene_builds_again_when_any_argument_changes(change):
     assert len(builds) == 2
 
 
-def test_density_settings_and_the_rest_come_from_yaml_as_they_do_from_python():
+def test_settings_from_yaml_give_the_same_occupancy_as_from_python():
     node = OmegaConf.create(
         """
         _target_: splatrl.collision.Occupancy.from_scene
@@ -203,7 +203,7 @@ def test_density_settings_and_the_rest_come_from_yaml_as_they_do_from_python():
     assert len(builds) == 1
 
 
-def test_from_scene_ends_a_tenth_beyond_the_bounds_or_at_the_crop():
+def test_from_scene_extends_a_tenth_beyond_the_bounds_or_to_the_crop():
     grid = torch.cartesian_prod(torch.arange(-3, 3, 0.08), torch.arange(-3, 3, 0.08), torch.tensor([0.0]))
     scene = SimpleNamespace(
         free=None,
@@ -220,7 +220,7 @@ def test_from_scene_ends_a_tenth_beyond_the_bounds_or_at_the_crop():
 
 
 @pytest.mark.parametrize(("resolution", "gone"), [(0.05, 6**3), (0.1, 3**3), (0.2, 1)])
-def test_only_voxels_that_are_free_as_a_whole_are_taken_away(resolution, gone):
+def test_only_voxels_that_are_entirely_free_are_removed(resolution, gone):
     solid = Occupancy.from_boxes([[0.0, 0.0, 0.0]], [[0.6, 0.6, 0.6]], resolution)
     free = Occupancy.from_boxes([[0.0, 0.0, 0.0]], [[0.3, 0.3, 0.3]], 0.1)
     left = solid.without(free)
@@ -228,7 +228,7 @@ def test_only_voxels_that_are_free_as_a_whole_are_taken_away(resolution, gone):
     assert same(left | solid, solid), "nothing becomes solid"
 
 
-def test_what_a_scene_knows_to_be_free_is_not_solid(tmp_path):
+def test_space_that_a_scene_knows_to_be_free_is_not_solid(tmp_path):
     scene, builds = remembering(slab())
     every = Occupancy.from_scene(scene, resolution=0.1)
     write_points(tmp_path / "free.ply", every.centers()[:40])
@@ -238,7 +238,7 @@ def test_what_a_scene_knows_to_be_free_is_not_solid(tmp_path):
     assert not some.contains(every.centers()[:40]).any()
 
 
-def test_the_backyard_is_read_back_from_its_cache(tmp_path, monkeypatch):
+def test_the_backyards_occupancy_is_read_back_from_the_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path))
     scene = backyard()
     built = Occupancy.from_scene(scene, resolution=0.1)
@@ -256,7 +256,7 @@ def test_a_grid_above_the_cap_is_refused_with_its_bounds_and_resolution():
 
 
 @pytest.mark.parametrize("resolution", [0.0, -0.1, float("nan"), float("inf")])
-def test_a_resolution_that_is_no_length_is_refused(resolution):
+def test_a_resolution_that_is_not_a_valid_length_is_refused(resolution):
     with pytest.raises(ValueError, match=r"resolution: expected 0\.0001 to 1000 metres"):
         Occupancy.empty(resolution)
     with pytest.raises(ValueError, match=r"resolution: expected 0\.0001 to 1000 metres"):
@@ -264,7 +264,7 @@ def test_a_resolution_that_is_no_length_is_refused(resolution):
 
 
 def test_malformed_arguments_are_refused_by_name():
-    with pytest.raises(ValueError, match=r"points: expected finite metres, got .* in row 1"):
+    with pytest.raises(ValueError, match=r"points: expected finite coordinates, got .* in row 1"):
         Occupancy.from_points([[0.0, 0.0, 0.0], [0.0, float("nan"), 0.0]], 0.1)
     with pytest.raises(ValueError, match=r"points: expected shape \[N, 3\], got \[4, 2\]"):
         Occupancy.from_points(torch.zeros(4, 2), 0.1)
@@ -272,7 +272,7 @@ def test_malformed_arguments_are_refused_by_name():
         Occupancy.from_boxes([[0.0, 0.0, 0.0]], [[1.0, 0.0, 1.0]], 0.1)
     with pytest.raises(ValueError, match="crop: expected a lower corner"):
         Occupancy.from_points([[0.0, 0.0, 0.0]], 0.1, crop=((0, 0, 0), (1, -1, 1)))
-    with pytest.raises(ValueError, match=r"keys: expected integers \[M, 3\], got float64"):
+    with pytest.raises(ValueError, match=r"keys: expected integers of shape \[M, 3\], got float64"):
         Occupancy.from_keys([[0.5, 0.0, 0.0]], 0.1)
     with pytest.raises(ValueError, match=r"occupied: expected bool \[X, Y, Z\]"):
         Occupancy(np.zeros((2, 2, 2), np.uint8), (0, 0, 0), 0.1)
@@ -281,7 +281,7 @@ def test_malformed_arguments_are_refused_by_name():
 
 
 def arrays(**changes: Any) -> dict[str, np.ndarray]:
-    """What an occupancy of 2 × 2 × 2 voxels is kept as, changed."""
+    """Return the saved arrays of a 2 × 2 × 2 occupancy, with some of them replaced, or removed if None."""
     kept = Occupancy(np.ones((2, 2, 2), bool), (0, 0, 0), 0.1).to_arrays()
     return {key: np.array(value) for key, value in {**kept, **changes}.items() if value is not None}
 
@@ -289,12 +289,15 @@ def arrays(**changes: Any) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"shape": [1 << 20, 1 << 20, 1 << 20]}, r"shape: expected at most 67108864 voxels, .*max_voxels raises it"),
+        (
+            {"shape": [1 << 20, 1 << 20, 1 << 20]},
+            r"shape: expected at most 67108864 voxels, .*; raise collision.occupancy.max_voxels",
+        ),
         ({"shape": [1 << 12] * 3, "occupied_bits": np.zeros(24_000, np.uint8)}, "shape: expected at most"),
         ({"shape": [-2, -2, 2]}, "occupied_bits: expected"),
         ({"shape": 8}, "expected the arrays"),
         ({"shape": [2.5, 2, np.nan]}, "cannot convert"),
-        ({"shape": None}, "expected the arrays that to_arrays gives, got 'shape'"),
+        ({"shape": None}, "expected the arrays written by to_arrays, got 'shape'"),
         ({"resolution": 1e-310}, "resolution: expected 0.0001 to 1000 metres"),
         ({"resolution": 1e300}, "resolution: expected 0.0001 to 1000 metres"),
         ({"resolution": [0.1, 0.2]}, "expected the arrays"),
@@ -305,12 +308,12 @@ def arrays(**changes: Any) -> dict[str, np.ndarray]:
         ({"floaters": [1, 2]}, "expected the arrays"),
     ],
 )
-def test_kept_arrays_that_are_not_an_occupancy_are_refused(changes: dict[str, Any], message: str) -> None:
+def test_saved_arrays_that_are_not_an_occupancy_are_refused(changes: dict[str, Any], message: str) -> None:
     assert Occupancy.from_arrays(arrays()).count == 8
     with pytest.raises(ValueError, match=message):
         Occupancy.from_arrays(arrays(**changes))
 
 
-def test_the_largest_grid_holds_on_load_too() -> None:
+def test_the_voxel_limit_also_applies_on_loading() -> None:
     with pytest.raises(ValueError, match="expected at most 7 voxels"):
         Occupancy.from_arrays(arrays(), max_voxels=7)

@@ -11,7 +11,7 @@ from splatrl.collision.octree import encode_octree
 
 
 def decode(stream: np.ndarray) -> set[tuple[int, int, int, int]]:
-    """Solid leaves of a stream as (edge in voxels, key of the lowest corner), by plain recursion."""
+    """Decode the solid leaves of a stream by plain recursion, as (edge in voxels, key of the lowest corner)."""
     words = iter(stream.view("<u2").tolist())
     leaves = set()
 
@@ -70,7 +70,7 @@ def takes(stream):
         return False
 
 
-def test_fcl_takes_the_bytes_either_with_a_sign_or_without():
+def test_fcl_accepts_bytes_only_with_the_signedness_of_the_platforms_char():
     stream = encode_octree(Occupancy(np.ones((1, 1, 1), bool), (-1, -1, -1), 0.1))
     assert stream.dtype == np.int8 and stream.min() < 0
     taken = [takes(stream), takes(stream.view(np.uint8))]
@@ -83,7 +83,7 @@ def test_an_empty_occupancy_encodes_to_nothing():
 
 
 @pytest.mark.parametrize("key", [(-(2**15) - 1, 0, 0), (0, 2**15, 0), (5, 5, 2**15 + 7)])
-def test_a_key_beyond_the_octree_is_refused_by_name(key):
+def test_a_key_beyond_the_range_of_the_octree_is_named(key):
     with pytest.raises(ValueError, match=r"expected voxel keys in \[-32768, 32768\), got \[" + str(key[0])):
         encode_octree(Occupancy.from_keys([key], 0.1))
 

@@ -1,4 +1,4 @@
-"""Lidar: rays against voxels, worked out by hand, by formula over all voxels, and by every checker."""
+"""Ray casting for lidar: the ranges of every checker against ranges worked out by hand and by brute force."""
 
 import copy
 import math
@@ -21,7 +21,7 @@ from tests.emulator import emulated
 BODY = Sphere(0.1)
 ALONG_X = torch.tensor([[1.0, 0.0, 0.0]])
 GRAZE = 1e-7
-"""Metres by which voxels shrink or grow where a ray may pass or touch them."""
+"""Amount by which voxels are grown and shrunk to bound the range of a grazing ray, metres."""
 
 
 def at(*places: tuple[float, float, float]) -> Tensor:
@@ -29,7 +29,7 @@ def at(*places: tuple[float, float, float]) -> Tensor:
 
 
 def spread_beams(count: int, seed: int = 0) -> Tensor:
-    """Unit vectors in all directions, along the axes and in their planes too."""
+    """Return unit vectors along the axes, in the x-y plane and in random directions."""
     axes = torch.cat([torch.eye(3), -torch.eye(3)])
     flat = torch.randn(count // 4, 3, generator=torch.Generator().manual_seed(seed)) * torch.tensor([1.0, 1.0, 0.0])
     free = torch.randn(count, 3, generator=torch.Generator().manual_seed(seed + 1))
@@ -37,7 +37,7 @@ def spread_beams(count: int, seed: int = 0) -> Tensor:
 
 
 def bounds_by_formula(occupancy: Occupancy, poses: Tensor, beams: Tensor, reach: float) -> tuple[Tensor, Tensor]:
-    """The ranges with all voxels a little larger, and a little smaller: what rounding may make of a ray that grazes."""
+    """Return the ranges to slightly larger and slightly smaller voxels, between which rounding puts grazing rays."""
     keys = torch.from_numpy(occupancy.keys().T.astype(float)).unsqueeze(1)  # [3, 1, voxels]
     ways = beams.double() @ poses[:, :3, :3].double().mT
     ways = (ways / ways.norm(dim=2, keepdim=True)).reshape(-1, 3).T.unsqueeze(2)  # [3, rays, 1]
@@ -71,7 +71,7 @@ def make(request: pytest.FixtureRequest):
 
 
 def scattered() -> Occupancy:
-    """Voxels apart from each other in a grid that is no cube, away from the origin."""
+    """Make sparse random voxels in a non-cubic grid away from the origin."""
     solid = np.random.default_rng(1).random((23, 31, 17)) < 0.03
     return Occupancy(solid, (-40, 12, 3), 0.1)
 
@@ -82,11 +82,11 @@ def test_a_beam_ends_where_it_enters_a_voxel(make):
     beams = torch.tensor([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.6, 0.8, 0.0], [0.6, 0.0, -0.8], [0.8, 0.0, 0.6]])
     ranges = checker.ranges(at((0.25, 0.05, 1.05)), beams, 10.0)
     assert ranges.shape == (1, 5) and ranges.dtype == torch.float32
-    expected = [0.75, 10.0, 10.0, 1.25, 0.9375]  # the third passes the wall at y = 1.05
+    expected = [0.75, 10.0, 10.0, 1.25, 0.9375]  # the third beam passes beside the wall, at y = 1.05
     torch.testing.assert_close(ranges[0], torch.tensor(expected), atol=1e-6, rtol=0)
 
 
-def test_from_inside_a_voxel_the_range_is_zero_and_beyond_reach_it_is_the_reach(make):
+def test_the_range_is_zero_inside_a_voxel_and_never_exceeds_the_reach(make):
     wall = Occupancy.from_boxes([[1.0, -1.0, 0.0]], [[1.1, 1.0, 2.0]], 0.1)
     checker = make(wall, BODY)
     ranges = checker.ranges(at((1.05, 0.03, 1.03), (0.0, 0.03, 1.03), (-20.0, 0.03, 1.03)), ALONG_X, 0.9)
@@ -94,18 +94,18 @@ def test_from_inside_a_voxel_the_range_is_zero_and_beyond_reach_it_is_the_reach(
     assert float(checker.ranges(at((-20.0, 0.03, 1.03)), ALONG_X, 30.0)) == pytest.approx(21.0, abs=1e-5)
 
 
-def test_where_nothing_is_solid_every_beam_goes_on(make):
+def test_in_an_empty_grid_every_range_is_the_reach(make):
     checker = make(Occupancy.empty(), BODY)
     assert (checker.ranges(at((0.0, 0.0, 0.0), (1.0, 2.0, 3.0)), spread_beams(8), 7.5) == 7.5).all()
     assert NoChecker(Occupancy.empty(), BODY).ranges(at((0, 0, 0)), ALONG_X, 7.5).tolist() == [[7.5]]
 
 
 @pytest.mark.parametrize("place", ["rooms", "scattered"])
-def test_no_range_is_outside_what_all_voxels_by_formula_allow(place):
+def test_ranges_lie_within_the_bounds_of_a_brute_force_cast(place):
     occupancy = rooms() if place == "rooms" else scattered()
     lower, upper = occupancy.bounds
     poses = random_poses(30, lower - 0.4, upper + 0.4)
-    poses[::2, :3, :3] = torch.eye(3)  # beams along the axes stay so
+    poses[::2, :3, :3] = torch.eye(3)  # keeps axis-aligned beams axis-aligned
     beams = spread_beams(60)
     least, most = bounds_by_formula(occupancy, poses, beams, 3.0)
     assert ((most - least) < 1e-5).double().mean() > 0.98  # few rays graze
@@ -115,7 +115,7 @@ def test_no_range_is_outside_what_all_voxels_by_formula_allow(place):
         assert 0.1 < (found < 3.0).double().mean() < 0.95
 
 
-def test_the_readable_twin_agrees_but_where_rays_graze():
+def test_the_readable_reference_agrees_except_for_grazing_rays():
     occupancy = rooms()
     poses, beams = random_poses(20, *occupancy.bounds), spread_beams(40)
     native = NativeChecker(occupancy, BODY).ranges(poses, beams, 3.0)
@@ -139,12 +139,12 @@ def test_every_instruction_set_gives_the_same_bytes(isa, monkeypatch):
     occupancy = scattered()
     poses, beams = random_poses(50, *occupancy.bounds), spread_beams(30)
     expected = NativeChecker(occupancy, BODY).ranges(poses, beams, 3.0)
-    monkeypatch.setenv("SPLATRL_ISA", isa)  # read by each caster that is made
+    monkeypatch.setenv("SPLATRL_ISA", isa)  # each new ray caster reads it
     assert _core.isa() == isa
     assert torch.equal(NativeChecker(occupancy, BODY).ranges(poses, beams, 3.0), expected)
 
 
-def test_room_is_the_steps_of_a_king_to_the_nearest_solid_voxel():
+def test_room_is_the_chebyshev_distance_to_the_nearest_solid_voxel():
     solid = np.zeros((5, 4, 3), bool)
     solid[1, 2, 0] = True
     room = room_around(Occupancy(solid, (0, 0, 0), 0.1))
@@ -153,7 +153,7 @@ def test_room_is_the_steps_of_a_king_to_the_nearest_solid_voxel():
 
 
 @pytest.mark.parametrize("make", [NativeChecker, TorchChecker, FclChecker])
-def test_what_cannot_be_cast_is_refused(make):
+def test_invalid_beams_reaches_and_poses_are_refused(make):
     checker = make(rooms(), BODY)
     with pytest.raises(ValueError, match=r"beams: expected unit vectors, got .* in row 1"):
         checker.ranges(at((0.0, 0.0, 0.0)), torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), 1.0)
@@ -166,7 +166,7 @@ def test_what_cannot_be_cast_is_refused(make):
         checker.ranges(torch.zeros(1, 4, 4), ALONG_X, 1.0)
 
 
-def test_a_gpu_notes_what_it_cannot_cast_and_reads_nothing_else():
+def test_a_gpu_records_invalid_beams_and_poses_as_faults_and_refuses_wrong_shapes_at_once():
     checker = CudaChecker(rooms(), BODY, load=emulated)
     beams = torch.tensor([[1.0, 0.0, 0.0], [0.0, math.nan, 0.0], [0.0, 0.0, 0.0]])
     found = checker.ranges(at((0.0, 1.0, 0.5)), beams, 1.0)

@@ -1,4 +1,4 @@
-"""Checkers of several scenes answer for each row as the scene's own does."""
+"""Checkers of several scenes answer each row as the checker of its own scene does."""
 
 import pickle
 from collections.abc import Callable
@@ -21,7 +21,7 @@ KINDS = [NativeChecker, TorchChecker, NoChecker]
 
 
 def occupancies() -> list[Occupancy]:
-    """Three grids of other sizes, resolutions and places."""
+    """Make three grids of different sizes, resolutions and positions."""
     generator = np.random.default_rng(0)
     shapes = [((12, 10, 8), 0.1, (-6, -5, -4)), ((20, 9, 7), 0.07, (-9, -4, -3)), ((5, 5, 5), 0.2, (-2, -3, -2))]
     return [Occupancy(generator.random(size) < 0.06, corner, edge) for size, edge, corner in shapes]
@@ -34,7 +34,7 @@ def poses(count: int, seed: int) -> Tensor:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_each_row_has_the_answers_of_its_own_scene(kind: Callable[[Occupancy, Box], Checker]) -> None:
+def test_each_row_gets_the_answers_of_its_own_scene(kind: Callable[[Occupancy, Box], Checker]) -> None:
     checkers = [kind(occupancy, BODY) for occupancy in occupancies()]
     count = 300
     start, end, scene = poses(count, 0), poses(count, 1), torch.arange(count) % 3
@@ -52,7 +52,7 @@ def test_each_row_has_the_answers_of_its_own_scene(kind: Callable[[Occupancy, Bo
             assert not torch.equal(answer, alone[0])
 
 
-def test_native_rows_come_from_any_scene_in_any_order_and_number() -> None:
+def test_native_answers_do_not_depend_on_the_order_or_number_of_rows() -> None:
     checkers = [NativeChecker(occupancy, BODY, threads=2) for occupancy in occupancies()]
     count = 10_000
     start, scene = poses(count, 2), torch.randint(3, (count,), generator=torch.Generator().manual_seed(0))
@@ -65,7 +65,7 @@ def test_native_rows_come_from_any_scene_in_any_order_and_number() -> None:
 
 @pytest.mark.parametrize("isa", _core.supported_isas())
 @pytest.mark.parametrize("body", [BODY, Sphere(0.15), Capsule(0.1, 0.3)])
-def test_native_rows_of_several_grids_one_of_them_empty_have_their_own_answers(
+def test_native_rows_get_the_answers_of_their_own_scene_when_one_grid_is_empty(
     body: Body, isa: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SPLATRL_ISA", isa)
@@ -83,24 +83,24 @@ def test_native_rows_of_several_grids_one_of_them_empty_have_their_own_answers(
 
 
 @pytest.mark.parametrize("scene", [3, -1])
-def test_a_scene_that_is_not_there_is_refused(scene: int) -> None:
+def test_a_scene_index_out_of_range_is_refused(scene: int) -> None:
     several = SeveralCheckers([NativeChecker(occupancy, BODY) for occupancy in occupancies()])
     rows = torch.tensor([0, scene])
     for query in ("collides", "clearance"):
         values = poses(2, 0) if query == "collides" else torch.zeros(2, 3)
-        with pytest.raises(ValueError, match="scenes that there are"):
+        with pytest.raises(ValueError, match="valid scene indices"):
             getattr(several.at(rows), query)(values)
-    with pytest.raises(ValueError, match="scenes that there are"):
+    with pytest.raises(ValueError, match="valid scene indices"):
         several.at(rows).free_fraction(poses(2, 0), poses(2, 1))
 
 
-def test_another_number_of_rows_is_refused() -> None:
+def test_a_wrong_number_of_scene_indices_is_refused() -> None:
     several = SeveralCheckers([NativeChecker(occupancy, BODY) for occupancy in occupancies()])
-    with pytest.raises(ValueError, match="scene: expected one for each of 3 rows, got 2"):
+    with pytest.raises(ValueError, match="scene: expected 3 scene indices, one per row, got 2"):
         several.at(torch.tensor([0, 1])).collides(poses(3, 0))
 
 
-def test_one_body_is_expected() -> None:
+def test_checkers_for_different_bodies_are_refused() -> None:
     first, second, _ = occupancies()
-    with pytest.raises(ValueError, match="expected some of one body"):
+    with pytest.raises(ValueError, match="expected at least one, all for one body"):
         SeveralCheckers([NativeChecker(first, BODY), NativeChecker(second, Sphere(0.1))])

@@ -1,4 +1,4 @@
-"""The readable twin, and exact touches, with what it, the native checker and FCL say about each."""
+"""The readable torch checker, and exact touches with the answers of the native checker, the torch checker and FCL."""
 
 import math
 
@@ -26,7 +26,7 @@ def moves(count: int, seed: int, turning: bool) -> tuple[torch.Tensor, torch.Ten
 
 
 def between(start: torch.Tensor, end: torch.Tensor, share: torch.Tensor | float) -> torch.Tensor:
-    """Poses on moves at a fixed orientation, in float64, because rounding to float32 would move them off the line."""
+    """Return poses along moves that do not turn, in float64 because rounding to float32 would leave the line."""
     pose = start.double()
     share = torch.as_tensor(share, dtype=torch.float64).expand(len(start))
     pose[:, :3, 3] += share[:, None] * (end.double() - start.double())[:, :3, 3]
@@ -35,7 +35,7 @@ def between(start: torch.Tensor, end: torch.Tensor, share: torch.Tensor | float)
 
 @pytest.mark.parametrize("count", [500, pytest.param(5000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("body", BODIES)
-def test_no_answer_of_it_or_of_fcl_differs_from_separating_axes_and_closest_points(body, count):
+def test_torch_and_fcl_agree_with_separating_axes_and_closest_points(body, count):
     occupancy = clutter()
     lower, upper = occupancy.bounds
     poses = random_poses(count, lower - 0.2, upper + 0.2)
@@ -89,11 +89,11 @@ def test_a_turning_sweep_misses_nothing_and_is_hardly_wider_than_the_body(seed, 
         return torch.zeros(6).index_add(0, rows, TorchChecker(occupancy, tested).collides(poses).float()) > 0
 
     assert not (dense(body) & ~swept).any()
-    # a tenth of a voxel (times √3 at a box's corners), the same for the middle orientation, half a step between poses
+    # a tenth of a voxel (√3 of it at box corners), as much for the middle orientation, half a step between poses
     assert not (swept & ~dense(grown(body, (1 + math.sqrt(3)) * 0.1 * occupancy.resolution + 0.005))).any()
 
 
-def test_a_turn_stops_before_what_lies_between():
+def test_a_turn_stops_before_an_obstacle_in_its_way():
     rod = Box((0.8, 0.04, 0.04))
     checker = TorchChecker(Occupancy.from_keys([[2, 2, 0]], 0.1), rod)  # 45° to the left
     turns = [at((0.0, 0.0, 0.05), rotation=axis_rotations(2, torch.tensor(yaw))) for yaw in (0.2, 1.4, -1.2)]
@@ -105,10 +105,10 @@ def test_a_turn_stops_before_what_lies_between():
     assert exact - 0.05 < fraction[0] <= exact
 
 
-def test_a_capsule_meets_a_corner_where_its_parallelogram_does():
+def test_a_swept_capsule_hits_a_corner_within_a_radius_of_its_parallelogram():
     capsule = Capsule(0.1, 0.4)
     checker = TorchChecker(CUBE, capsule)
-    side = 0.1 / math.sqrt(3)  # from the corner along the diagonal, on each axis
+    side = 0.1 / math.sqrt(3)  # the radius along the diagonal from the corner, per axis
     for gap, hit in ((-1e-6, True), (1e-6, False)):
         middle = torch.full((3,), 0.1 + (side + gap))  # the corner's nearest point on the swept parallelogram
         u, v = torch.tensor([1.0, -1.0, 0.0]), torch.tensor([1.0, 1.0, -2.0])
@@ -120,7 +120,7 @@ def test_a_capsule_meets_a_corner_where_its_parallelogram_does():
 
 
 @pytest.mark.parametrize("body", BODIES)
-def test_the_size_of_a_chunk_changes_nothing(body, monkeypatch):
+def test_the_chunk_size_does_not_change_the_answers(body, monkeypatch):
     start, end = moves(7, 8, turning=True)
     checker = TorchChecker(clutter(), body)
     expected = checker.collides(start), checker.free_fraction(start, end)
@@ -130,7 +130,7 @@ def test_the_size_of_a_chunk_changes_nothing(body, monkeypatch):
 
 
 @pytest.mark.parametrize("body", BODIES)
-def test_nothing_is_hit_where_nothing_is_solid_nor_in_an_empty_batch(body):
+def test_nothing_is_hit_in_an_empty_grid_and_empty_batches_give_empty_answers(body):
     poses = random_poses(7, (-1, -1, -1), (1, 1, 1))
     for empty in (Occupancy.empty(), Occupancy(np.zeros((3, 4, 5), bool), (0, 0, 0), 0.1)):
         checker = TorchChecker(empty, body)
@@ -145,7 +145,7 @@ def test_nothing_is_hit_where_nothing_is_solid_nor_in_an_empty_batch(body):
     assert checker.clearance(torch.zeros(0, 3)).shape == (0,)
 
 
-def test_clearance_is_the_distance_and_above_the_bound_of_the_field():
+def test_clearance_is_at_most_a_voxel_diagonal_above_the_bound_of_the_distance_field():
     occupancy = clutter()
     points = random_poses(1500, (-1.5, -0.5, -1.0), (1.5, 2.0, 1.5))[:, :3, 3]
     clearance = TorchChecker(occupancy, Sphere(0.1)).clearance(points)
@@ -157,13 +157,13 @@ def test_clearance_is_the_distance_and_above_the_bound_of_the_field():
     assert torch.equal(clearance == 0, torch.from_numpy(occupancy.contains(points)))
 
 
-def test_what_is_far_outside_the_grid_is_free():
+def test_poses_far_outside_the_grid_are_free():
     checker = TorchChecker(CUBE, Box((0.3, 0.2, 0.1)))
     assert checker.collides(at((1e6, 0.0, 0.0), (0.0, -1e6, 0.0))).tolist() == [False, False]
     assert checker.sweeps(at((-100.0, 0.02, 0.03)), at((100.0, 0.02, 0.03))).tolist() == [True]
 
 
-def test_bad_poses_are_refused_by_row():
+def test_invalid_poses_are_refused_by_row():
     checker = TorchChecker(CUBE, Sphere(0.1))
     poses = at((0.0, 0.0, 0.0), (0.0, math.nan, 0.0))
     with pytest.raises(ValueError, match=r"body_to_world: expected finite numbers, got .* in row 1"):
@@ -186,7 +186,7 @@ def test_a_gpu_answers_as_the_cpu_does(body):
 
 
 def turned(*eighths: tuple[int, float]) -> torch.Tensor:
-    """A product of rotations, each (axis, angle in eighths of a turn)."""
+    """Multiply rotations, each given as (axis, angle in eighths of a turn)."""
     rotation = torch.eye(3, dtype=torch.float64)
     for axis, eighth in eighths:
         rotation = rotation @ axis_rotations(axis, torch.tensor(eighth * math.pi / 4, dtype=torch.float64))
@@ -194,12 +194,12 @@ def turned(*eighths: tuple[int, float]) -> torch.Tensor:
 
 
 HALF = math.sqrt(0.5)
-TIP = math.atan(HALF) / (math.pi / 4)  # with an eighth of a turn it brings a cube's diagonal onto an axis
+TIP = math.atan(HALF) / (math.pi / 4)  # together with a turn of 45°, brings a cube's diagonal onto an axis
 SLAB, BLOCK, BALL, ROD = Box((0.5, 0.25, 0.125)), Box((0.5, 0.5, 0.5)), Sphere(0.25), Capsule(0.125, 0.5)
 VOXEL = Occupancy(np.ones((1, 1, 1), bool), (0, 0, 0), 0.5)
 TOUCHES = {
-    # with VOXEL: body, rotation, centre, the way out, and whether FCL calls it a hit; None where the touch cannot be
-    # written in float32, so that rounding decides
+    # touches of VOXEL: body, rotation, centre, direction away from it, and whether FCL calls it a hit; None where the
+    # touch cannot be represented in float32, so that rounding decides
     "box, face to face": (SLAB, turned(), (0.75, 0.25, 0.25), (1, 0, 0), True),
     "box, face to face, half off": (SLAB, turned(), (0.75, 0.5, 0.5), (1, 0, 0), True),
     "box, edge to edge": (SLAB, turned(), (0.75, 0.625, 0.25), (1, 1, 0), True),
@@ -228,7 +228,7 @@ TOUCHES = {
 
 
 def answers_at(name: str, gap: float) -> tuple[bool, bool, bool]:
-    """What the native checker, the readable twin and FCL say ``gap`` metres off a touch."""
+    """Return the answers of the native checker, the torch checker and FCL at ``gap`` metres from a touch."""
     body, rotation, center, out, _ = TOUCHES[name]
     way = torch.nn.functional.normalize(torch.tensor(out, dtype=torch.float64), dim=0)
     pose = rigid(rotation, torch.tensor(center, dtype=torch.float64) + gap * way)[None].float()
@@ -239,14 +239,14 @@ def answers_at(name: str, gap: float) -> tuple[bool, bool, bool]:
 
 
 @pytest.mark.parametrize("name", TOUCHES)
-def test_a_touch_is_a_hit_and_a_gap_is_none(name):
+def test_a_touch_is_a_hit_and_a_gap_is_not(name):
     assert answers_at(name, -2e-5) == (True, True, True)
     assert answers_at(name, 2e-5) == (False, False, False)
     if (by_fcl := TOUCHES[name][4]) is not None:
         assert answers_at(name, 0.0) == (True, True, by_fcl)
     else:
         native, twin, _ = answers_at(name, 0.0)
-        assert native or not twin  # in doubt the native checker says hit
+        assert native or not twin  # when in doubt, the native checker reports a hit
 
 
 @pytest.mark.parametrize("name", TOUCHES)
@@ -262,7 +262,7 @@ def test_a_move_that_ends_in_a_touch_hits_and_one_that_ends_before_does_not(name
         assert (checker.free_fraction(start, end)[::2] > 0.999).all()
 
 
-def test_what_slides_along_a_wall_touches_it_and_what_slides_beside_it_does_not():
+def test_a_body_sliding_along_a_wall_hits_it_and_one_sliding_beside_it_does_not():
     wall = Occupancy(np.ones((1, 8, 8), bool), (0, 0, 0), 0.5)  # up to x = 0.5
     start, end = (at((0.75, y, 2.0), (0.75 + 2e-5, y, 2.0)) for y in (0.5, 3.5))
     for body in (Box((0.5, 0.25, 0.125)), Sphere(0.25), Capsule(0.25, 0.5)):

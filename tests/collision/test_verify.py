@@ -10,7 +10,7 @@ from tests.collision.test_fcl import BODIES, CUBE, at, clutter, random_poses
 
 
 class Swollen(TorchChecker):
-    """A checker that takes its body to be larger by ``error`` metres than it is."""
+    """A checker that treats its body as ``error`` metres larger than it is."""
 
     def __init__(self, occupancy: Occupancy, body: Body, error: float) -> None:
         super().__init__(occupancy, grown(body, error))
@@ -24,7 +24,7 @@ class Swollen(TorchChecker):
         return self._larger.sweeps(start, end)
 
 
-def test_the_margin_of_a_sphere_is_its_distance():
+def test_the_margin_of_a_sphere_is_its_distance_from_a_touch():
     checker, oracle = Swollen(CUBE, Sphere(0.2), 1e-3), TorchChecker(CUBE, Sphere(0.2))
     gaps = (5e-4, 2e-3, -5e-4, 2e-5)
     found = verify(checker, oracle, at(*[(0.1 + 0.2 + gap, 0.05, 0.05) for gap in gaps]))
@@ -48,7 +48,7 @@ def test_no_margin_is_larger_than_the_checkers_error(body, error):
     assert not found.beyond(2 * abs(error) + 1e-6)
 
 
-def test_sweeps_are_compared_alike():
+def test_sweeps_are_compared_like_poses():
     start = at(*[(0.05, y, 0.05) for y in (-0.4, -0.4, -0.4)])
     end = at((0.05, -0.21, 0.05), (0.05, -0.1995, 0.05), (0.05, -0.2005, 0.05))
     found = verify_sweeps(Swollen(CUBE, Sphere(0.2), 1e-3), TorchChecker(CUBE, Sphere(0.2)), start, end)
@@ -60,28 +60,28 @@ def test_sweeps_are_compared_alike():
 def test_checkers_that_agree_give_a_short_report():
     checker = TorchChecker(CUBE, Sphere(0.2))
     found = verify(checker, checker, at((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)))
-    assert str(found) == "2 of 2 agreed; the oracle calls 1 hits"
+    assert str(found) == "2 of 2 agreed; the oracle reports 1 hits"
     assert found.disagreements == ()
     assert verify(checker, checker, torch.zeros(0, 4, 4)).agreed == 0
 
 
-def test_the_report_names_the_rows_by_margin_and_counts_the_rest():
+def test_the_report_lists_rows_by_margin_and_counts_the_rest():
     checker, oracle = Swollen(CUBE, Sphere(0.2), 1e-2), TorchChecker(CUBE, Sphere(0.2))
     lines = str(verify(checker, oracle, at(*[(0.3001 + 3e-4 * k, 0.05, 0.05) for k in range(25)]))).splitlines()
-    assert lines[0].startswith("0 of 25 agreed; the oracle calls 0 hits; 0 missed, margins up to")
+    assert lines[0].startswith("0 of 25 agreed; the oracle reports 0 hits; 0 missed, margins up to")
     assert "free" in lines[1] and "margin" in lines[1]
     assert len(lines) == 22
     assert lines[-1] == "  and 5 with smaller margins"
 
 
-def test_a_margin_beyond_all_that_are_tried_is_infinite():
+def test_a_margin_beyond_the_largest_tried_is_infinite():
     oracle = TorchChecker(CUBE, Sphere(0.2))
     far = at((0.1 + 0.2 + 1.5 * MARGINS[-1], 0.05, 0.05))
     found = verify(Swollen(CUBE, Sphere(0.2), 1.0), oracle, far)
     assert math.isinf(found.disagreements[0].margin)
 
 
-def test_bodies_grow_on_all_sides_until_nothing_is_left():
+def test_bodies_grow_and_shrink_on_all_sides_until_nothing_is_left():
     assert grown(Box((0.4, 0.3, 0.1)), 0.1).size == pytest.approx((0.6, 0.5, 0.3))
     assert grown(Capsule(0.1, 0.3), -0.05) == Capsule(0.05, 0.3)
     assert grown(Box((0.4, 0.3, 0.1)), -0.05) is None
@@ -90,5 +90,5 @@ def test_bodies_grow_on_all_sides_until_nothing_is_left():
 
 
 def test_checkers_of_different_bodies_are_not_compared():
-    with pytest.raises(ValueError, match="oracle: expected one for Sphere"):
+    with pytest.raises(ValueError, match="oracle: expected a checker for Sphere"):
         verify(TorchChecker(CUBE, Sphere(0.1)), TorchChecker(CUBE, Sphere(0.2)), at((0.0, 0.0, 0.0)))

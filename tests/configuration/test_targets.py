@@ -108,7 +108,7 @@ def test_a_run_folder_names_only_what_stands_in_conf(key: str, text: str, folder
     if key == "allow_targets":  # what the folder says of it is nothing
         assert run_config(folder).allow_targets == []
         return
-    with pytest.raises(ValueError, match=r"config\.yaml: .*(a constructor that stands in|references of a whole)"):
+    with pytest.raises(ValueError, match=r"config\.yaml: .*(a constructor that appears in|references to a single key)"):
         run_config(folder)
     assert not made.exists() and "antigravity" not in sys.modules
 
@@ -120,7 +120,7 @@ def test_whoever_uses_a_run_folder_reads_it_so(
 ) -> None:
     made = folder / "made"
     changed(folder, key, text.format(made=made))
-    with pytest.raises(ValueError, match=r"config\.yaml: .*(a constructor that stands in|references of a whole)"):
+    with pytest.raises(ValueError, match=r"config\.yaml: .*(a constructor that appears in|references to a single key)"):
         use(folder)
     assert not made.exists()
 
@@ -153,7 +153,7 @@ def test_references_that_unfold_are_refused(folder: Path, monkeypatch: pytest.Mo
 
 def test_a_package_is_allowed_what_it_defines_and_not_what_it_imports(folder: Path) -> None:
     changed(folder, "network._target_", "tests.training.toys.policy")
-    given = "expected a constructor that stands in conf/"
+    given = "expected a constructor that appears in conf/"
     changed(folder, "network._target_", "tests.configuration.test_targets.tiny_overrides")
     with pytest.raises(ValueError, match=given):
         run_config(folder)
@@ -169,13 +169,13 @@ def test_a_package_is_allowed_what_it_defines_and_not_what_it_imports(folder: Pa
         with pytest.raises(ValueError, match=given):
             run_config(folder, ["tests"])
     changed(folder, "network._target_", "tests.configuration.test_targets.nothing")
-    with pytest.raises(ValueError, match=r"expected tests\.configuration\.test_targets\.nothing to be there"):
+    with pytest.raises(ValueError, match=r"expected tests\.configuration\.test_targets\.nothing to be importable"):
         run_config(folder, ["tests"])
 
 
 def test_what_is_built_passes_the_same_gate_wherever_it_comes_from(tmp_path: Path) -> None:
     cfg = load_config([*tiny_overrides(tmp_path), "scene._target_=builtins.print"])
-    with pytest.raises(ValueError, match=r"scene\._target_: expected a constructor that stands in conf/"):
+    with pytest.raises(ValueError, match=r"scene\._target_: expected a constructor that appears in conf/"):
         build_world(cfg)
 
 
@@ -221,5 +221,5 @@ def test_what_a_plugins_package_names_is_known(tmp_path: Path, monkeypatch: pyte
     source = ImportlibResourcesConfigSource("a plugin", "pkg://plugin_of_a_test.conf")
     cfg = OmegaConf.create({"motion": [{"_target_": "plugin_of_a_test.Glide"}]})
     check_targets(cfg, [source])
-    with pytest.raises(ValueError, match=r"motion.0._target_: expected a constructor that stands in conf/"):
+    with pytest.raises(ValueError, match=r"motion.0._target_: expected a constructor that appears in conf/"):
         check_targets(OmegaConf.create({"motion": [{"_target_": "plugin_of_a_test.Fall"}]}), [source])

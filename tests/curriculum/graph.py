@@ -1,4 +1,4 @@
-"""Where actions lead on a lattice, row by row: a graph against which plans are checked."""
+"""The graph of states and actions on a lattice, against which plans are checked."""
 
 import torch
 from torch import Tensor
@@ -8,7 +8,7 @@ from splatrl.motions import FiniteMotion
 
 
 def successors(plan: Plan) -> Tensor:
-    """Row of the state to which each action leads: [S, A] int64, UNREACHABLE where the move is blocked."""
+    """Return the row of the state that each action leads to: [S, A] int64, UNREACHABLE where the move is blocked."""
     motion, states = plan.motion, plan.states
     assert isinstance(motion, FiniteMotion)
     rows_after = torch.full((len(states), len(plan.actions)), UNREACHABLE)

@@ -1,4 +1,4 @@
-"""Distances off the lattice, against arithmetic and against a search without a grid."""
+"""Distances of motions that leave the lattice, against arithmetic and against a search without a grid."""
 
 import math
 from collections.abc import Callable
@@ -37,7 +37,7 @@ def empty() -> NoChecker:
 def fewest_steps(
     motion: ForwardMotion, checker: Checker, reached: Callable[[Tensor], Tensor], start: Tensor, limit: int = 20
 ) -> int:
-    """Steps to the goal from one start, by a forward search over all reachable poses, a whole frontier at a time."""
+    """Count the steps to the goal from one start, by breadth-first search, a whole frontier of poses at a time."""
     frontier, known, steps = start[None], start.new_zeros(0, dtype=torch.int64), 0
     while len(frontier) and not reached(frontier).any():
         assert steps < limit
@@ -50,7 +50,7 @@ def fewest_steps(
 
 
 def _new(states: Tensor, motion: ForwardMotion, known: Tensor) -> tuple[Tensor, Tensor]:
-    """The distinct states, to a millimetre, that are not known yet; and all that are known afterwards."""
+    """Return the distinct states (to a millimetre) that are new, and the keys of all states known afterwards."""
     x, y = ((states[:, :2] + 2) * 1000).round().long().unbind(1)
     heading = (states[:, 2] / motion.angle_step).round().long() % motion.headings
     key, row = ((x * 4096 + y) * 64 + heading).unique(return_inverse=True)
@@ -60,14 +60,14 @@ def _new(states: Tensor, motion: ForwardMotion, known: Tensor) -> tuple[Tensor, 
 
 
 def distance_from(found: Plan, x: float, y: float, yaw: float) -> int:
-    """What the plan says about one start."""
+    """Return the planned distance from one start."""
     offset = (found.states - torch.tensor([x, y, yaw])).abs().sum(1)
     assert offset.min() < 1e-4
     return int(found.distance[offset.argmin()])
 
 
 @pytest.mark.parametrize(("step", "side"), [(0.25, 0.75), (0.1, 0.7)])
-def test_straight_ahead_in_an_empty_room_is_the_way_over_the_step(step: float, side: float) -> None:
+def test_straight_ahead_in_an_empty_room_takes_the_distance_divided_by_the_step(step: float, side: float) -> None:
     motion = ForwardMotion(HEIGHT, step, 45.0, (-side, -side), (side, side))
     found = plan(motion, empty(), Fps(motion, (side, 0.0, 0.0)).reached)
     count = round(2 * side / step)
@@ -76,7 +76,7 @@ def test_straight_ahead_in_an_empty_room_is_the_way_over_the_step(step: float, s
     assert distance_from(found, -side, 0.0, math.pi / 4) == count  # one turn, then straight on
 
 
-def test_straight_ahead_a_drive_needs_the_way_over_its_speed() -> None:
+def test_straight_ahead_a_drive_takes_the_distance_divided_by_its_speed() -> None:
     motion = DriveMotion(HEIGHT, angular_deg=225.0, spacing=0.25, headings=4, **SQUARE)  # 0.1 m and 45° per time step
     found = plan(motion, empty(), Drive(motion, (0.75, 0.0, 0.0)).reached)
     assert distance_from(found, -0.75, 0.0, 0.0) == 14 and distance_from(found, 0.25, 0.0, 0.0) == 4
@@ -89,7 +89,7 @@ def test_turning_on_the_spot_takes_the_shorter_way_round() -> None:
     assert turns == [2, 1, 0, 0, 0, 1, 2, 3, 4, 5, 4, 3]
 
 
-def test_on_a_lattice_the_field_is_a_breadth_first_search() -> None:
+def test_on_a_lattice_the_field_equals_a_breadth_first_search() -> None:
     """Quarter turns lead from node to node, so nothing is interpolated."""
     motion = ForwardMotion(HEIGHT, 0.25, 90.0, **BOUNDS)
     task, checker = Fps(motion, (0.5, 1.0, 0.0)), BlockChecker()
@@ -99,25 +99,25 @@ def test_on_a_lattice_the_field_is_a_breadth_first_search() -> None:
     assert found.distance[rows].tolist() == expected and max(expected) >= 10
 
 
-def test_off_the_lattice_distances_are_those_of_a_search_to_less_than_a_step() -> None:
+def test_off_the_lattice_distances_are_close_to_those_of_a_search() -> None:
     motion = ForwardMotion(HEIGHT, 0.25, 45.0, **SQUARE)
     task, checker = Fps(motion, (0.5, 0.5, 0.0)), BlockChecker(reach=0.3)
     found = plan(motion, checker, task.reached)
     rows = found.start_rows[torch.randperm(len(found.start_rows), generator=torch.Generator().manual_seed(1))[:40]]
     expected = torch.tensor([fewest_steps(motion, checker, task.reached, found.states[row]) for row in rows])
     off = found.cost_to_go(found.states[rows]) - expected
-    assert off.abs().mean() < 0.35 and off.abs().max() < 1.6 and expected.max() >= 8  # 0.20 and 1.27 measured
+    assert off.abs().mean() < 0.35 and off.abs().max() < 1.6 and expected.max() >= 8  # measured: 0.20 and 1.27
 
 
 def followed(found: Plan, limit: int) -> Tensor:
-    """Steps in which robots from every start reach the goal by always taking the best action: [N] float32."""
+    """Count the steps to the goal from every start by always taking the best action: [N] float32, infinite if never."""
     state = found.states[found.start_rows]
     steps = torch.full((len(state),), torch.inf)
     for count in range(limit + 1):
         there = found.reached(state)
         steps = torch.where(there & steps.isinf(), float(count), steps)
         best = found.optimal(state)
-        assert torch.equal(best.any(1), ~there), "an action everywhere but at the goal"
+        assert torch.equal(best.any(1), ~there), "there is a best action everywhere but at the goal"
         ahead = found.motion.advance(state, found.actions[best.int().argmax(1)])
         start, end = found.motion.body_to_world(state), found.motion.body_to_world(ahead)
         assert not found.checker.sweeps(start, end)[~there].any() and found.motion.inside(ahead)[~there].all()
@@ -138,13 +138,13 @@ def test_following_the_best_action_leads_to_the_goal(turn_deg: float, arrive: fl
     assert (taken - found.distance[found.start_rows])[there].max() <= late
 
 
-def test_following_the_best_action_drives_to_the_goal() -> None:
+def test_a_drive_that_follows_the_best_action_reaches_the_goal() -> None:
     found = drive_plan()
     taken = followed(found, 30)
     assert taken.isfinite().all() and (taken - found.distance[found.start_rows]).max() <= 1
 
 
-def test_no_action_is_best_at_the_goal_and_a_blocked_one_never() -> None:
+def test_no_action_is_best_at_the_goal_and_a_blocked_one_is_never_best() -> None:
     found = drive_plan()
     goals = found.states[found.distance == 0]
     assert len(goals) and not found.optimal(goals).any()
@@ -157,7 +157,7 @@ def test_no_action_is_best_at_the_goal_and_a_blocked_one_never() -> None:
     assert best[0].tolist() == [False, False, True, True]  # either way round the block
 
 
-def test_poses_without_a_way_are_unreachable_and_do_not_spoil_their_neighbours() -> None:
+def test_poses_without_a_path_are_unreachable_and_do_not_distort_their_neighbours() -> None:
     motion = ForwardMotion(HEIGHT, 0.25, 30.0, **SQUARE)
     task = Fps(motion, (0.75, 0.0, 0.0))
     found, open_ = plan(motion, Fence(), task.reached), plan(motion, empty(), task.reached)
@@ -177,7 +177,7 @@ def test_only_free_poses_are_starts() -> None:
     assert torch.equal(found.distance == 0, found.free & found.reached(found.states))
 
 
-def test_a_field_is_zero_at_the_goal_and_smooth_in_between() -> None:
+def test_a_field_is_zero_at_the_goal_and_smooth_elsewhere() -> None:
     motion = ForwardMotion(HEIGHT, 0.25, 45.0, **SQUARE)
     field = cost_field(motion, empty(), Fps(motion, (0.75, 0.0, 0.0)).reached)
     line = torch.stack([torch.linspace(-0.75, 0.75, 301), torch.zeros(301), torch.zeros(301)], 1)
@@ -193,23 +193,29 @@ def test_a_scene_without_a_free_pose_or_a_goal_is_refused(drive: bool) -> None:
     make = Drive if drive else Fps
     with pytest.raises(ValueError, match=r"scene: expected free poses, got [0-9]+ poses that all collide"):
         plan(motion, BlockChecker(reach=9.0), make(motion, (0.5, 1.0, 0.0)).reached)
-    with pytest.raises(ValueError, match=r"task\.goal: expected a free pose at the goal, got [1-9][0-9]* that collide"):
+    with pytest.raises(
+        ValueError, match=r"task\.goal: expected a free pose at the goal, found none among [1-9][0-9]* poses there"
+    ):
         plan(motion, BlockChecker(reach=0.9), make(motion, (0.0, 0.0, 0.0)).reached)
-    with pytest.raises(ValueError, match=r"task\.goal: expected a free pose at the goal, got 0 that collide"):
+    with pytest.raises(
+        ValueError, match=r"task\.goal: expected a free pose at the goal, found none among 0 poses there"
+    ):
         plan(motion, BlockChecker(), make(motion, (5.0, 0.0, 0.0)).reached)
 
 
-def test_a_goal_that_no_start_can_walk_to_is_refused() -> None:
+def test_a_goal_that_no_start_can_reach_is_refused() -> None:
     class Frozen(Fence):
         def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
             return torch.zeros(len(start))
 
     motion = ForwardMotion(HEIGHT, 0.25, 90.0, **BOUNDS)
-    with pytest.raises(ValueError, match=r"task\.goal: expected a path to it from some free pose, got none from 468"):
+    with pytest.raises(
+        ValueError, match=r"task\.goal: expected a path to the goal from at least one free pose, found none from 468"
+    ):
         plan(motion, Frozen(), Fps(motion, (0.5, 1.0, 0.0)).reached)
 
 
-def test_from_where_there_is_no_way_it_is_far() -> None:
+def test_the_cost_to_go_is_far_where_there_is_no_path() -> None:
     motion = ForwardMotion(HEIGHT, 0.25, 30.0, **SQUARE)
     found = plan(motion, Fence(), Fps(motion, (0.75, 0.0, 0.0)).reached)
     far = found.cost_to_go(torch.tensor([[-0.5, 0.1, 1.0], [0.5, 0.0, 0.0]]))

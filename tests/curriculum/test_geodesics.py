@@ -1,4 +1,4 @@
-"""Shortest ways on the ground: worked out by hand, and against an independent search."""
+"""Shortest paths on the ground, against lengths worked out by hand."""
 
 import copy
 import math
@@ -19,7 +19,7 @@ RADIUS = 0.1
 
 
 def wall_with_a_door() -> Occupancy:
-    """A wall along x at y = 0 from -1 to 0.5: the way past its end is at x = 0.5."""
+    """Make a wall along x at y = 0 that leaves a way past its end at x = 0.5."""
     return Occupancy.from_boxes([[-1.5, -0.05, 0.0]], [[0.5, 0.05, 1.0]], 0.05)
 
 
@@ -33,12 +33,12 @@ def geodesics(cell: float = 0.05, **counts: int) -> Geodesics:
 
 
 def to(places: list[list[float]], goals: Geodesics, goal: list[float]) -> torch.Tensor:
-    """Distances from places to a goal that is added."""
+    """Add a goal and return the distances from places to it."""
     more, rows = goals.with_goals(np.array([goal]), np.zeros(1, np.int64))
     return more.distance(torch.tensor(places), rows.expand(len(places)))
 
 
-def test_on_open_ground_it_is_the_straight_distance_within_the_directions_of_the_grid() -> None:
+def test_on_open_ground_a_path_is_at_most_slightly_longer_than_the_straight_line() -> None:
     open_ground = Geodesics.drawn(ground(MOTION, NoChecker(Occupancy.empty(), Sphere(0.1)), 0.05), 1, 1, 0)
     generator = torch.Generator().manual_seed(0)
     places = torch.rand(500, 2, generator=generator) * torch.tensor([2.0, 3.0]) - torch.tensor([1.0, 1.5])
@@ -50,9 +50,10 @@ def test_on_open_ground_it_is_the_straight_distance_within_the_directions_of_the
     assert near.any() and torch.equal(found[near], straight[near])
 
 
-def test_the_way_around_a_wall_passes_its_end() -> None:
-    # Straight to the wall's end, which a body of radius r rounds: the corners (0.5, ±0.05) become quarter circles. From
-    # (0, -0.5) a tangent touches the first of them; the angle that is left to its easternmost point is an arc.
+def test_the_path_around_a_wall_passes_its_end() -> None:
+    # The path goes straight to the wall's end, whose corners (0.5, ±0.05) it rounds on quarter circles of the body's
+    # radius. From (0, -0.5) a tangent touches the first of them; an arc covers the remaining angle to its easternmost
+    # point.
     away, down = 0.5, 0.45  # from the place to the first corner
     direct = math.hypot(away, down)
     tangent = math.sqrt(direct**2 - RADIUS**2)
@@ -63,26 +64,26 @@ def test_the_way_around_a_wall_passes_its_end() -> None:
     assert found == pytest.approx(expected, rel=0.02)
 
 
-def test_no_way_leads_through_what_the_body_does_not_fit_through() -> None:
+def test_no_path_leads_through_a_gap_that_is_too_narrow_for_the_body() -> None:
     gap = Occupancy.from_boxes([[-1.5, -0.05, 0.0], [0.65, -0.05, 0.0]], [[0.5, 0.05, 1.0], [1.5, 0.05, 1.0]], 0.05)
     place = ground(MOTION, checker(gap), 0.05)
     upper = place.connected(torch.tensor([[0.0, 0.5], [0.0, -0.5]]))
-    assert upper.sum() == 1  # the largest part is on one side
+    assert upper.sum() == 1  # the largest component is on one side
     inside = place.connected(torch.tensor([[0.0, 0.0]]))
     assert not inside.any()
     with pytest.raises(ValueError, match=r"goal of episode 0: expected a free place, got \[0.0, 0.0\]"):
         Geodesics.drawn(place, 1, 1, 0).with_goals(np.zeros((1, 2)), np.zeros(1, np.int64))
 
 
-def test_a_box_is_taken_along_the_way_it_goes() -> None:
+def test_a_long_box_fits_through_a_lane_because_it_faces_its_direction_of_travel() -> None:
     lane = Occupancy.from_boxes([[-1.5, 0.2, 0.0], [-1.5, -0.3, 0.0]], [[1.5, 0.3, 1.0], [1.5, -0.2, 1.0]], 0.05)
     long = NativeChecker(lane, Box((0.6, 0.1, 0.2)))
     place = ground(NavigateMotion(HEIGHT, lower=(-1.0, -0.1), upper=(1.0, 0.1)), long, 0.05)
     middle = torch.stack([torch.linspace(-1.0, 1.0, 21), torch.zeros(21)], 1)
-    assert place.connected(middle).all()  # although the box fits nowhere across the lane
+    assert place.connected(middle).all()  # although the box would not fit across the lane
 
 
-def test_goals_are_free_seeded_and_drawn_at_the_distance_asked() -> None:
+def test_goals_are_free_seeded_and_drawn_at_the_requested_distance() -> None:
     goals, again, other = geodesics(), geodesics(), geodesics(seed=2)
     assert torch.equal(goals.goals, again.goals) and not torch.equal(goals.goals, other.goals)
     assert goals.grounds[0].connected(goals.goals).all()
@@ -97,13 +98,13 @@ def test_goals_are_free_seeded_and_drawn_at_the_distance_asked() -> None:
     assert tests.min() >= 5 and tests.max() < 8
 
 
-def test_room_is_where_the_body_fits_in_the_scene_of_a_goal_and_ends_at_the_bounds() -> None:
+def test_room_is_1_where_the_body_fits_in_the_goals_scene_and_0_beyond_the_bounds() -> None:
     walled = geodesics()
     open_ground = Geodesics.drawn(ground(MOTION, NoChecker(Occupancy.empty(), Sphere(0.1)), 0.05), 5, 3, 0)
     both = stacked([walled, open_ground])
     places = torch.tensor([[0.0, -0.5], [0.0, 0.0], [-0.5, -0.175], [1.0, 1.5], [1.01, 0.5], [0.5, -1.51]])
     in_walled, in_open = (both.room(places, torch.full((6,), row)) for row in (0, 8))
-    assert in_walled[:2].tolist() == [1.0, 0.0] and 0.0 < in_walled[2] < 1.0  # between a node that is free and one not
+    assert in_walled[:2].tolist() == [1.0, 0.0] and 0.0 < in_walled[2] < 1.0  # between a free node and one that is not
     assert in_open[:4].tolist() == [1.0] * 4
     assert in_walled[3] == 1.0 and not in_walled[4:].any() and not in_open[4:].any()
 
@@ -134,5 +135,7 @@ def test_too_many_goals_or_nodes_are_refused() -> None:
     with pytest.raises(ValueError, match=r"task\.cell"):
         ground(MOTION, checker(), 0.001)
     full = Occupancy.from_boxes([[-2.0, -2.0, 0.0]], [[2.0, 2.0, 1.0]], 0.05)
-    with pytest.raises(ValueError, match=r"expected places where the robot fits, got none from x .* to .* and y"):
+    with pytest.raises(
+        ValueError, match=r"expected places where the robot fits, found none for x from .* to .* and y from"
+    ):
         ground(MOTION, checker(full), 0.05)

@@ -29,7 +29,7 @@ class FenceChecker(BlockChecker):
 
 
 def brute_force(motion: LatticeMotion, checker: BlockChecker, task: Grid) -> dict[State, int]:
-    """Steps to the goal, by a forward search with a queue, one state at a time."""
+    """Count the steps to the goal from every state, by breadth-first search with a queue, one state at a time."""
 
     def neighbours(state: State) -> list[State]:
         found = []
@@ -62,7 +62,7 @@ def brute_force(motion: LatticeMotion, checker: BlockChecker, task: Grid) -> dic
 
 
 @pytest.mark.parametrize("checker", [BlockChecker(), FenceChecker(), BlockChecker(reach=0.6)])
-def test_distances_are_those_of_a_plain_search(checker: BlockChecker) -> None:
+def test_distances_match_a_plain_breadth_first_search(checker: BlockChecker) -> None:
     motion = LatticeMotion(0.5, 0.5, 90.0, (-1.0, -1.5), (1.0, 1.5))
     task = Grid(motion, goal=(0.75, 1.0, 0.0))
     found = plan(motion, checker, task.reached)
@@ -73,7 +73,7 @@ def test_distances_are_those_of_a_plain_search(checker: BlockChecker) -> None:
     assert set(found.distance[[tuple(s) not in expected for s in found.states.tolist()]].tolist()) <= {UNREACHABLE}
 
 
-def test_following_the_successors_downhill_reaches_the_goal_in_as_many_steps_as_promised() -> None:
+def test_descending_the_distances_reaches_the_goal_in_the_planned_number_of_steps() -> None:
     found = tiny_plan()
     rows, steps = found.start_rows, 0
     left = found.distance[rows]
@@ -86,7 +86,7 @@ def test_following_the_successors_downhill_reaches_the_goal_in_as_many_steps_as_
     assert steps == found.distance.max() == 9
 
 
-def test_the_start_set_is_the_free_states_with_a_way_to_the_goal_without_the_goal() -> None:
+def test_the_start_set_is_every_free_state_with_a_path_to_the_goal_except_goal_states() -> None:
     found = tiny_plan()
     assert len(found.states) == 280 and found.free.sum() == 280 - 8  # the block fills one position
     assert len(found.start_rows) == 280 - 8 - 27
@@ -94,7 +94,7 @@ def test_the_start_set_is_the_free_states_with_a_way_to_the_goal_without_the_goa
     assert not tiny_task().reached(found.states[found.start_rows]).any()
 
 
-def test_no_state_leads_out_of_the_lattice_or_into_the_block() -> None:
+def test_no_action_leads_out_of_the_lattice_or_into_the_block() -> None:
     found = tiny_plan()
     corner = (found.states == torch.tensor([0, 0, 0])).all(1).nonzero().item()
     assert [int(row) == UNREACHABLE for row in successors(found)[corner]] == [False, True, False, True, False, False]
@@ -108,7 +108,7 @@ def test_starts_behind_a_fence_are_left_out() -> None:
     found = plan(task.motion, FenceChecker(), task.reached)
     assert found.free.all()
     reachable = found.distance != UNREACHABLE
-    # x = 0 belongs to the goal's own tolerance, so both sides of the fence hold goal poses
+    # x = 0 lies within the goal's tolerance, so there are goal poses on both sides of the fence
     assert reachable.all()
     east = Grid(task.motion, goal=(1.0, 1.0, 0.0))
     found = plan(task.motion, FenceChecker(), east.reached)
@@ -121,10 +121,12 @@ def test_a_scene_without_a_free_pose_is_refused() -> None:
         plan(task.motion, BlockChecker(reach=10.0), task.reached)
 
 
-def test_a_goal_inside_something_is_refused() -> None:
+def test_a_goal_inside_an_obstacle_is_refused() -> None:
     motion = LatticeMotion(0.5, 0.5, 45.0, (-1.0, -1.5), (1.0, 1.5))
     task = Grid(motion, goal=(0.0, 0.0, 0.0))
-    with pytest.raises(ValueError, match=r"task\.goal: expected a free pose at the goal, got 27 that collide"):
+    with pytest.raises(
+        ValueError, match=r"task\.goal: expected a free pose at the goal, found none among 27 poses there"
+    ):
         plan(motion, BlockChecker(reach=0.6), task.reached)
 
 
@@ -134,13 +136,15 @@ def test_a_goal_outside_the_lattice_is_refused() -> None:
         plan(motion, BlockChecker(), Grid(motion, goal=(5.0, 0.0, 0.0)).reached)
 
 
-def test_a_goal_without_a_way_to_it_is_refused() -> None:
+def test_a_goal_without_a_path_to_it_is_refused() -> None:
     class Frozen(FenceChecker):
         def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
             return torch.zeros(len(start))
 
     task = tiny_task()
-    with pytest.raises(ValueError, match=r"task\.goal: expected a path to it from some free pose, got none from 280"):
+    with pytest.raises(
+        ValueError, match=r"task\.goal: expected a path to the goal from at least one free pose, found none from 280"
+    ):
         plan(task.motion, Frozen(), task.reached)
 
 
@@ -154,27 +158,27 @@ def test_optimal_actions_are_those_that_lead_one_step_nearer() -> None:
     assert (best.sum(1) > 1).any() and (best.sum(1) == 1).any()
 
 
-def test_optimal_actions_by_hand() -> None:
+def test_optimal_actions_match_those_worked_out_by_hand() -> None:
     best = tiny_plan().optimal(torch.tensor([[1, 5, 0], [0, 5, 2], [1, 3, 0], [3, 5, 0]]))
     yes = [row.nonzero().flatten().tolist() for row in best]
     assert yes == [[0], [0, 5], [2], []]  # +x; +x or turn right; round the block by +y; at the goal
 
 
-def test_no_action_is_optimal_where_there_is_no_way() -> None:
+def test_no_action_is_optimal_where_there_is_no_path() -> None:
     task = tiny_task()
     found = plan(task.motion, FenceChecker(), Grid(task.motion, goal=(1.0, 1.0, 0.0)).reached)
     west = found.states[found.states[:, 0] < 3]
     assert not found.optimal(west).any() and (found.cost_to_go(west) == FAR).all()
 
 
-def test_cost_to_go_are_the_distances() -> None:
+def test_the_cost_to_go_equals_the_distances() -> None:
     found = tiny_plan()
     rows = found.distance >= 0
     assert torch.equal(found.cost_to_go(found.states[rows]), found.distance[rows].float())
 
 
 @pytest.mark.parametrize("farthest", [1, 4, 9, 50])
-def test_the_start_set_can_be_cut_at_a_longest_path(farthest: int) -> None:
+def test_the_start_set_can_be_limited_to_a_longest_path(farthest: int) -> None:
     task = tiny_task()
     cut, whole = plan(task.motion, BlockChecker(), task.reached, farthest), tiny_plan()
     assert torch.equal(cut.distance, whole.distance)  # the field still covers every state
@@ -182,13 +186,15 @@ def test_the_start_set_can_be_cut_at_a_longest_path(farthest: int) -> None:
     assert (len(cut.start_rows) < len(whole.start_rows)) is (farthest < 9)
 
 
-def test_a_set_without_starts_is_refused() -> None:
+def test_an_empty_start_set_is_refused() -> None:
     task = tiny_task()
-    with pytest.raises(ValueError, match=r"task\.goal: expected a path to it from some free pose, got none from 272"):
+    with pytest.raises(
+        ValueError, match=r"task\.goal: expected a path to the goal from at least one free pose, found none from 272"
+    ):
         plan(task.motion, BlockChecker(), task.reached, farthest=0)
 
 
-def test_robots_that_go_through_everything_start_everywhere_and_go_straight() -> None:
+def test_robots_that_pass_through_everything_start_everywhere_and_go_straight() -> None:
     task = tiny_task()
     found = plan(task.motion, NoChecker(None, BODY), task.reached)
     assert found.free.all() and len(found.start_rows) == 280 - 27

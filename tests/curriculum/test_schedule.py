@@ -1,4 +1,4 @@
-"""The schedule is a pure state machine."""
+"""The schedule of a curriculum, which is a pure state machine."""
 
 import math
 from typing import Any
@@ -25,7 +25,7 @@ batches = st.lists(
 
 
 @given(schedules, batches)
-def test_it_counts_as_a_tally_in_plain_numbers_does(schedule: Schedule, batches: list[Ends]) -> None:
+def test_progress_matches_a_tally_in_plain_python(schedule: Schedule, batches: list[Ends]) -> None:
     progress = schedule.start()
     level = episodes = successes = 0
     for ends in batches:
@@ -40,7 +40,7 @@ def test_it_counts_as_a_tally_in_plain_numbers_does(schedule: Schedule, batches:
 
 
 @given(schedules, batches)
-def test_the_level_never_falls_nor_jumps_nor_leaves_its_range(schedule: Schedule, batches: list[Ends]) -> None:
+def test_the_level_never_falls_or_jumps_or_leaves_its_range(schedule: Schedule, batches: list[Ends]) -> None:
     progress = schedule.start()
     for ends in batches:
         later = advance(schedule, progress, ends)
@@ -50,7 +50,7 @@ def test_the_level_never_falls_nor_jumps_nor_leaves_its_range(schedule: Schedule
         progress = later
 
 
-def test_progress_is_a_new_tensor() -> None:
+def test_advancing_returns_a_new_tensor_and_leaves_the_given_one_unchanged() -> None:
     schedule = Schedule(levels=2, window=3)
     progress = schedule.start()
     advance(schedule, progress, [(0, True, True)])
@@ -58,7 +58,7 @@ def test_progress_is_a_new_tensor() -> None:
 
 
 @given(st.integers(1, 200).flatmap(lambda window: st.tuples(st.integers(1, window), st.just(window))))
-def test_exactly_the_threshold_promotes_and_one_success_less_begins_anew(counts: tuple[int, int]) -> None:
+def test_exactly_the_threshold_promotes_and_one_success_less_starts_a_new_window(counts: tuple[int, int]) -> None:
     wins, window = counts
     schedule = Schedule(levels=3, threshold=wins / window, window=window)
     enough = [(0, True, True)] * wins + [(0, True, False)] * (window - wins)
@@ -85,12 +85,12 @@ def test_episodes_of_another_level_do_not_count() -> None:
     ("change", "message"),
     [
         ({"levels": 0}, "levels: expected a whole number of at least 1, got 0"),
-        ({"threshold": 0.0}, r"threshold: expected a rate in \(0, 1\], got 0\.0"),
+        ({"threshold": 0.0}, r"threshold: expected a success rate in \(0, 1\], got 0\.0"),
         ({"threshold": 1.1}, "threshold"),
         ({"threshold": math.nan}, "threshold"),
         ({"window": 0}, r"curriculum\.window: expected a whole number of at least 1, got 0"),
     ],
 )
-def test_settings_without_sense_are_refused(change: dict[str, Any], message: str) -> None:
+def test_invalid_settings_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Schedule(**{"levels": 2, **change})

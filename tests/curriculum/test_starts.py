@@ -1,4 +1,4 @@
-"""Start states by level."""
+"""Start states of the levels of a curriculum."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def distances(states: torch.Tensor) -> torch.Tensor:
 
 
 @pytest.mark.parametrize(("first", "stride", "limits"), [(2, 1, range(2, 10)), (3, 4, [3, 7, 11]), (1, 8, [1, 9])])
-def test_a_level_starts_within_its_steps_of_the_goal(first: int, stride: int, limits: list[int]) -> None:
+def test_a_level_starts_within_its_number_of_steps_from_the_goal(first: int, stride: int, limits: list[int]) -> None:
     starts = Starts(tiny_plan(), first, stride)
     assert starts.levels == len(limits)
     for level, limit in enumerate(limits):
@@ -31,7 +31,7 @@ def test_a_level_starts_within_its_steps_of_the_goal(first: int, stride: int, li
 
 
 @pytest.mark.parametrize("first", [None, 9, 50])
-def test_a_reach_of_all_starts_is_one_level(first: int | None) -> None:
+def test_a_first_level_that_covers_all_starts_is_the_only_one(first: int | None) -> None:
     assert Starts(tiny_plan(), first).levels == 1
 
 
@@ -53,7 +53,7 @@ def test_starts_of_a_level_are_equally_likely() -> None:
     assert ((counts - expected).abs() < 5 * expected**0.5).all()
 
 
-def test_the_generator_alone_decides() -> None:
+def test_draws_depend_only_on_the_generator() -> None:
     starts = Starts(tiny_plan())
     assert torch.equal(draw(starts, 1, 50, seed=3), draw(starts, 1, 50, seed=3))
     assert not torch.equal(draw(starts, 1, 50, seed=3), draw(starts, 1, 50, seed=4))
@@ -64,7 +64,7 @@ def test_a_longer_draw_begins_with_the_shorter_one() -> None:
     assert torch.equal(draw(starts, 2, 5), draw(starts, 2, 9)[:5])
 
 
-def test_the_curriculum_samples_at_its_present_level() -> None:
+def test_the_curriculum_samples_at_its_current_level() -> None:
     curriculum = Curriculum(tiny_plan(), first=2, threshold=1.0, window=1)
     generator = torch.Generator().manual_seed(0)
     assert distances(curriculum.sample(500, generator)).max() == 2
@@ -74,20 +74,20 @@ def test_the_curriculum_samples_at_its_present_level() -> None:
     assert distances(curriculum.sample(500, generator)).max() == 3
 
 
-def test_anywhere_is_the_whole_start_set_whatever_the_level() -> None:
+def test_anywhere_draws_from_the_whole_start_set_at_any_level() -> None:
     curriculum = Curriculum(tiny_plan(), first=2)
     drawn = curriculum.anywhere(COUNT, torch.Generator().manual_seed(0))
     expected = {tuple(state) for state in tiny_plan().states[tiny_plan().start_rows].tolist()}
     assert {tuple(state) for state in drawn.tolist()} == expected and curriculum.level == 0
 
 
-def test_a_plan_that_was_cut_has_fewer_levels() -> None:
+def test_a_plan_with_shorter_paths_has_fewer_levels() -> None:
     near = (tiny_plan().distance > 0) & (tiny_plan().distance <= 5)
     cut = Starts(replace(tiny_plan(), start_rows=near.nonzero().squeeze(1)), first=2)
     assert cut.levels == 4 and distances(draw(cut, 3)).max() == 5
 
 
-def test_progress_is_all_that_a_curriculum_saves() -> None:
+def test_a_curriculum_saves_only_its_progress() -> None:
     curriculum = Curriculum(tiny_plan(), window=1)
     one = torch.tensor([True])
     curriculum.record(torch.tensor([0]), one, one)
@@ -98,6 +98,6 @@ def test_progress_is_all_that_a_curriculum_saves() -> None:
 
 
 @pytest.mark.parametrize(("first", "stride"), [(0, 1), (2, 0), (None, 0)])
-def test_levels_without_steps_are_refused(first: int | None, stride: int) -> None:
+def test_a_first_level_or_stride_of_zero_is_refused(first: int | None, stride: int) -> None:
     with pytest.raises(ValueError, match=r"curriculum\.(first|stride): expected a whole number of at least 1, got 0"):
         Starts(tiny_plan(), first, stride)

@@ -132,7 +132,7 @@ def test_a_robot_that_lies_has_fallen_and_one_on_a_hill_has_not() -> None:
     ("settings", "message"),
     [
         ({"time_step": 0.05}, r"task\.motion\.time_step: expected a multiple of 0\.02 s, got 0\.05"),
-        ({"forward": (0.1, 0.8)}, r"task\.motion\.forward: expected \[from -2 to 0, from 0 to 2\] m/s"),
+        ({"forward": (0.1, 0.8)}, r"task\.motion\.forward: expected -2 ≤ lowest ≤ 0 < highest ≤ 2 m/s"),
         ({"ground": "moon"}, r"task\.motion\.ground: expected scene or level, got 'moon'"),
     ],
 )
@@ -145,6 +145,6 @@ def test_other_robots_and_gaits_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"wheels\.xml: expected the 12 joints of quadruped, got 2"):
         WalkMotion(path="wheels", camera="eye", threads=1)
     with pytest.raises(
-        FileNotFoundError, match=r"nothing: expected a file of weights, or one of quadruped; found neither"
+        FileNotFoundError, match=r"nothing: expected a weights file, or one of quadruped; found neither"
     ):
         walking(gait="nothing")

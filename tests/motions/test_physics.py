@@ -154,7 +154,7 @@ def test_a_thing_looks_as_a_splat_does_where_the_state_has_it(tmp_path: Path) ->
     state = driven(other, other.placed(torch.tensor([[0.2, 0.1, 0.4]])), (0.4, 0.2), 5)
     state[:, other.thing("ball")][:, 0] += 0.3
     assert torch.equal(other.parts(state).model_to_world, plain.parts(state).model_to_world)
-    with pytest.raises(ValueError, match=r"task\.motion\.looks: expected names of things, got box"):
+    with pytest.raises(ValueError, match=r"task\.motion\.looks: expected names from task\.motion\.things, got box"):
         wheels(looks={"box": tmp_path / "ball.ply"})
     with pytest.raises(FileNotFoundError):
         wheels(looks={"ball": tmp_path / "none.ply"})
@@ -174,19 +174,24 @@ MOTOR = '<actuator><general site="s" ctrlrange="-1 1" name="push"/></actuator>'
     ("body", "rest", "settings", "message"),
     [
         ('<geom size="0.1"/><camera name="eye"/>', "", {}, "body 'robot/b': expected a <freejoint/>"),
-        ('<freejoint/><geom size="0.1"/>', MOTOR, {}, "camera: expected one called 'eye', got none"),
-        (BODY, "", {}, "<actuator>: expected at least one, got none"),
+        ('<freejoint/><geom size="0.1"/>', MOTOR, {}, "expected a camera called 'eye', got none"),
+        (BODY, "", {}, "expected at least one <actuator>, found none"),
         (
             BODY,
             '<actuator><general site="s" name="push"/></actuator>',
             {},
             "actuator 'robot/push': expected a ctrlrange",
         ),
-        (BODY, MOTOR, {}, "task.motion.linear: expected a value for .* no actuator called 'forward'"),
-        (BODY, MOTOR, {"time_step": 0.003}, "time_step: expected a multiple of the robot's 0.002 s, got 0.003"),
+        (BODY, MOTOR, {}, "task.motion.linear: expected a value, got none, and .* no actuator called 'forward'"),
+        (
+            BODY,
+            MOTOR,
+            {"time_step": 0.003},
+            "time_step: expected a multiple of the robot's timestep, 0.002 s, got 0.003",
+        ),
         (BODY, MOTOR, {"substep": 0}, "task.motion.substep: expected a number from 1e-05 to 1.0, got 0"),
         (BODY, MOTOR, {"substep": "x"}, "task.motion.substep: expected a number"),
-        (BODY, MOTOR, {"pushed": ["egg"]}, "pushed: expected names of things, got egg"),
+        (BODY, MOTOR, {"pushed": ["egg"]}, "pushed: expected names from task.motion.things, got egg"),
     ],
 )
 def test_what_a_robot_lacks_is_said_in_one_line(

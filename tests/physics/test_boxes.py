@@ -90,5 +90,5 @@ def test_what_no_body_reaches_is_left_out() -> None:
 
 
 def test_bodies_are_higher_than_turf() -> None:
-    with pytest.raises(ValueError, match=r"top: expected metres above turf, 0\.1, got 0\.05"):
+    with pytest.raises(ValueError, match=r"top: expected a height above turf \(0\.1 m\), got 0\.05"):
         solid_above(column(0), level(), *FAR, top=0.05)

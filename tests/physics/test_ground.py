@@ -58,9 +58,9 @@ def test_things_that_lie_around_and_grass_do_not_lift_the_plane() -> None:
 @pytest.mark.parametrize(
     ("surface", "said"),
     [
-        (lambda x, y: 0.1 * (x > 0.1) + 0.1 * (x > 0.5), "lie more than 0.03 m off the best one"),
-        (lambda x, y: 0.25 * (x * 2).sin() * (y * 2).cos(), "lie more than 0.03 m off the best one"),
-        (lambda x, y: -0.4 * (x > 0.7), "of where one could stand is below it"),
+        (lambda x, y: 0.1 * (x > 0.1) + 0.1 * (x > 0.5), "lie more than 0.03 m off the best fit"),
+        (lambda x, y: 0.25 * (x * 2).sin() * (y * 2).cos(), "lie more than 0.03 m off the best fit"),
+        (lambda x, y: -0.4 * (x > 0.7), "of the places to stand lie below it"),
     ],
     ids=["steps", "hills", "pit"],
 )
@@ -73,7 +73,9 @@ def test_a_ground_that_is_not_one_plane_says_so(surface: Surface, said: str) -> 
 
 def test_no_ground_to_see_is_refused() -> None:
     renderer = ReliefRenderer(lambda x, y: 0.0 * x)
-    with pytest.raises(ValueError, match=r"ground: expected at least 6 places .* got 0; bodies need a ground"):
+    with pytest.raises(
+        ValueError, match=r"ground: expected at least 6 places .* got 0; bodies need ground to stand on"
+    ):
         fit_ground(renderer, Occupancy.empty(0.05), *BOUNDS)
     with pytest.raises(ValueError, match="ground: expected lower < upper"):
         fit_ground(renderer, Occupancy.empty(0.05), (0.0, 0.0), (0.0, 1.0))

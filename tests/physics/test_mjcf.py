@@ -36,7 +36,7 @@ def test_our_own_robots_are_read() -> None:
     for path in sorted(FOLDER.glob("*.xml")):
         assert read_mjcf(path).compile().nbody > 1, path
     assert mjcf_path("wheels") == FOLDER / "wheels.xml"
-    with pytest.raises(FileNotFoundError, match=r"nothing: expected a file of MJCF, or one of ball, .*wheels"):
+    with pytest.raises(FileNotFoundError, match=r"nothing: expected an MJCF file, or one of ball, .*wheels"):
         mjcf_path("nothing")
 
 
@@ -49,7 +49,7 @@ def test_meshes_and_included_files_of_its_folder_are_found(tmp_path: Path) -> No
     assert composed.model.nmeshvert == 4 and composed.robot == "robot/body"
 
 
-OUTSIDE = "expected a path in the folder of the file"
+OUTSIDE = "expected a path inside the MJCF file's folder"
 
 
 @pytest.mark.parametrize(
@@ -62,12 +62,16 @@ OUTSIDE = "expected a path in the folder of the file"
         ('<asset><mesh file="/etc/passwd"/></asset>', BALL, rf"<mesh file>: {OUTSIDE}, got '/etc/passwd'"),
         ('<compiler meshdir="/etc"/><asset><mesh file="passwd"/></asset>', BALL, OUTSIDE),
         ('<compiler meshdir=".."/><asset><mesh file="secret.stl"/></asset>', BALL, OUTSIDE),
-        ('<asset><mesh file="link.stl"/></asset>', BALL, r"got a link out of it, 'link.stl'"),
+        ('<asset><mesh file="link.stl"/></asset>', BALL, r"got a link that leaves it, 'link.stl'"),
         ('<asset><mesh file="none.stl"/></asset>', BALL, r"expected a file 'none.stl' beside the MJCF, found none"),
         ('<asset><texture type="2d" file="none.png"/></asset>', BALL, r"<texture file>: expected a file 'none.png'"),
         ('<include file="/etc/hosts"/>', BALL, rf"<include>: {OUTSIDE}, got '/etc/hosts'"),
-        ('<extension><plugin plugin="any"/></extension>', BALL, r"<extension>: expected a robot without it"),
-        ("", '<replicate count="1000000">' + BALL + "</replicate>", r"<replicate>: expected a robot without it"),
+        ('<extension><plugin plugin="any"/></extension>', BALL, r"<extension>: expected a robot without this element"),
+        (
+            "",
+            '<replicate count="1000000">' + BALL + "</replicate>",
+            r"<replicate>: expected a robot without this element",
+        ),
         ("", '<body><flexcomp name="f" type="grid" count="999 999 999"/></body>', r"<flexcomp>: expected a robot"),
         ('<asset><texture type="2d" builtin="flat" width="99999" height="99999"/></asset>', BALL, "texels"),
         (
@@ -81,7 +85,7 @@ OUTSIDE = "expected a path in the folder of the file"
         (
             "",
             '<body pos="nan 0 0"><freejoint/><geom size="0.1"/></body>',
-            "expected finite numbers, got others in qpos0",
+            "expected finite numbers, got infinite ones or NaN in qpos0",
         ),
         ('<size memory="900G"/>', BALL, r"memory: expected less than 1G, got 900G"),
         ('<size nuserdata="900000000"/>', BALL, r"nuserdata: expected at most"),
@@ -118,7 +122,7 @@ def test_entities_and_large_files_are_refused(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(reading, "MOST_TEXT", 50)
     with pytest.raises(ValueError, match="expected at most 50 bytes"):
         read_mjcf(written(tmp_path))
-    with pytest.raises(FileNotFoundError, match="expected a file of MJCF, found none"):
+    with pytest.raises(FileNotFoundError, match="expected an MJCF file, found none"):
         read_mjcf(tmp_path / "none.xml")
 
 
@@ -130,7 +134,10 @@ def test_a_robot_without_mujoco_is_refused_with_what_to_install(monkeypatch: pyt
 
 def test_a_robot_has_one_body_at_the_top_and_brings_no_ground(tmp_path: Path) -> None:
     floor = '<geom name="floor" type="plane" size="1 1 1"/>'
-    with pytest.raises(ValueError, match="geom 'floor': expected one in a body; the ground comes from the scene"):
+    with pytest.raises(
+        ValueError,
+        match="geom 'floor': expected a geom inside a body, got one in <worldbody>; the ground comes from the scene",
+    ):
         compose(read_mjcf(written(tmp_path, BALL + floor)), level_ground())
     with pytest.raises(ValueError, match=r"expected one body in <worldbody>, got 2"):
         compose(read_mjcf(written(tmp_path, BALL + BALL.replace("ball", "other"))), level_ground())

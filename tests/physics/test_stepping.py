@@ -100,7 +100,7 @@ def test_a_row_that_loses_its_numbers_stays_and_says_so(
 
 def test_models_of_different_sizes_are_refused() -> None:
     other = compose(read_mjcf(mjcf_path("wheels")), Terrain(torch.tensor([0.0, 0, 1, 0]).double(), BOXES)).model
-    with pytest.raises(ValueError, match="models: expected one size"):
+    with pytest.raises(ValueError, match="models: expected the same sizes"):
         Physics([model(), other], 1)
 
 

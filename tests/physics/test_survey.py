@@ -56,5 +56,5 @@ def test_a_ground_that_is_none_is_told_by_a_warning(tmp_path: Path, monkeypatch:
 
 
 def test_a_negative_reach_is_refused(room: Scene) -> None:
-    with pytest.raises(ValueError, match=r"reach: expected metres from 0, got -0\.1"):
+    with pytest.raises(ValueError, match=r"reach: expected a non-negative number of metres, got -0\.1"):
         survey_terrain(room, Occupancy.empty(0.05), LOWER, UPPER, reach=-0.1, top=0.6)

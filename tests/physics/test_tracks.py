@@ -66,7 +66,7 @@ def test_a_place_without_room_is_refused() -> None:
     [
         ({"gates": 0}, "task.course.gates"),
         ({"distance": (2.0, 1.0)}, "task.course.distance: expected 0 < lowest"),
-        ({"opening": 0.9}, "task.course.opening: expected metres below frame"),
+        ({"opening": 0.9}, "task.course.opening: expected a size below task.course.frame"),
         ({"opening": None}, "task.course.opening: expected a number"),
         ({"gates": 2.5}, "task.course.gates: expected a whole number from 1 to 64, got 2.5"),
         ({"turn_deg": 130.0}, "task.course.turn_deg"),

@@ -96,7 +96,7 @@ def test_without_a_gpu_each_step_says_so(run: Any) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--kit", "nothing"], "/nothing: expected the folder of tools/gpu_kit.sh"),
+        (["--kit", "nothing"], "/nothing: expected a folder packed by tools/gpu_kit.sh"),
         (["all"], "all: expected one of correct learning rendering rest"),
         (["--seconds", "ten"], "--seconds ten: expected a number"),
         (["--fast"], "--fast: expected one of --kit, --out, --seconds, --dry-run"),

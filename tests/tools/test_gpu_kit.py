@@ -69,13 +69,13 @@ def test_what_splatrl_needs_is_packed_or_there() -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--arch", "h100"], "--arch h100: expected sm_90 or the like"),
+        (["--arch", "h100"], "--arch h100: expected an architecture such as sm_90"),
         (["--limit", "many"], "--limit many: expected a number of MiB"),
         (["--limit"], "--limit: expected a value"),
         (["--where"], "--where: expected one of --python, --arch, --folder, --limit"),
         (["wheels"], "wheels: expected one of project packages kernels kitchen check"),
-        (["--python", "3.0", "project"], "--python 3.0: found no interpreter that runs"),
-        (["--python", "/no/such/python", "packages"], "--python /no/such/python: found no interpreter that runs"),
+        (["--python", "3.0", "project"], "--python 3.0: found no working interpreter"),
+        (["--python", "/no/such/python", "packages"], "--python /no/such/python: found no working interpreter"),
     ],
 )
 def test_a_wrong_word_is_refused_in_one_line(tmp_path: Path, arguments: list[str], said: str) -> None:
@@ -92,7 +92,7 @@ def test_help_says_what_each_option_is_for() -> None:
 
 def test_a_missing_scene_is_left_out_and_said(tmp_path: Path) -> None:
     done = run("--folder", str(tmp_path), "kitchen", SPLATRL_SCENES=str(tmp_path / "none"))
-    assert done.returncode == 0 and done.stdout.startswith("kitchen: left out, no ")
+    assert done.returncode == 0 and done.stdout.startswith("kitchen: left out, found no ")
     assert not (tmp_path / "scenes").exists()
 
 

@@ -120,7 +120,7 @@ def test_a_drag_with_the_pointer_changes_the_yaml(tab: "Tab", page: Page, world:
     camera.position, camera.look_at, camera.up = (0.5, 1.0, 4.0), (0.5, 1.0, 0.5), (0.0, 1.0, 0.0)
     tab.goto(page.address)
     drawn(tab)
-    tab.get_by_role("button", name="save into scene.yaml").wait_for()
+    tab.get_by_role("button", name="save to scene.yaml").wait_for()
     before = (folder / "scene.yaml").read_text()
     x, y = 450, 280  # the middle of the view, where the goal's handle is: its axes begin there
     for away in (14, 22, 30, 38, 46, 54, 62):  # along the handle, as far as it may reach
@@ -133,7 +133,7 @@ def test_a_drag_with_the_pointer_changes_the_yaml(tab: "Tab", page: Page, world:
             break
     goal = placing.values["goal"]
     assert goal[0] > 0.5 and goal[1:] == pytest.approx([1.0, 0.0], abs=0.02)
-    tab.get_by_role("button", name="save into scene.yaml").click()
+    tab.get_by_role("button", name="save to scene.yaml").click()
     tab.get_by_text("saved goal").wait_for()
     changed = (folder / "scene.yaml").read_text()
     assert changed == before.replace("[0.5, 1.0, 0.0]", str(placing.values["goal"]))

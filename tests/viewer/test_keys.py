@@ -51,7 +51,7 @@ def test_actions_are_within_what_the_robot_can_be_told() -> None:
 
 def test_actions_that_keys_cannot_tell_are_refused() -> None:
     joints = Bounded(low=-1.0, high=1.0, shape=(12,), dtype=torch.float32)
-    refused = pytest.raises(ValueError, match=r"expected actions that keys can tell, .*, got 12 numbers an action")
+    refused = pytest.raises(ValueError, match=r"expected actions that keys can express, .*, got 12 numbers per action")
     with patch.object(DriveMotion, "action_spec", joints), refused:
         keys_of(DriveMotion(0.4))
 

@@ -88,12 +88,12 @@ def test_layers_are_sent_when_they_are_asked_for(page: Page, world: World, visit
     write_points(tmp_path / "path.ply", np.array([[0, 0, 1], [1, 0, 1]], np.float32))
     page.show_path(tmp_path)
     visitor = visit()
-    visitor.find("LineSegmentsMessage", lambda m: m["name"] == "/the camera's path")
-    visitor.field("free, at the robot's height")
+    visitor.find("LineSegmentsMessage", lambda m: m["name"] == "/camera path")
+    visitor.field("free space at the robot's height")
     assert not [m for m in visitor.messages if m["type"] in ("MeshMessage", "PointCloudMessage")]
     visitor.click("solid")
     assert visitor.find("MeshMessage")["name"] == "/solid"
-    visitor.click("free, at the robot's height")
+    visitor.click("free space at the robot's height")
     assert visitor.find("PointCloudMessage")["name"] == "/free"
     visitor.click("solid", False)
     visitor.find("SetSceneNodeVisibilityMessage", lambda m: m["name"] == "/solid" and m["visible"] is False)
@@ -109,7 +109,7 @@ def test_a_key_moves_the_robot_and_shows_what_it_sees(page: Page, world: World, 
     assert (driving.driver.state - before)[0].abs().tolist()[:2] == [0, 0]
     assert not torch.equal(driving.driver.state, before)
     assert np.array_equal(driving.shown.frustum.image, driving.driver.pixels.numpy())
-    visitor.click("again from the same start (R)")
+    visitor.click("restart from the same start (R)")
     until(lambda: torch.equal(driving.driver.state, before), "the start")
 
 
@@ -118,7 +118,7 @@ def test_the_page_says_how_an_episode_ended(page: Page, world: World) -> None:
     while not driving.driver.done:
         assert driving.press("I")
     words = driving.driver.outcome.name.replace("_", " ").lower()
-    assert f"**{words}**, any key begins another episode" in driving.status.content
+    assert f"**{words}**, any key starts another episode" in driving.status.content
     assert driving.driver.outcome in (Outcome.COLLISION, Outcome.OUT_OF_BOUNDS)
     assert driving.shown.body.color == tone(driving.driver.outcome) != BLUE
     assert driving.press("N") and "step 0" in driving.status.content
@@ -168,11 +168,11 @@ def test_a_dragged_goal_is_saved(page: Page, world: World, visit: Visit, folder:
     visitor.drag("/place/walk_1", (1.6, 1.5, 0.5))
     until(lambda: placing.values["walk"] == [[-1.0, -1.5], [1.5, 1.5]], "the drag")
     assert (folder / "scene.yaml").read_text() == before
-    visitor.click("save into scene.yaml")
+    visitor.click("save to scene.yaml")
     until(lambda: placing.status.content == "saved goal, walk", "the file")
     expected = before.replace("[0.5, 1.0, 0.0]", "[-0.5, 1.25, 90.0]")
     assert (folder / "scene.yaml").read_text() == expected.replace("[1.0, 1.5]]", "[1.5, 1.5]]")
-    assert placing.save() and placing.status.content == "nothing has changed"
+    assert placing.save() and placing.status.content == "nothing to save"
 
 
 def test_a_typed_goal_moves_its_handle(page: Page, world: World, visit: Visit, folder: Path) -> None:
@@ -186,14 +186,14 @@ def test_what_does_not_fit_is_said_and_not_saved(page: Page, world: World, folde
     from splatrl.viewer.place import Handle
 
     def refuse(stated: object) -> None:
-        raise ValueError("task.goal: expected it where robots walk")
+        raise ValueError("task.goal: expected a point in the walkable area")
 
     placing = Placing(page, world, VALUES, folder, refuse)
     before = (folder / "scene.yaml").read_text()
     placing.drag(Handle("goal", (0.0, 0.0, 0.5)))
-    assert "something solid is there" in placing.status.content
+    assert "a robot would collide at the goal" in placing.status.content
     assert not placing.save()
-    assert placing.status.content == "**not saved**: task.goal: expected it where robots walk"
+    assert placing.status.content == "**not saved**: task.goal: expected a point in the walkable area"
     placing.drag(Handle("bounds 1", (-5.0, 2.0, 1.0)))
     assert not placing.save() and "expected lower below upper along x" in placing.status.content
     assert (folder / "scene.yaml").read_text() == before
@@ -209,7 +209,10 @@ def test_what_somebody_else_wrote_meanwhile_is_not_overwritten(page: Page, world
     placing.drag(Handle("goal", (0.0, 1.0, 0.5)))
     path.write_text(path.read_text().replace("[0.25, 1.0, 0.0]", "[-0.5, 1.0, 0.0]"))
     assert not placing.save()
-    assert "scene.yaml has been changed meanwhile, goal: [-0.5, 1.0, 0.0]; open" in placing.status.content
+    assert (
+        "scene.yaml has been changed in the meantime (goal: [-0.5, 1.0, 0.0]); start splatrl-view"
+        in placing.status.content
+    )
     assert read_description(folder)["goal"] == [-0.5, 1.0, 0.0]
 
 
@@ -225,4 +228,4 @@ def test_a_drag_to_nowhere_is_left_out(page: Page, world: World, folder: Path) -
 def test_without_a_folder_nothing_is_saved(page: Page, world: World) -> None:
     placing = Placing(page, world, VALUES)
     assert placing.button.disabled and not placing.save()
-    assert "Only a folder" in placing.status.content
+    assert "Only scenes in a folder" in placing.status.content

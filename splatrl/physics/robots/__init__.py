@@ -11,7 +11,7 @@ def mjcf_path(name: str) -> Path:
     Raises:
         FileNotFoundError: if there is neither.
     """
-    return _own_or_path(name, "xml", "a file of MJCF")
+    return _own_or_path(name, "xml", "an MJCF file")
 
 
 def gait_path(name: str) -> Path:
@@ -20,7 +20,7 @@ def gait_path(name: str) -> Path:
     Raises:
         FileNotFoundError: if there is neither.
     """
-    return _own_or_path(name, "npz", "a file of weights")
+    return _own_or_path(name, "npz", "a weights file")
 
 
 def _own_or_path(name: str, kind: str, expected: str) -> Path:
