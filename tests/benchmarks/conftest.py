@@ -1,4 +1,4 @@
-"""What tests of benchmarks share."""
+"""A fixture that the tests of benchmarks share."""
 
 import importlib
 from pathlib import Path
@@ -11,6 +11,6 @@ FOLDER = Path(__file__).parents[2] / "benchmarks"
 
 @pytest.fixture
 def benchmark(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Imports modules of benchmarks/, by name."""
+    """A function that imports a module of benchmarks/ by name."""
     monkeypatch.syspath_prepend(FOLDER)
     return importlib.import_module

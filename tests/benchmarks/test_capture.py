@@ -1,4 +1,4 @@
-"""benchmarks/capture.py times stages and judges a capture; film, structure from motion and fit are made up here."""
+"""benchmarks/capture.py times stages and judges a capture; the poses and the fit are faked here."""
 
 import json
 import sys
@@ -26,7 +26,7 @@ QUALITY = Quality(30.0, 0.9, 31.0, 0.9, 5, 1.0, 100, 0, 0.05)
 
 @pytest.fixture
 def capture(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The benchmark, whose capture finds every camera, and gives a metre as 1.02."""
+    """The benchmark module, with a fake capture that finds every camera and scales lengths by 1.02."""
     module = benchmark("capture")
     scaled = np.diag([SIZE, SIZE, SIZE, 1.0])
 
@@ -57,7 +57,7 @@ def capture(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
     return module
 
 
-def test_a_capture_is_timed_and_judged_against_its_truth(
+def test_a_capture_is_timed_and_judged_against_its_ground_truth(
     tmp_path: Path, capture: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["capture.py", "--seconds", "0.2", "--size", "64", "48", "--yard", "3"])
@@ -76,5 +76,5 @@ def test_a_capture_is_timed_and_judged_against_its_truth(
     rows = [line.split("|")[1].strip() for line in said.splitlines() if line.startswith("|")]
     assert [row for row in rows if row in ("poses", "fit", "extract", "all")] == ["poses", "fit", "extract", "all"]
     held_out = next(line for line in said.splitlines() if "held out" in line)
-    assert float(held_out.split("|")[2].split()[0]) > 25  # the photos are PNG, and only smaller here
+    assert float(held_out.split("|")[2].split()[0]) > 25  # the images are PNG, and only resized here
     assert Image.open(tmp_path / "a.png").width > 1000

@@ -1,4 +1,4 @@
-"""benchmarks/gpu.py runs from beginning to end, and loses nothing when a part of it fails."""
+"""benchmarks/gpu.py runs from beginning to end, and loses no results when a part of it fails."""
 
 import json
 import math
@@ -45,8 +45,8 @@ def test_a_dry_run_measures_everything_and_leaves_no_result(
     gpu, section = benchmark("gpu"), benchmark("gpu_sections").Section
 
     def measure_here(name: str, dry: bool, folder: Path, ends: float, bench: Any) -> None:
-        now = time.monotonic()  # so that every call is timed in one round
-        gpu.measure(name, dry, folder, now)  # without the seconds that each process would take to begin
+        now = time.monotonic()  # no time is left, so every call is timed in one round only
+        gpu.measure(name, dry, folder, now)  # in this process, which saves seconds per section
         bench.keep(section(name, "done", 0.0))
 
     monkeypatch.setattr(gpu, "measure_apart", measure_here)
@@ -69,21 +69,21 @@ def test_a_dry_run_measures_everything_and_leaves_no_result(
     assert {path: path.stat().st_mtime_ns for path in RESULTS.iterdir()} == before
 
 
-def test_the_picture_of_a_run_of_few_sections_has_empty_panels(tmp_path: Path, benchmark: Any) -> None:
+def test_the_figure_can_be_drawn_without_any_results(tmp_path: Path, benchmark: Any) -> None:
     bench = benchmark("gpu_bench").DryRun()
     reach = benchmark("gpu_reach").targets(bench)
     benchmark("gpu_figure").draw(bench, reach, "nothing was measured", tmp_path / "empty.png")
     assert (tmp_path / "empty.png").stat().st_size > 10_000
 
 
-def test_a_dry_run_keeps_out_of_the_results(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_dry_run_refuses_to_write_into_the_folder_of_results(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["gpu.py", "--dry-run", "--only", "gsplat", "--folder", str(RESULTS)])
     with pytest.raises(SystemExit, match="expected a folder other than that of results"):
         benchmark("gpu").main()
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-def test_without_a_gpu_it_says_so(
+def test_without_a_gpu_the_benchmark_says_so(
     benchmark: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["gpu.py"])
@@ -98,7 +98,7 @@ sys.argv.pop(0)
 sys.path.insert(0, os.path.dirname(sys.argv[0]))
 runpy.run_path(sys.argv[0], run_name="__main__")
 """
-"""What ``python FILE`` does, in a session of its own."""
+"""Runs a file as ``python FILE`` does, in its own session."""
 
 
 def test_a_section_is_measured_in_a_process_of_its_own(
@@ -109,7 +109,7 @@ def test_a_section_is_measured_in_a_process_of_its_own(
     def begun(command: list[str], env: dict[str, str], **_: object) -> Process:
         return start("-c", RUN_FILE, *command[1:], env=env)
 
-    if sys.platform == "linux":  # elsewhere a program would begin as slowly
+    if sys.platform == "linux":  # elsewhere, start() is no faster than Popen
         begins = SimpleNamespace(**{**vars(subprocess), "Popen": begun})
         monkeypatch.setattr(benchmark("gpu_sections"), "subprocess", begins)
     gpu.measure_apart("machine", True, tmp_path, time.monotonic() + 900, bench)
@@ -139,12 +139,12 @@ elif name == "rendering":
 else:
     find()
 """
-"""Stands in for gpu.py, as the program that runs a section."""
+"""A program that stands in for gpu.py when a section is run."""
 
 
 @pytest.fixture
 def odd_sections(tmp_path: Path, benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """gpu.py, whose sections raise, hang and crash."""
+    """The module gpu.py, with sections that raise, hang and crash."""
     gpu = benchmark("gpu")
     (tmp_path / "sections.py").write_text(SECTIONS.replace("{benchmarks!r}", repr(str(ROOT / "benchmarks"))))
     monkeypatch.setattr(gpu, "__file__", str(tmp_path / "sections.py"))
@@ -189,7 +189,7 @@ def test_results_are_written_after_each_section_and_when_interrupted(
 
 
 @pytest.mark.parametrize("interrupted", [False, True])
-def test_what_a_section_has_started_is_killed_with_it(tmp_path: Path, benchmark: Any, interrupted: bool) -> None:
+def test_processes_that_a_section_started_are_killed_with_it(tmp_path: Path, benchmark: Any, interrupted: bool) -> None:
     run_section = benchmark("gpu_sections").run_section
     script = f"sleep 60 & echo $! > {tmp_path}/started; {'wait' if interrupted else 'exit 3'}"
     before = signal.signal(signal.SIGALRM, signal.default_int_handler)
@@ -207,7 +207,7 @@ def test_what_a_section_has_started_is_killed_with_it(tmp_path: Path, benchmark:
 
 
 def ended(process: int) -> bool:
-    """Whether a process comes to its end; a zombie counts, which its new parent may be slow to reap."""
+    """Return whether a process ends within ten seconds; a zombie counts, as its new parent may be slow to reap it."""
     for _ in range(200):
         try:
             if Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
@@ -220,7 +220,7 @@ def ended(process: int) -> bool:
 
 
 @pytest.mark.parametrize("step", ["load", "thread", "tiny", "frames", "twice", "launch"])
-def test_the_first_steps_can_be_made(
+def test_each_first_step_can_be_run_as_a_dry_run(
     benchmark: Any, step: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["gpu_steps.py", step, "--dry-run"])
@@ -228,7 +228,7 @@ def test_the_first_steps_can_be_made(
     assert capsys.readouterr().out
 
 
-def test_a_first_step_that_finds_a_fault_says_so(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_first_step_that_finds_a_fault_reports_it(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     steps, bench = benchmark("gpu_steps"), benchmark("gpu_bench").DryRun()
     pixels, drawn = steps.NativeRenderer.pixels, []
     monkeypatch.setattr(steps.NativeRenderer, "pixels", lambda *all: 255 - pixels(*all))
@@ -252,7 +252,7 @@ def test_a_first_step_that_finds_a_fault_says_so(benchmark: Any, monkeypatch: py
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-def test_without_a_gpu_no_step_is_made(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_gpu_no_step_is_run(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["gpu_steps.py", "load"])
     with pytest.raises(SystemExit, match="no CUDA device: nothing was tried"):
         benchmark("gpu_steps").main()
@@ -279,12 +279,14 @@ def test_results_are_named_after_the_device(benchmark: Any, name: str, slug: str
         ("s", math.nan, "not measured"),
     ],
 )
-def test_targets_are_judged_by_what_is_better(benchmark: Any, unit: str, found: float, verdict: str) -> None:
+def test_targets_are_judged_by_whether_more_or_less_is_better(
+    benchmark: Any, unit: str, found: float, verdict: str
+) -> None:
     aim = 5.0 if unit == "s" else 50.0
     assert benchmark("gpu_reach").Target("", unit, 10.0, aim, found).verdict == verdict
 
 
-def test_rounds_are_as_many_as_there_is_time_for(benchmark: Any) -> None:
+def test_there_are_as_many_rounds_as_the_time_allows(benchmark: Any) -> None:
     in_turns, calls = benchmark("gpu_device").in_turns, []
     both = {"a": lambda: calls.append("a"), "b": lambda: (calls.append("b"), time.sleep(0.02))}
     found = in_turns(both, torch.device("cpu"), 0.0)
@@ -294,7 +296,7 @@ def test_rounds_are_as_many_as_there_is_time_for(benchmark: Any) -> None:
 
 
 @pytest.mark.parametrize("arch", ["sm_80", "sm_90", "sm_120"])
-def test_the_kernel_of_the_rate_compiles(benchmark: Any, arch: str) -> None:
+def test_the_kernel_that_measures_the_rate_of_operations_compiles(benchmark: Any, arch: str) -> None:
     pytest.importorskip("cuda.core")
     from splatrl.native.cuda.compiler import translated
 
@@ -311,4 +313,4 @@ def test_the_bound_grows_with_every_count(benchmark: Any) -> None:
     for place in range(3):
         more = [count * (1 + (place == other)) for other, count in enumerate(counts)]
         assert bound_us(machine, *more, 3, 64 * 64)[0] > base[0]
-    assert bound_us(machine, 0, 0, 1, 0, 0) == (8 * 22 / 1e6, 0.0)  # a cell: 22 operations a pixel
+    assert bound_us(machine, 0, 0, 1, 0, 0) == (8 * 22 / 1e6, 0.0)  # one cell of 8 pixels, with 22 operations each

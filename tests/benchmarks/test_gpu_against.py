@@ -12,7 +12,7 @@ from splatrl.native.cuda import compiler
 ROOT = Path(__file__).parents[2]
 
 
-def test_other_kernels_are_drawn_with_and_their_bytes_compared(
+def test_kernels_of_another_checkout_are_run_and_their_bytes_compared(
     benchmark: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     against = benchmark("gpu_against")
@@ -30,7 +30,7 @@ def test_other_kernels_are_drawn_with_and_their_bytes_compared(
     assert other[2].strip() == str(darker) and int(other[5].replace(",", "")) > 100
 
 
-def test_what_is_no_checkout_is_refused(benchmark: Any, tmp_path: Path) -> None:
+def test_a_folder_that_is_no_checkout_is_refused(benchmark: Any, tmp_path: Path) -> None:
     refused = pytest.raises(SystemExit, match=r"expected a checkout with splatrl/native/cuda/render.cu")
     with refused, benchmark("gpu_against").sources_of(tmp_path):
         pass

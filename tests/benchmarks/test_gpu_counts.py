@@ -1,4 +1,4 @@
-"""benchmarks/gpu_counts.py counts what it says, without a GPU."""
+"""benchmarks/gpu_counts.py counts the work of a frame on a GPU, without a GPU."""
 
 from typing import Any
 

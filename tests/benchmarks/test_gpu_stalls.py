@@ -1,4 +1,4 @@
-"""benchmarks/gpu_stalls.py reads what the profiler writes."""
+"""benchmarks/gpu_stalls.py reads the output of the profiler."""
 
 import sys
 from pathlib import Path
@@ -22,7 +22,7 @@ PAGE = f"""\
 """
 
 
-def test_lines_come_with_their_shares_and_what_warps_waited_for(
+def test_lines_are_listed_with_their_share_of_samples_and_what_warps_waited_for(
     benchmark: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "page.csv").write_text(PAGE)
@@ -35,7 +35,7 @@ def test_lines_come_with_their_shares_and_what_warps_waited_for(
     assert cells == ["order.h:2", "30.0%", "25.0%", "barrier 20.0%, wait 5.0%", "#pragma once"]
 
 
-def test_another_file_is_refused(benchmark: Any, tmp_path: Path) -> None:
+def test_a_file_of_another_format_is_refused(benchmark: Any, tmp_path: Path) -> None:
     (tmp_path / "page.csv").write_text("one,two\n")
     with pytest.raises(SystemExit, match=r"page.csv: expected the output of ncu --page source"):
         benchmark("gpu_stalls").lines_of(tmp_path / "page.csv")

@@ -1,4 +1,4 @@
-"""benchmarks/mappers.py compares two maps of a film with the truth; film and maps are made up here."""
+"""benchmarks/mappers.py compares two maps of a video with the ground truth; the video and the maps are faked here."""
 
 import sys
 from pathlib import Path
@@ -20,7 +20,7 @@ SECONDS = np.arange(COUNT) / 4.0
 PLACES = np.stack([SECONDS, np.sin(SECONDS), 0 * SECONDS], 1)
 
 
-def test_a_row_says_how_many_images_a_map_has_how_even_it_is_and_how_far_off(
+def test_a_row_gives_the_number_of_images_the_jerks_and_the_errors_of_a_map(
     benchmark: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mappers = benchmark("mappers")
@@ -28,7 +28,7 @@ def test_a_row_says_how_many_images_a_map_has_how_even_it_is_and_how_far_off(
     poses[:, :3, 3] = torch.from_numpy(PLACES)
     film = tmp_path / "yard 7" / "walk.mp4"
     job = Job("", [f"{number:04}.jpg" for number in range(COUNT)], 8, 6, seconds=SECONDS.tolist())
-    torn = 2.0 * PLACES  # a map has a scale of its own
+    torn = 2.0 * PLACES  # the scale of a map is arbitrary
     torn[30] += [0.0, 0.0, 2.0 * WRONG]
     maps: dict[str, Any] = {
         "map_one_by_one": (np.arange(COUNT), torn),
@@ -37,7 +37,7 @@ def test_a_row_says_how_many_images_a_map_has_how_even_it_is_and_how_far_off(
     }
     for name, found in maps.items():
         monkeypatch.setattr(mappers, name, lambda *_, found=found: found)
-    monkeypatch.setattr(mappers, "pycolmap", SimpleNamespace(logging=SimpleNamespace()))  # its log stays as it is
+    monkeypatch.setattr(mappers, "pycolmap", SimpleNamespace(logging=SimpleNamespace()))  # leaves its log alone
     monkeypatch.setattr(mappers, "camera_places", lambda model, _: model)
     monkeypatch.setattr(mappers, "match_images", lambda *_: None)
     monkeypatch.setattr(mappers, "read_photos", lambda *_: None)

@@ -1,4 +1,4 @@
-"""splatrl-capture, from photos to a folder in which robots can be trained; poses are known here, to be quick."""
+"""splatrl-capture turns photos into a folder in which robots can be trained; poses are given here, to save time."""
 
 import os
 from collections.abc import Callable
@@ -32,7 +32,7 @@ DARK = replace(GOOD, brightness=4.0)
 
 @pytest.fixture(scope="module")
 def photographed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Photos, Reconstruction]:
-    """Photos of the made-up walk, a quarter as wide and high, and what structure from motion would make of them."""
+    """Photos of the made-up walk at a quarter of its size, and the result of structure from motion for them."""
     folder = tmp_path_factory.mktemp("photos")
     found, _ = strewn(3)
     true = walk()
@@ -48,7 +48,7 @@ def photographed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Photos, Reco
 
 @pytest.fixture(scope="module")
 def known() -> dict[str, Any]:
-    """Worlds, depths, and what moved, by what they were found for: the same in nearly all captures here."""
+    """A cache of stage results by their inputs, which are the same in nearly all captures here."""
     return {}
 
 
@@ -56,7 +56,7 @@ def known() -> dict[str, Any]:
 def stages(
     photographed: tuple[Photos, Reconstruction], known: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> list[str]:
-    """Lets the stages that need a video give what is known; returns the names of those that were called."""
+    """Replace stages by given or cached results; the value lists the names of the stages that were called."""
     called: list[str] = []
     photos, found = photographed
 
@@ -100,7 +100,7 @@ def stages(
 
 @pytest.fixture
 def fitted_once(stages: list[str], known: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is fitted is known, too, where a test looks at what follows the fit."""
+    """Cache fits too, for tests of what follows the fit."""
     fitted = pipeline.fit
 
     def fit(found: Reconstruction, settings: FitSettings, *others: Any) -> object:
@@ -114,8 +114,8 @@ def fitted_once(stages: list[str], known: dict[str, Any], monkeypatch: pytest.Mo
 
 @pytest.fixture
 def unchecked(bare_report: None, known: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Captures are cleared of no floaters, and what is found in the first stands for what is in the others, where a
-    test looks at none of it."""
+    """Remove no floaters, and reuse the area, suggestions and quality of the first capture in all others, for tests
+    that look at none of these."""
 
     def first(name: str, find: Callable[..., object]) -> Callable[..., object]:
         def found(*arguments: object) -> object:
@@ -134,7 +134,7 @@ def unchecked(bare_report: None, known: dict[str, Any], monkeypatch: pytest.Monk
 QUICK = ["--camera-height", "1.4", "--width", "80", "--gaussians", "3000", "--views", "100", "--device", "cpu"]
 
 
-def test_photos_become_a_folder_that_is_all_a_training_needs(
+def test_photos_become_a_folder_with_everything_that_a_training_needs(
     tmp_path: Path, stages: list[str], capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
 ) -> None:
     folder = tmp_path / "garden"
@@ -151,10 +151,10 @@ def test_photos_become_a_folder_that_is_all_a_training_needs(
         capture.main(["garden.mp4", "--out", str(folder), *QUICK])
     request.getfixturevalue("unchecked")
     capture.main(["garden.mp4", "--out", str(folder), *QUICK, "--force"])
-    assert stages.count("fit") == 1  # what was fitted is kept
+    assert stages.count("fit") == 1  # the fit is reused
 
 
-def test_what_is_fitted_follows_the_robots_unless_it_is_said(
+def test_the_fitted_width_follows_the_robots_and_the_photos_unless_it_is_given(
     tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fitted: list[tuple[int, int, int]] = []
@@ -171,7 +171,7 @@ def test_what_is_fitted_follows_the_robots_unless_it_is_said(
 
 
 @pytest.mark.usefixtures("bare_report", "fitted_once")
-def test_an_out_that_ends_in_spz_keeps_the_splat_small(
+def test_an_out_path_that_ends_in_spz_makes_a_compressed_splat(
     tmp_path: Path, stages: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     capture.main(["garden.mp4", "--out", str(tmp_path / "garden.spz"), *QUICK])
@@ -185,7 +185,7 @@ def test_an_out_that_ends_in_spz_keeps_the_splat_small(
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_a_fit_that_was_stopped_goes_on_with_the_same_bytes(
+def test_a_stopped_fit_continues_with_the_same_bytes(
     tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(pipeline.Checkpoint, "due", lambda self: True)
@@ -213,7 +213,7 @@ def test_a_fit_that_was_stopped_goes_on_with_the_same_bytes(
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_stages_that_were_damaged_are_done_again(
+def test_damaged_files_of_stages_are_computed_again(
     tmp_path: Path, stages: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK, "--force"]
@@ -231,7 +231,7 @@ def test_stages_that_were_damaged_are_done_again(
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_what_moved_is_left_out_unless_it_is_said_that_nothing_did(
+def test_moving_things_are_left_out_unless_still_is_passed(
     tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def find_moving(found: Reconstruction, depths: Depths, settings: FitSettings, progress: Progress) -> torch.Tensor:
@@ -250,7 +250,7 @@ def test_what_moved_is_left_out_unless_it_is_said_that_nothing_did(
 
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("name", ["depths.npz", "fit.npz", "splat.ply"])
-def test_a_disk_that_is_full_is_one_line_that_names_the_file(
+def test_a_full_disk_is_reported_in_one_line_that_names_the_file(
     tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     renamed = os.replace
@@ -268,7 +268,7 @@ def test_a_disk_that_is_full_is_one_line_that_names_the_file(
 
 
 @pytest.mark.usefixtures("unchecked", "fitted_once")
-def test_what_the_report_finds_wrong_is_said_too(
+def test_problems_found_by_the_report_are_printed_too(
     tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("splatrl.capture.folder.problems", lambda *_: ["The sky fell."])
@@ -284,7 +284,9 @@ def test_two_captures_do_not_share_a_folder(tmp_path: Path, stages: list[str]) -
     assert stages == []
 
 
-def test_a_scene_never_comes_into_the_folder_of_its_photos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scene_is_never_written_into_the_folder_of_its_photos(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folders: list[Path] = []
 
     def stop(source: Path, folder: Path, *_: object) -> None:
@@ -319,7 +321,7 @@ def test_a_capture_that_cannot_work_is_refused_with_its_cause(
         ("upside_down", r"splatrl-capture: is upside down: .* -display_rotation 180 .* --force"),
     ],
 )
-def test_a_film_that_is_not_upright_is_refused_before_the_fit(
+def test_a_video_that_is_not_upright_is_refused_before_the_fit(
     judge: str, message: str, tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pipeline, judge, lambda *_: True)
@@ -328,17 +330,17 @@ def test_a_film_that_is_not_upright_is_refused_before_the_fit(
     assert stages == ["frames", "poses"]
 
 
-def test_a_fault_of_a_stage_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_in_a_stage_is_reported_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*arguments: object) -> Photos:
         raise CaptureError("walk.mp4: expected a video, found no video stream")
 
     monkeypatch.setattr(pipeline, "read_photos", broken)
     with pytest.raises(SystemExit, match=r"^splatrl-capture: walk\.mp4: expected a video"):
         capture.main(["walk.mp4", "--out", str(tmp_path / "there" / "walk")])
-    assert list(tmp_path.glob("there/*")) == []  # no folder with nothing in it
+    assert list(tmp_path.glob("there/*")) == []  # no empty folder is left behind
 
 
-def test_a_device_that_there_is_not_is_refused_in_one_line() -> None:
+def test_an_unknown_device_is_refused_in_one_line() -> None:
     with pytest.raises(SystemExit, match=r"^splatrl-capture: device: expected auto, cpu.*, got tpu9"):
         capture.main(["walk.mp4", "--device", "tpu9"])
 
@@ -366,7 +368,7 @@ def test_an_interrupt_says_how_to_continue(
     ],
 )
 @pytest.mark.parametrize("source_last", [False, True])
-def test_each_point_of_a_distance_may_have_an_image_of_its_own(
+def test_each_point_of_a_distance_may_be_in_its_own_image(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     words: list[str],
@@ -396,7 +398,7 @@ def test_each_point_of_a_distance_may_have_an_image_of_its_own(
         (["1", "2", "3", "4", "5", "-6"], "expected a positive, finite number of metres, got -6"),
     ],
 )
-def test_a_distance_that_is_none_is_a_usage_error(
+def test_an_invalid_distance_is_a_usage_error(
     words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit):
@@ -404,12 +406,12 @@ def test_a_distance_that_is_none_is_a_usage_error(
     assert message in capsys.readouterr().err
 
 
-def test_a_page_with_a_marker_is_written_on_its_own(tmp_path: Path) -> None:
+def test_a_page_with_a_marker_is_written_without_a_capture(tmp_path: Path) -> None:
     capture.main(["--marker", str(tmp_path / "marker.pdf")])
     assert (tmp_path / "marker.pdf").read_bytes().startswith(b"%PDF")
 
 
-def test_nothing_to_capture_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_source_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         capture.main([])
     assert "expected a video or a folder of photos, or --marker" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""``splatrl-clips`` from the outside."""
+"""End-to-end tests of ``splatrl-clips``."""
 
 import json
 import shutil
@@ -36,7 +36,7 @@ def share(clips: Path, action: int) -> float:
     return sum(action in label for label in labels) / len(labels)
 
 
-def test_runs_are_set_side_by_side(
+def test_runs_are_compared_side_by_side(
     runs: Path, clips: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     names = [str(runs / name) for name in ("forward", "back", "stacked")]
@@ -55,7 +55,7 @@ def test_runs_are_set_side_by_side(
     assert 0 < content[names[0]]["rate"] != content[names[1]]["rate"]
 
 
-def test_clips_can_be_recorded_and_scored_at_once_with_another_checkpoint_and_output(
+def test_clips_can_be_recorded_and_scored_in_one_command(
     runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     record, output = tmp_path / "new", tmp_path / "report" / "here"
@@ -78,7 +78,7 @@ def test_clips_can_be_recorded_and_scored_at_once_with_another_checkpoint_and_ou
     assert not (record / "clips.md").exists()
 
 
-def test_what_policies_would_do_is_drawn_on_a_film_without_labels(
+def test_the_actions_of_policies_are_drawn_beside_a_video_without_labels(
     runs: Path, clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     film = tmp_path / "walk"
@@ -108,11 +108,13 @@ def test_what_policies_would_do_is_drawn_on_a_film_without_labels(
         (["run=nowhere", "clips=c"], "run: expected a run folder with config.yaml, got nowhere"),
     ],
 )
-def test_what_is_missing_is_said(monkeypatch: pytest.MonkeyPatch, arguments: list[str], message: str) -> None:
+def test_missing_and_invalid_arguments_are_reported(
+    monkeypatch: pytest.MonkeyPatch, arguments: list[str], message: str
+) -> None:
     with pytest.raises(SystemExit, match=message):
         command(monkeypatch, *arguments)
 
 
-def test_a_wrong_key_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unknown_key_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SystemExit, match="clip: no such key, did you mean clips"):
         command(monkeypatch, "run=a", "clip=c")

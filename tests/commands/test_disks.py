@@ -1,4 +1,4 @@
-"""Disks that are full and folders that nobody may write to: commands work, or say one line that names the path."""
+"""With full disks and read-only folders, commands work, or fail with one line that names the path."""
 
 import os
 import shlex
@@ -54,7 +54,7 @@ def make_garden(folder: Path) -> Path:
 
 @pytest.fixture
 def garden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A scene's folder in the working folder, and an empty cache."""
+    """A scene folder in the working directory, and an empty cache."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path / "cache"))
     cache._warn_unwritable.cache_clear()
@@ -63,13 +63,13 @@ def garden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @dataclass
 class Training:
-    """A run of such a scene, trained where no cache can be made.
+    """A run in such a scene, trained where no cache can be created.
 
     Attributes:
-        folder: with the scene, ``garden``, and the run, ``run``.
-        before: what was in the scene's folder.
-        after: what is in it once the training has ended.
-        said: warnings.
+        folder: the folder with the scene, ``garden``, and the run, ``run``.
+        before: contents of the scene folder before the training.
+        after: contents of the scene folder after the training.
+        said: warnings of the training.
     """
 
     folder: Path
@@ -95,7 +95,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Training:
 
 @pytest.fixture(scope="module")
 def made(trained: Training) -> Path:
-    """A folder with the scene, the run of it, demonstrations and clips."""
+    """A folder with the scene, its run, demonstrations and clips."""
     folder = trained.folder
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -115,7 +115,7 @@ def listing(folder: Path) -> dict[str, tuple[int, int]]:
 
 
 def break_disk(monkeypatch: pytest.MonkeyPatch, path: str, code: int, reason: str) -> None:
-    """Nothing that lies in a folder can be brought to the disk any more."""
+    """Make all attempts to flush or allocate files below a path fail."""
     for name in ("fsync", "posix_fallocate"):
         monkeypatch.setattr(os, name, _failing(getattr(os, name), path, code, reason))
 
@@ -147,7 +147,7 @@ def test_a_replay_writes_nothing(made: Path, monkeypatch: pytest.MonkeyPatch) ->
     ("typed", "path"), [(SMALL, "run"), ("scene garden/splat.ply --height 0.5 --out mine", "mine")]
 )
 @pytest.mark.parametrize(("code", "reason"), [FULL, READ_ONLY])
-def test_a_full_or_read_only_disk_is_one_line_that_names_the_path(
+def test_a_full_or_read_only_disk_is_reported_in_one_line_that_names_the_path(
     garden: Path, monkeypatch: pytest.MonkeyPatch, typed: str, path: str, code: int, reason: str
 ) -> None:
     break_disk(monkeypatch, path, code, reason)
@@ -156,7 +156,7 @@ def test_a_full_or_read_only_disk_is_one_line_that_names_the_path(
 
 
 @linux
-def test_a_disk_without_room_for_the_configs_of_a_run_is_told_before_it_begins(
+def test_too_little_room_for_the_configs_of_a_run_is_reported_before_it_starts(
     garden: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fails(descriptor: int, start: int, size: int) -> None:
@@ -189,7 +189,7 @@ def says_so(monkeypatch: pytest.MonkeyPatch, typed: str, path: str, reason: str)
         ("experiment name=grid folder=found report_only=true", "found", *FULL),
     ],
 )
-def test_on_such_a_disk_nothing_is_lost_and_nothing_half_written(
+def test_a_full_or_read_only_disk_loses_no_file_and_leaves_none_half_written(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: str, path: str, code: int, reason: str
 ) -> None:
     for name in ("garden", "run", "walks"):
@@ -205,7 +205,7 @@ def test_on_such_a_disk_nothing_is_lost_and_nothing_half_written(
 
 
 @linux
-def test_an_evaluation_that_nobody_could_keep_is_refused_before_its_episodes(
+def test_an_evaluation_that_cannot_be_written_is_refused_before_its_episodes(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shutil.copytree(made / "run", tmp_path / "run")
@@ -217,7 +217,7 @@ def test_an_evaluation_that_nobody_could_keep_is_refused_before_its_episodes(
 
 @linux
 @pytest.mark.parametrize(("code", "reason"), [FULL, READ_ONLY])
-def test_a_scene_that_is_edited_in_the_viewer_stays_as_it_was(
+def test_a_failed_edit_of_a_scene_in_the_viewer_leaves_it_unchanged(
     garden: Path, monkeypatch: pytest.MonkeyPatch, code: int, reason: str
 ) -> None:
     before = listing(garden)
@@ -227,7 +227,7 @@ def test_a_scene_that_is_edited_in_the_viewer_stays_as_it_was(
     assert {key: size for key, (size, _) in listing(garden).items()} == {key: size for key, (size, _) in before.items()}
 
 
-def test_a_new_folder_is_told_by_the_name_that_it_would_have(tmp_path: Path) -> None:
+def test_an_error_in_a_new_folder_names_it_by_its_final_name(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"cannot write: No space left.*demos"), new_folder(tmp_path / "demos"):
         raise OSError(28, "Error writing bytes to file")
     with pytest.raises(OSError, match=r"demos/a/b\.bin'$"), new_folder(tmp_path / "demos") as made:

@@ -1,4 +1,4 @@
-"""``splatrl-experiment`` from the outside."""
+"""End-to-end tests of ``splatrl-experiment``."""
 
 import functools
 import json
@@ -64,7 +64,7 @@ def test_every_experiment_composes_and_states_its_budget(
     assert (tmp_path / "report.md").is_file()
 
 
-def test_ctrl_c_keeps_what_was_trained_and_says_how_to_go_on(tmp_path: Path) -> None:
+def test_ctrl_c_keeps_what_was_trained_and_says_how_to_continue(tmp_path: Path) -> None:
     settings = [setting for setting in SETTINGS if not setting.startswith("collector.total_frames")]
     settings += ["logger.video=false", "evaluation.starts=8"]
     quoted = ",".join(f"'{override}'" for override in [*tiny_overrides(tmp_path), *settings])
@@ -130,7 +130,7 @@ def test_a_training_is_run_reported_and_not_run_again(
         (["name=grid", "sedes=[0]"], "did you mean seeds"),
     ],
 )
-def test_a_mistake_is_told_before_anything_is_trained(command: Command, words: list[str], said: str) -> None:
+def test_a_mistake_is_reported_before_anything_is_trained(command: Command, words: list[str], said: str) -> None:
     with pytest.raises(SystemExit) as refused:
         command(*words)
     assert said in str(refused.value)
@@ -146,7 +146,7 @@ def test_a_failed_training_is_named_at_the_end(
     assert (tmp_path / "grid" / "report.md").is_file()
 
 
-def test_settings_that_changed_begin_anew_only_when_asked(
+def test_a_run_with_changed_settings_is_restarted_only_if_fresh_is_set(
     tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(conduct, "train", lambda *_: [])
@@ -162,9 +162,7 @@ def test_settings_that_changed_begin_anew_only_when_asked(
     assert not run.exists()
 
 
-def test_a_captured_place_is_trained_in_in_place_of_the_arms_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_arms_are_trained_in_a_captured_place_that_is_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     trained: list[Run] = []
 
     def nothing(runs: Sequence[Run], *_: object) -> list[Run]:
@@ -179,7 +177,7 @@ def test_a_captured_place_is_trained_in_in_place_of_the_arms_own(
         experiment(load_config(words, "experiment"))
     names = {run.folder.name for run in trained}
     assert {"my garden-distance-s0", "my garden-none-s0", "my garden-gru-s0", "backyard-distance-s0"} <= names
-    assert "backyard-gru-s0" not in names  # an arm's own scenes are chosen from
+    assert "backyard-gru-s0" not in names  # the named scenes only select from those of an arm
     config = next(run.config for run in trained if run.folder.name == "my garden-none-s0")
     assert config["scene"]["path"] == str(garden) and config["robot"]["height"] == ABOVE
     assert build_world(
@@ -187,13 +185,15 @@ def test_a_captured_place_is_trained_in_in_place_of_the_arms_own(
     ).plan.starts.any()
 
 
-def test_scenes_that_are_not_there_are_refused(tmp_path: Path) -> None:
+def test_missing_scenes_are_refused(tmp_path: Path) -> None:
     for scenes, message in (("[garden/]", "or existing paths, got garden/"), ("[recaptured]", "name=loop")):
         with pytest.raises(ValueError, match=message):
             experiment(load_config(["name=grid", f"folder={tmp_path}/none", f"scenes={scenes}"], "experiment"))
 
 
-def test_what_an_experiment_needs_is_made_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_experiment_is_prepared_first_unless_only_a_report_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     made: list[tuple[Path, list[str]]] = []
     monkeypatch.setattr(conduct, "train", lambda *_: [])
     monkeypatch.setattr(recapture, "recapture", lambda folder, scenes: made.append((folder, list(scenes))))

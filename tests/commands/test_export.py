@@ -1,4 +1,4 @@
-"""``splatrl-export`` from the outside, and the script that it writes."""
+"""End-to-end tests of ``splatrl-export``, and of the script that it writes."""
 
 import runpy
 import subprocess
@@ -46,7 +46,7 @@ def run_policy(monkeypatch: pytest.MonkeyPatch, folder: Path, *arguments: object
 
 @pytest.fixture(scope="module")
 def exported(run: Path, translated_once: None) -> tuple[Path, str]:
-    """The folder into which the run was exported, and what the command said."""
+    """The folder into which the run was exported, and the output of the command."""
     with pytest.MonkeyPatch.context() as patched, redirect_stdout(StringIO()) as said:
         command(patched, f"run={run}", "frames=64")
     return run / "export", said.getvalue()
@@ -82,10 +82,12 @@ def test_a_policy_is_exported_and_run_on_a_video(run: Path, film: Path, exported
         td["pixels"] = np.concatenate(seen, -1)[None]
         expected = trained.policy(td)["logits"][0].softmax(-1).detach().numpy()
         found = np.array(told.strip("[] ").split(), float)
-        np.testing.assert_allclose(found, expected, atol=2e-3)  # areas are averaged and rounded in other ways
+        np.testing.assert_allclose(found, expected, atol=2e-3)  # the two average and round areas in different ways
 
 
-def test_the_checkpoint_and_the_folder_are_chosen(run: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_the_checkpoint_and_the_folder_can_be_chosen(
+    run: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     given: list[tuple[int, Path, int]] = []
 
     def export_policy(model: ActorValueOperator, world: World, folder: Path, frames: int, _: object) -> float:
@@ -110,7 +112,7 @@ def test_a_wider_camera_is_cropped_to_the_policys_field_of_view(
     assert told["90"] == told["60"] != told["127"]
 
 
-def test_what_a_policy_observes_besides_is_given_by_hand(
+def test_other_observations_of_a_policy_are_given_on_the_command_line(
     film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     chosen = load_config([*tiny_overrides(tmp_path, "pointnav"), "sensors=[rgb,imagegoal,pointgoal]"])
@@ -140,7 +142,7 @@ def test_what_a_policy_observes_besides_is_given_by_hand(
         (["run={run}", "out=x"], "out: no such key, did you mean output"),
     ],
 )
-def test_what_is_wrong_is_said_in_a_line(
+def test_invalid_arguments_are_reported(
     run: Path, arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(SystemExit, match=message):

@@ -1,4 +1,4 @@
-"""``splatrl-gait`` on a run of the tiny room."""
+"""End-to-end tests of ``splatrl-gait``, with a run in the tiny room."""
 
 import sys
 from pathlib import Path
@@ -28,7 +28,7 @@ def test_a_run_becomes_a_file_of_weights(tmp_path: Path, monkeypatch: pytest.Mon
     assert len(Dense.load(tmp_path / "run" / "gait.npz", FELT, JOINTS).layers) == 3
 
 
-def test_what_is_no_run_is_told_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_without_a_run_is_refused_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SystemExit, match=r"^splatrl-gait: .*expected a run folder") as error:
         told(monkeypatch, tmp_path)
     assert "\n" not in str(error.value)

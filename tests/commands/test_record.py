@@ -1,4 +1,4 @@
-"""``splatrl-record``, ``splatrl-replay`` and ``splatrl-train demos=`` from the outside."""
+"""End-to-end tests of ``splatrl-record``, ``splatrl-replay`` and ``splatrl-train demos=``."""
 
 import csv
 import json
@@ -43,7 +43,7 @@ def demos(scene: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_what_is_recorded_is_replayed(
+def test_recorded_demonstrations_replay_byte_for_byte(
     demos: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     frames = len(read_demonstrations(demos))
@@ -57,7 +57,7 @@ def test_what_is_recorded_is_replayed(
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder that nobody can write to")
-def test_the_working_folder_need_not_be_written_to(
+def test_the_working_directory_need_not_be_writable(
     scene: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir("/proc")
@@ -65,7 +65,9 @@ def test_the_working_folder_need_not_be_written_to(
     assert len(read_demonstrations(tmp_path / "demos").starts) == 1
 
 
-def test_the_same_is_written_for_lerobot(scene: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_same_frames_are_written_for_lerobot(
+    scene: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     pytest.importorskip("pyarrow", reason="needs the extra lerobot")
     folders = [f"out={tmp_path / 'demos'}", f"lerobot={tmp_path / 'lerobot'}"]
@@ -103,7 +105,7 @@ def test_a_replay_that_differs_ends_with_an_error(demos: Path, tmp_path: Path, m
         (replay, [], "splatrl-replay: demos: expected a value, got none"),
     ],
 )
-def test_what_is_wrong_is_said_in_a_line(
+def test_invalid_arguments_are_reported_and_nothing_is_written(
     module: ModuleType,
     arguments: list[str],
     message: str,
@@ -125,7 +127,7 @@ def test_what_is_wrong_is_said_in_a_line(
         (None, r"the LeRobot format needs pyarrow: pip install 'splatrl\[lerobot\]'"),
     ],
 )
-def test_what_lerobot_cannot_have_is_said_before_anybody_shows_anything(
+def test_an_impossible_lerobot_export_is_refused_before_anything_is_recorded(
     change: str | None, message: str, scene: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if change is None:
@@ -137,7 +139,7 @@ def test_what_lerobot_cannot_have_is_said_before_anybody_shows_anything(
     assert not list(tmp_path.iterdir())
 
 
-def test_of_two_recordings_into_one_folder_none_is_lost(
+def test_a_recording_whose_folder_was_taken_in_the_meantime_gets_another_folder(
     scene: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, walk = tmp_path / "demos", record.planned
@@ -153,7 +155,7 @@ def test_of_two_recordings_into_one_folder_none_is_lost(
     assert f"{out}-2: 2 episodes" in capsys.readouterr().out
 
 
-def test_a_training_begins_with_what_was_shown_and_counts_its_frames(
+def test_a_training_starts_with_the_demonstrations_and_counts_their_frames(
     demos: Path, scene: list[str], tmp_path: Path
 ) -> None:
     frames = len(read_demonstrations(demos))
@@ -168,7 +170,7 @@ def test_a_training_begins_with_what_was_shown_and_counts_its_frames(
     assert rows[1]["success"] and not rows[1]["loss_cloning"]
 
 
-def test_a_number_of_demonstrations_is_shown_by_the_planner(scene: list[str], tmp_path: Path) -> None:
+def test_a_number_of_demonstrations_is_recorded_by_the_planner(scene: list[str], tmp_path: Path) -> None:
     settings = ["demos=5", "cloning.epochs=1", "dagger.rounds=2", "dagger.frames_per_round=96", "dagger.epochs=1"]
     cfg = load_config([*scene, *SETTINGS, *settings, "seed=3", "collector.total_frames=512"])
     world = build_world(cfg)
@@ -177,11 +179,11 @@ def test_a_number_of_demonstrations_is_shown_by_the_planner(scene: list[str], tm
     frames = len(planner_episodes(world, 5, seed=3))
     assert [row["frames"] for row in trainer.history[:4]] == [frames, frames + 96, frames + 192, frames + 320]
     assert all("loss_cloning" in row for row in trainer.history[:3])
-    assert "test_success" in trainer.history[0]  # and then as often as PPO is tested
+    assert "test_success" in trainer.history[0]  # later tests are as frequent as those of PPO
     assert "loss_cloning" not in trainer.history[3]
 
 
-def test_frames_may_be_used_up_by_imitation(scene: list[str], tmp_path: Path) -> None:
+def test_imitation_may_use_up_all_frames(scene: list[str], tmp_path: Path) -> None:
     settings = ["dagger.rounds=3", "dagger.frames_per_round=96", "dagger.epochs=1", "collector.total_frames=288"]
     trainer = build_trainer(cfg := load_config([*scene, *SETTINGS, *settings]), build_world(cfg), tmp_path)
     trainer.fit()
@@ -191,7 +193,7 @@ def test_frames_may_be_used_up_by_imitation(scene: list[str], tmp_path: Path) ->
 
 @pytest.fixture(scope="module")
 def taught(demos: Path, scene: list[str], tmp_path_factory: pytest.TempPathFactory) -> tuple[DictConfig, World, Path]:
-    """A training that imitates before it learns, done without a break: its config, its world and its run folder."""
+    """An uninterrupted training that starts with imitation: its config, its world and its run folder."""
     settings = [
         f"demos={demos}",
         "cloning.epochs=2",
@@ -206,7 +208,7 @@ def taught(demos: Path, scene: list[str], tmp_path_factory: pytest.TempPathFacto
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3])
-def test_a_training_killed_while_it_imitates_begins_anew_with_the_same_bytes(
+def test_a_training_killed_during_imitation_restarts_with_the_same_bytes(
     rows: int, taught: tuple[DictConfig, World, Path], tmp_path: Path
 ) -> None:
     cfg, world, whole = taught

@@ -24,7 +24,7 @@ ROWS = "1 0 0 0  0 0 1 0  0 -1 0 1  0 0 0 1"
 
 
 def world() -> Gaussians:
-    """A yard whose colours vary, so that there is something to recognise."""
+    """Return a yard whose colours vary, so that there is something to recognise."""
     result = surfaces([FLOOR, *BOXES])
     result.sh = torch.sin(3.0 * result.means).unsqueeze(1)
     return result
@@ -32,7 +32,7 @@ def world() -> Gaussians:
 
 @pytest.fixture
 def splat(tmp_path: Path) -> Path:
-    """A yard in a file with −y up and the floor at 0.7 along up."""
+    """A yard in a file with −y up and the floor at a height of 0.7."""
     folder = tmp_path / "yard"
     folder.mkdir()
     write_gaussians(folder / "yard.ply", lying(world(), similarity(UPRIGHT, 1.0, [0.0, 0.0, -0.7])))
@@ -41,32 +41,32 @@ def splat(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def few_places(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Goals are looked for in a few places."""
+    """Search for goals in only a few places."""
     monkeypatch.setattr("splatrl.capture.suggestions.MOST", 8)
 
 
 @pytest.fixture
 def few_pictures(few_places: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The view and what is solid are all that is drawn."""
+    """Draw only the view and the occupancy."""
     for name in ("evaluation.scene_pictures.draw_maps", "commands.scene.draw_goals", "commands.scene.show_terrain"):
         monkeypatch.setattr(f"splatrl.{name}", lambda *_: None)
 
 
 @pytest.fixture
 def unproposed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is drawn, and nothing proposed but where the scene is, where a test looks at none of it."""
+    """Draw nothing, and propose nothing but the scene's bounds, for tests that look at none of it."""
     monkeypatch.setattr("splatrl.commands.scene.draw", lambda *_: None)
     monkeypatch.setattr("splatrl.commands.scene.propose", lambda scene, *_: (scene.bounds, {}))
 
 
 def heights(folder: Path) -> tuple[float, float]:
-    """Heights of the floor and of the highest box of a scene folder."""
+    """Return the heights of the floor and of the highest box in a scene folder."""
     z = read_scene(folder).gaussians.means[:, 2]
     return float(z.median()), float(z.max())
 
 
 @pytest.mark.usefixtures("few_places")
-def test_a_capture_becomes_a_scene_folder_with_pictures_without_a_word_said(
+def test_a_splat_becomes_a_scene_folder_with_pictures_without_any_options(
     splat: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     main([str(splat)])
@@ -83,7 +83,7 @@ def test_a_capture_becomes_a_scene_folder_with_pictures_without_a_word_said(
 
 
 @pytest.mark.usefixtures("ungrounded")
-def test_a_folder_is_looked_at_again_in_the_frame_that_its_yaml_states(
+def test_a_folder_is_surveyed_again_in_the_frame_that_its_yaml_states(
     splat: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     main([str(splat)])
@@ -102,7 +102,7 @@ def test_a_folder_is_looked_at_again_in_the_frame_that_its_yaml_states(
 
 
 @pytest.mark.usefixtures("ungrounded")
-def test_a_floor_far_below_zero_is_said_to_be_there(splat: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_floor_far_below_zero_is_reported(splat: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main([str(splat), "--axes=x,z,-y", "--scale=1", "--translation=0,0,-46", "--height=0.4"])
     printed = capsys.readouterr().out
     assert re.search(
@@ -111,7 +111,7 @@ def test_a_floor_far_below_zero_is_said_to_be_there(splat: Path, capsys: pytest.
     assert "robot_height" not in splat.with_name("scene.yaml").read_text()
 
 
-def test_a_description_is_replaced_only_by_force_and_nothing_is_drawn_without(
+def test_a_description_is_replaced_only_with_force_and_nothing_is_drawn_without(
     splat: Path, request: pytest.FixtureRequest
 ) -> None:
     splat.with_name("scene.yaml").write_text("mine")
@@ -125,7 +125,7 @@ def test_a_description_is_replaced_only_by_force_and_nothing_is_drawn_without(
 
 
 @pytest.mark.usefixtures("few_places")
-def test_out_is_a_scene_that_says_all_and_the_files_own_folder_stays(
+def test_out_is_a_complete_scene_folder_and_the_files_own_folder_is_unchanged(
     splat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "new" / "look"
@@ -142,7 +142,7 @@ def test_out_is_a_scene_that_says_all_and_the_files_own_folder_stays(
     x, y, _ = stated["goal"]
     assert left <= x <= right and bottom <= y <= top and 0.04 <= stated["voxel_size"] <= 0.06
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of unknown scale
+        warnings.simplefilter("ignore")  # that the scale is unknown
         world = build_world(
             load_config([f"scene={out}", "device=cpu", "robot.image_width=16", "robot.image_height=12"])
         )
@@ -150,7 +150,7 @@ def test_out_is_a_scene_that_says_all_and_the_files_own_folder_stays(
 
 
 @pytest.mark.usefixtures("ungrounded")
-def test_a_large_place_has_longer_steps_coarser_voxels_and_a_larger_thing(tmp_path: Path) -> None:
+def test_a_large_place_has_longer_steps_coarser_voxels_and_a_larger_object(tmp_path: Path) -> None:
     file, _ = turned(place("courtyard", spacing=0.6), 3, tilt_deg=6.0)
     write_gaussians(tmp_path / "yard.ply", file)
     main([str(tmp_path / "yard.ply"), "--out", str(tmp_path / "mine"), "--height", "1.2"])
@@ -180,7 +180,9 @@ def test_a_large_place_has_longer_steps_coarser_voxels_and_a_larger_thing(tmp_pa
     ],
 )
 @pytest.mark.usefixtures("unproposed")
-def test_what_is_stated_goes_before_the_guess(splat: Path, options: list[str], floor: float, top: float) -> None:
+def test_options_take_precedence_over_the_guessed_frame(
+    splat: Path, options: list[str], floor: float, top: float
+) -> None:
     main([*options, str(splat)])
     assert heights(splat.parent) == pytest.approx((floor, top), abs=0.03)
 
@@ -222,14 +224,14 @@ def test_nerfstudios_own_frame_is_undone(tmp_path: Path) -> None:
         (["--resolution", "1e-5"], "resolution"),
     ],
 )
-def test_an_option_that_makes_no_sense_is_one_line_of_error(splat: Path, options: list[str], message: str) -> None:
+def test_an_invalid_option_is_refused_in_one_line(splat: Path, options: list[str], message: str) -> None:
     with pytest.raises(SystemExit, match=message) as stopped:
         main([str(splat), *options])
     assert str(stopped.value).startswith("splatrl-scene: ")
     assert [path.name for path in splat.parent.iterdir()] == ["yard.ply"]
 
 
-def test_files_that_are_missing_or_damaged_are_one_line_of_error(tmp_path: Path) -> None:
+def test_missing_or_damaged_files_are_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(SystemExit, match=r"splatrl-scene: .*nowhere"):
         main([str(tmp_path / "nowhere.ply")])
     (tmp_path / "damaged.ply").write_bytes(b"ply\nnothing more")
@@ -248,10 +250,10 @@ def test_a_scene_far_from_the_origin_keeps_its_bounds(tmp_path: Path, ungrounded
     write_gaussians(tmp_path / "near.ply", world())
     main([str(tmp_path / "near.ply"), "--axes", "x,y,z", "--out", str(tmp_path / "near")])
     far, near = (np.array(read_description(tmp_path / name)["bounds"]) for name in ("far", "near"))
-    assert np.abs(far - near - [5000.0, -12345.0, 0.0]).max() < 0.3  # voxels begin elsewhere
+    assert np.abs(far - near - [5000.0, -12345.0, 0.0]).max() < 0.3  # the voxel grid is offset
 
 
-def test_what_was_not_found_stands_in_the_command_that_it_ends_with(
+def test_the_printed_command_has_placeholders_for_what_was_not_found(
     tmp_path: Path, undrawn: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     gaussians = world()
@@ -262,7 +264,9 @@ def test_what_was_not_found_stands_in_the_command_that_it_ends_with(
     assert last.endswith("haze/ robot.height=0.4 'landmarks.goal=[x,y,yaw]'")
 
 
-def test_a_place_of_no_sensible_size_and_one_in_blocks_are_refused_in_one_line(tmp_path: Path, undrawn: None) -> None:
+def test_a_place_of_implausible_size_and_a_place_in_blocks_are_refused_in_one_line(
+    tmp_path: Path, undrawn: None
+) -> None:
     gaussians = world()
     gaussians.means *= 5000.0
     gaussians.scales *= 5000.0
@@ -274,24 +278,24 @@ def test_a_place_of_no_sensible_size_and_one_in_blocks_are_refused_in_one_line(t
         main([str(tmp_path)])
 
 
-def test_it_runs_as_a_module_and_explains_itself() -> None:
+def test_the_command_runs_as_a_module_and_prints_its_help() -> None:
     shown, _ = (program := start("-m", "splatrl.commands.scene", "--help")).communicate(60)
     assert program.returncode == 0
     assert "--nerfstudio" in shown
 
 
 @pytest.mark.usefixtures("unproposed")
-def test_the_kitchen_stands_in_metres_with_its_floor_at_zero(shared_scenes: Path, tmp_path: Path) -> None:
+def test_the_kitchen_is_in_metres_with_its_floor_at_zero(shared_scenes: Path, tmp_path: Path) -> None:
     main([str(shared_scenes / "kitchen" / "kitchen.spz"), "--out", str(tmp_path)])
     written = (tmp_path / "scene.yaml").read_text()
     assert 'axes: ["x", "-z", "y"]' in written
     assert "scale: 1.0 " in written
     scene = read_scene(tmp_path)
     opaque = scene.gaussians.means[scene.gaussians.opacities > 0.5]
-    assert ((opaque[:, 2].abs() < 0.03).float().mean()) > 0.2  # at least a fifth of what is opaque is the floor
+    assert ((opaque[:, 2].abs() < 0.03).float().mean()) > 0.2  # the floor is at least a fifth of the opaque Gaussians
 
 
-def test_an_out_that_ends_in_spz_makes_a_folder_with_a_small_splat(
+def test_an_out_path_that_ends_in_spz_makes_a_folder_with_a_compressed_splat(
     splat: Path,
     tmp_path: Path,
     few_pictures: None,
@@ -327,7 +331,7 @@ def test_an_out_that_ends_in_spz_makes_a_folder_with_a_small_splat(
 
 @pytest.mark.usefixtures("ungrounded")
 @pytest.mark.parametrize(("out", "ending"), [("town", ".ply"), ("town.spz", ".spz")])
-def test_a_splat_is_cut_into_blocks_that_together_are_the_scene(
+def test_a_splat_is_split_into_blocks_that_together_make_up_the_scene(
     splat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], out: str, ending: str
 ) -> None:
     main([str(splat), "--split", "1.5", "--out", str(tmp_path / out)])
@@ -345,7 +349,7 @@ def test_a_splat_is_cut_into_blocks_that_together_are_the_scene(
 
 
 @pytest.mark.usefixtures("ungrounded")
-def test_blocks_are_not_written_where_a_scene_yaml_would_be_read_in_their_place(splat: Path) -> None:
+def test_blocks_are_not_written_into_a_folder_with_a_scene_yaml(splat: Path) -> None:
     main([str(splat)])
     with pytest.raises(SystemExit, match=r"--split: expected a folder without scene.yaml"):
         main([str(splat.parent), "--split", "2"])

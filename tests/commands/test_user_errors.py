@@ -1,4 +1,4 @@
-"""Whatever people type wrong, a command answers in one line that names it and says what to type."""
+"""Whatever a user types wrong, a command answers in one line that names it and says what to type."""
 
 import shlex
 import sys
@@ -36,7 +36,7 @@ TINY = (
 ROOM = "scene=room.ply robot.height=0.5 landmarks.goal=[0.5,1.0,0.0] landmarks.object=[0.75,1.0,0.5] " + TINY
 GRID = ROOM.replace("landmarks.goal=[0.5,1.0,0.0] ", "")
 ERRORS = [
-    # What a scene needs and nobody said.
+    # Values that a scene needs and that were not given.
     ("train scene=room.ply", "robot.height: expected a value, got none; type robot.height=0.4"),
     ("train scene=room.ply robot.height=0.5", "landmarks.goal: expected a value, got none; type landmarks.goal=[x,y"),
     ("train task=apple scene=room.ply robot.height=0.5", "landmarks.object: expected a value, got none; type landm"),
@@ -50,7 +50,7 @@ ERRORS = [
     ("train scene=text.ply robot.height=0.5 landmarks.goal=[0,0,0]", "scene: text.ply: expected a PLY file"),
     ("train scene=bad robot.height=0.5 landmarks.goal=[0,0,0]", "scene: bad/gone.ply: no such splat file"),
     ("train scene.path=room.ply", "scene.path: no such key, did you mean scene=<the path>?"),
-    # Keys and options that are not there.
+    # Unknown keys and options.
     ("train tsak=grid", "tsak: no such key, did you mean task? Valid keys at the top level: seed, device"),
     ("train frames=1000", "frames: no such key, did you mean collector.frames_per_batch or collector.total_frames"),
     ("train ppo.gamma=1", "ppo.gamma: no such key, did you mean loss.gamma? ppo is a config group with the options "),
@@ -64,7 +64,7 @@ ERRORS = [
     ("train 'hydra.run.dir=a = b'", "hydra.run.dir=a = b: expected hydra.run.dir=value with balanced brackets"),
     ("train landmarks.goal=0.4,0.4,0", "landmarks.goal: expected one value, got 0.4,0.4,0; type landmarks.goal=[0.4"),
     ("train -m seed=0,x", "seed: expected a number such as 0, got x"),
-    # Values of another kind, or out of range.
+    # Values of the wrong type or out of range.
     ("train robot.height=abc", "robot.height: expected a number such as 0.4, got abc"),
     ("train collector.total_frames=abc", "collector.total_frames: expected a number such as 60000, got abc"),
     ("train collector.total_frames=0", "collector.total_frames: expected a whole number from 1 to"),
@@ -78,7 +78,7 @@ ERRORS = [
     ("train logger.backend=foo", "logger.backend: expected one of csv, tensorboard, wandb, got foo"),
     ("train device=tpu", "device: expected auto, cpu, cuda or cuda:<number>, got tpu"),
     ("train resume=nowhere", "resume: expected a run folder with config.yaml, got nowhere"),
-    # What does not fit together.
+    # Values that do not fit together.
     (f"train {ROOM} robot.height=-1.0", "robot.height: expected robots above"),
     (
         f"train {GRID} landmarks.goal=[9,9,0]",
@@ -129,7 +129,7 @@ ERRORS = [
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A working folder with a room, and what is no scene."""
+    """A working directory with a room, and with files and folders that are no scenes."""
     folder = tmp_path_factory.mktemp("places")
     write_gaussians(folder / "room.ply", tiny_gaussians())
     (folder / "text.ply").write_text("hello")
@@ -140,7 +140,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(("typed", "said"), ERRORS, ids=[typed[:60] for typed, _ in ERRORS])
-def test_what_is_typed_wrong_is_answered_in_one_line(
+def test_a_mistyped_command_is_answered_in_one_line(
     typed: str, said: str, places: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name, *arguments = shlex.split(typed)
@@ -158,7 +158,7 @@ def test_what_is_typed_wrong_is_answered_in_one_line(
     assert not list(places.glob("outputs/*/*")), "a run that did not begin leaves nothing behind"
 
 
-def test_a_refused_run_takes_nothing_of_others_with_it(places: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refused_run_deletes_no_files_of_others(places: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(places)
     typed = shlex.split(f"splatrl-train {ROOM} collector.total_frames=10 hydra.run.dir=mine")
     monkeypatch.setattr(sys, "argv", typed)
@@ -195,7 +195,7 @@ def test_a_refused_run_takes_nothing_of_others_with_it(places: Path, monkeypatch
         ("-m seed=0,1", "multirun/.*: cannot write: Not a directory; choose another folder with hydra.sweep.dir="),
     ],
 )
-def test_where_no_run_can_be_written_is_said_in_one_line(
+def test_a_run_folder_that_cannot_be_written_is_reported_in_one_line(
     typed: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in ("outputs", "multirun"):
@@ -207,25 +207,25 @@ def test_where_no_run_can_be_written_is_said_in_one_line(
     assert not capsys.readouterr().err
 
 
-def test_the_list_is_long_enough_to_mean_something() -> None:
+def test_the_list_of_errors_is_long_and_varied() -> None:
     assert len(ERRORS) >= 40 and len({said for _, said in ERRORS}) > 35
 
 
-def test_where_an_error_came_from_can_be_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_traceback_of_an_error_can_be_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     @in_one_line("splatrl-train")
     def fails(error: Exception) -> None:
         raise error
 
     with pytest.raises(SystemExit, match="splatrl-train: a b"):
         fails(ValueError("a\n  b"))
-    with pytest.raises(RuntimeError, match="ours"):  # not what somebody typed
+    with pytest.raises(RuntimeError, match="ours"):  # not a mistake of the user
         fails(RuntimeError("ours"))
     monkeypatch.setenv("HYDRA_FULL_ERROR", "1")
     with pytest.raises(ValueError, match="a\n"):
         fails(ValueError("a\n  b"))
 
 
-def test_an_evaluation_takes_its_keys_as_a_training_has_them(tmp_path: Path) -> None:
+def test_an_evaluation_accepts_its_keys_under_their_names_in_a_training(tmp_path: Path) -> None:
     (tmp_path / "config.yaml").touch()
     keys = ["evaluation.starts=64", "evaluation.repeats=2"]
     cfg = load_config(command_line("evaluate", [f"run='{tmp_path}'", *keys]), "evaluate")
@@ -234,7 +234,7 @@ def test_an_evaluation_takes_its_keys_as_a_training_has_them(tmp_path: Path) -> 
     assert load_config(there, "evaluate").place == ["scene=backyard", "task.max_steps=9"]
 
 
-def test_a_warning_is_one_line_without_the_place_in_the_code() -> None:
+def test_a_warning_is_one_line_without_its_place_in_the_code() -> None:
     said: list[str] = []
 
     @in_one_line("splatrl-train")
@@ -248,7 +248,7 @@ def test_a_warning_is_one_line_without_the_place_in_the_code() -> None:
     assert warnings.formatwarning is formatted
 
 
-def test_an_error_of_a_sweep_keeps_nothing_alive_until_hydra_prints_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_in_a_sweep_holds_no_reference_to_its_cause(monkeypatch: pytest.MonkeyPatch) -> None:
     @in_one_line("splatrl-train")
     def fails() -> None:
         raise ValueError("seed: expected another")
@@ -261,7 +261,7 @@ def test_an_error_of_a_sweep_keeps_nothing_alive_until_hydra_prints_it(monkeypat
 
 
 @pytest.mark.parametrize("name", ["record", "scene"])
-def test_an_interrupt_is_a_line_and_no_traceback(
+def test_an_interrupt_prints_one_line_and_no_traceback(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def interrupted(module: str) -> None:
@@ -281,7 +281,7 @@ def test_an_interrupt_is_a_line_and_no_traceback(
         *(([1, 2], [3]), ([], [[[0, 0, 0], [1, 1, 1]]]), (None, [1]), ({"a": 1}, {"b": 2}), ({"a": 1}, None)),
     ],
 )
-def test_values_of_the_usual_kind_null_and_references_pass(usual: object, given: object) -> None:
+def test_values_of_the_usual_type_null_and_references_are_accepted(usual: object, given: object) -> None:
     cfg = OmegaConf.create({"key": usual})
     check_kind("key", cfg.key, given)
 
@@ -290,7 +290,7 @@ def test_values_of_the_usual_kind_null_and_references_pass(usual: object, given:
     ("usual", "given"),
     [(0.5, True), (0.5, "a"), (0.5, [1]), (True, 1), ([1, 2], ["a"]), ([1], 1), ({"a": 1}, 1), ("a", [1])],
 )
-def test_values_of_another_kind_are_refused(usual: object, given: object) -> None:
+def test_values_of_another_type_are_refused(usual: object, given: object) -> None:
     cfg = OmegaConf.create({"key": usual})
     with pytest.raises(UserError, match="key: expected"):
         check_kind("key", cfg.key, given)

@@ -1,4 +1,4 @@
-"""``splatrl-view``, ``splatrl-train view=true`` and ``splatrl-record by=keys`` from the outside."""
+"""End-to-end tests of ``splatrl-view``, ``splatrl-train view=true`` and ``splatrl-record by=keys``."""
 
 import errno
 import re
@@ -31,7 +31,7 @@ GRID += ["device=cpu", "robot.image_width=16", "robot.image_height=12", "network
 
 @pytest.fixture
 def place(tmp_path: Path) -> Path:
-    """The room as a scene's folder."""
+    """The room as a scene folder."""
     folder = tmp_path / "my place"
     folder.mkdir()
     write_gaussians(folder / "splat.ply", tiny_gaussians())
@@ -40,7 +40,7 @@ def place(tmp_path: Path) -> Path:
 
 
 def page_of(process: Process) -> Visitor:
-    """Opens the page whose address a command prints."""
+    """Open the page whose address a command prints."""
     assert process.stdout is not None
     lines: list[str] = []
     while not (found := re.search(r"http://[\d.]+:\d+", line := process.stdout.readline())):
@@ -49,7 +49,7 @@ def page_of(process: Process) -> Visitor:
     return Visitor(found[0])
 
 
-def test_a_folder_is_looked_at_and_its_goal_saved_until_it_is_interrupted(place: Path) -> None:
+def test_a_folder_is_viewed_and_its_goal_edited_until_an_interrupt(place: Path) -> None:
     process = command("view", str(place), *GRID, "port=0")
     visitor = page_of(process)
     visitor.find("GaussianSplatsMessage")
@@ -64,7 +64,7 @@ def test_a_folder_is_looked_at_and_its_goal_saved_until_it_is_interrupted(place:
     assert process.returncode == 0 and "Traceback" not in output, output
 
 
-def test_a_goal_where_nobody_walks_is_refused_in_words(place: Path) -> None:
+def test_a_goal_outside_the_walkable_area_is_refused_with_a_message(place: Path) -> None:
     cfg = load_config([*GRID, f"scene='{place}'"], "view")
     page = Page(view.instantiate(cfg.scene), port=0)
     stop = furnish(page, cfg)
@@ -81,7 +81,7 @@ def test_a_goal_where_nobody_walks_is_refused_in_words(place: Path) -> None:
     page.close()
 
 
-def test_a_bare_splat_is_shown_without_anything_to_drive(tmp_path: Path) -> None:
+def test_a_bare_splat_is_shown_without_a_robot_to_drive(tmp_path: Path) -> None:
     write_gaussians(tmp_path / "room.ply", tiny_gaussians())
     cfg = load_config([f"scene={tmp_path / 'room.ply'}"], "view")
     page = Page(view.instantiate(cfg.scene), port=0)
@@ -94,7 +94,9 @@ def test_a_bare_splat_is_shown_without_anything_to_drive(tmp_path: Path) -> None
     page.close()
 
 
-def test_a_robot_that_keys_cannot_drive_is_shown_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_page_opens_even_for_a_robot_that_keys_cannot_drive(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("mujoco", reason="needs the extra physics")
     monkeypatch.setattr(sys, "argv", ["splatrl-record", "task=gates", "by=keys", "port=70000", f"out={tmp_path}/new"])
     told = "task: expected actions that keys can express, a speed and a turn, got 4 numbers per action"
@@ -110,7 +112,7 @@ def test_a_robot_that_keys_cannot_drive_is_shown_all_the_same(tmp_path: Path, mo
     page.close()
 
 
-def test_what_can_be_dragged_comes_from_the_config(place: Path) -> None:
+def test_the_values_that_can_be_dragged_come_from_the_config(place: Path) -> None:
     cfg = load_config([*GRID, f"scene='{place}'"], "view")
     values = place_values(cfg, view.instantiate(cfg.scene))
     assert values == {
@@ -123,7 +125,7 @@ def test_what_can_be_dragged_comes_from_the_config(place: Path) -> None:
     assert place_values(circle, view.instantiate(circle.scene))["walk"] is None
 
 
-def test_the_first_word_is_a_scene_or_a_run(tmp_path: Path) -> None:
+def test_a_word_without_a_key_is_a_scene_or_a_run(tmp_path: Path) -> None:
     (tmp_path / "a run").mkdir()
     (tmp_path / "a run" / "config.yaml").write_text("")
     assert with_key(["kitchen", "scene.path=k.spz"]) == ["scene=kitchen", "scene.path=k.spz"]
@@ -144,7 +146,7 @@ def test_the_first_word_is_a_scene_or_a_run(tmp_path: Path) -> None:
         (["backyard", "prot=1"], "splatrl-view: prot: no such key, did you mean port"),
     ],
 )
-def test_what_is_wrong_is_said_in_a_line(
+def test_invalid_arguments_are_reported_in_one_line(
     arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -154,7 +156,7 @@ def test_what_is_wrong_is_said_in_a_line(
     assert re.match(message, str(error.value)) and "\n" not in str(error.value), error.value
 
 
-def test_a_watched_training_shows_itself_and_its_run_can_be_looked_at(tmp_path: Path) -> None:
+def test_a_training_can_be_watched_and_its_run_viewed_afterwards(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     scene = tiny_overrides(tmp_path)
     quick = ["evaluation.starts=8", "logger.video=false", f"hydra.run.dir={folder}"]
@@ -175,7 +177,7 @@ def test_a_watched_training_shows_itself_and_its_run_can_be_looked_at(tmp_path: 
     assert "expected only run, evaluation.checkpoint, host, port, device, allow_targets with it, got" in output
 
 
-def test_ctrl_c_ends_a_watched_training_as_any_other(tmp_path: Path) -> None:
+def test_ctrl_c_ends_a_watched_training_like_any_other(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     many = ["collector.total_frames=1000000", f"hydra.run.dir={folder}", "view=true"]
     training = command("train", *tiny_overrides(tmp_path), *SETTINGS, *many)
@@ -188,7 +190,7 @@ def test_ctrl_c_ends_a_watched_training_as_any_other(tmp_path: Path) -> None:
 
 
 def drive(visitor: Visitor, driver: Driver) -> None:
-    """Drive to the goal as a person would; the same starts are drawn here, where a plan knows the way."""
+    """Drive to the goal as a person would, along the plan of a local driver that draws the same starts."""
     names = driver.world.task.motion.action_names
     while not driver.done:
         best = int(driver.world.plan.optimal(driver.state)[0].nonzero()[0, 0])
@@ -201,7 +203,7 @@ def drive(visitor: Visitor, driver: Driver) -> None:
     driver.begin()
 
 
-def test_what_is_shown_by_keys_is_a_dataset_like_the_planners(tmp_path: Path) -> None:
+def test_episodes_driven_by_keys_are_a_dataset_like_the_planners(tmp_path: Path) -> None:
     scene, out = tiny_overrides(tmp_path), tmp_path / "demos"
     recording = command("record", *scene, "by=keys", "episodes=2", f"out={out}", "port=0")
     visitor, driver = page_of(recording), Driver(build_world(load_config(scene)))
@@ -216,7 +218,7 @@ def test_what_is_shown_by_keys_is_a_dataset_like_the_planners(tmp_path: Path) ->
     assert "are identical, byte for byte" in finish(command("replay", f"demos={out}"))
 
 
-def test_nothing_shown_writes_nothing(tmp_path: Path) -> None:
+def test_a_recording_without_episodes_writes_nothing(tmp_path: Path) -> None:
     scene = tiny_overrides(tmp_path)
     recording = command("record", *scene, "by=keys", "episodes=2", f"out={tmp_path / 'demos'}", "port=0")
     visitor = page_of(recording)
@@ -240,7 +242,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_page_opens(
         record.main()
 
 
-def test_by_names_its_choices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_invalid_value_of_by_is_refused_with_the_choices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["splatrl-record", "by=me", f"out={tmp_path / 'new'}"])
     with pytest.raises(SystemExit, match="by: expected planner or keys, got me"):
         record.main()

@@ -66,18 +66,20 @@ TASK_OF |= {
 TASK_OF |= {option: "push" for option in ("motion/physics", "robot/mjcf", "rewards/push", "sensors/ego_motion")}
 TASK_OF |= {"motion/strides": "strides", "rewards/strides": "strides", "motion/walk": "walk"}
 TASK_OF |= {f"sensors/{name}": "walk" for name in ("felt", "feet", "imu", "joints", "velocity")}
-"""A task other than grid, for the options that do not work with grid."""
+"""The task for each option that does not work with grid."""
 COARSE = ["task.motion.time_step=0.4", "task.motion.spacing=0.25", "task.motion.headings=8"]
-"""A robot that drives has its paths found on a coarse grid."""
+"""A coarse grid on which to plan the paths of a driving robot."""
 NEEDS = {"robot/mjcf": ["robot.path=wheels"], "motion/drive": COARSE}
-"""What an option does not work without, or only slowly."""
+"""Overrides without which an option does not work, or is slow."""
 PACKAGES = {"motion": "motion@task.motion", "rewards": "rewards@task.rewards"}
-"""How a group is named on the command line if its name alone does not determine its package."""
+"""Command-line names of the groups whose package does not follow from their name."""
 
 
 def side_by_side() -> list[tuple[str, list[Path]]]:
-    """The options that work with each task, one of each group at a time: every option once, in as few envs as can be.
-    What draws or does nothing stands with what else does nothing, so that it hides no other option."""
+    """Combine options that work with the same task, one per group, so that few envs contain every option once.
+
+    Options named ``none`` are combined with one another, so that they disable no other option.
+    """
     by_task: dict[str, dict[Path, list[Path]]] = {}
     for option in sorted(OPTIONS, key=lambda option: option.name != "none"):
         if option not in OF_GPUS | SENSORS:
@@ -102,7 +104,7 @@ def test_every_option_of_every_group_builds_an_env_that_steps(task: str, options
 
 
 @pytest.mark.parametrize("task", sorted({TASK_OF.get(option.as_posix(), "grid") for option in SENSORS}))
-def test_every_sensor_reads_in_an_env_that_steps(task: str, tmp_path: Path) -> None:
+def test_every_sensor_is_read_in_an_env_that_steps(task: str, tmp_path: Path) -> None:
     names = [option.name for option in sorted(SENSORS) if TASK_OF.get(option.as_posix(), "grid") == task]
     env = make_env([*tiny_overrides(tmp_path, task), f"sensors=[{','.join(names)}]"], batch_size=[2])
     first = env.reset()
@@ -113,21 +115,21 @@ def test_every_sensor_reads_in_an_env_that_steps(task: str, tmp_path: Path) -> N
         assert read and all(len(first[key]) == 2 for key in read), name
 
 
-def test_a_task_takes_another_motion_and_other_rewards(tmp_path: Path) -> None:
+def test_the_motion_and_the_rewards_of_a_task_can_be_replaced(tmp_path: Path) -> None:
     chosen = ["motion@task.motion=drive", "rewards@task.rewards=unit", "task.rewards.step=-0.5"]
     task = build_world(load_config([*tiny_overrides(tmp_path, "fps"), *chosen, *COARSE])).task
     assert type(task.motion).__name__ == "DriveMotion" and task.motion.upper.tolist() == [1.0, 1.5]
     assert task.outcome_rewards.tolist() == [-0.5, 1.0, -1.0, -1.0]
 
 
-def test_what_runs_on_gpus_alone_says_so(tmp_path: Path) -> None:
+def test_an_option_that_runs_only_on_gpus_is_refused_on_a_cpu(tmp_path: Path) -> None:
     for option in OF_GPUS:
         chosen = [*tiny_overrides(tmp_path), f"{option.parent}={option.name}", "device=cpu"]
         with pytest.raises(ValueError, match=f"{option.parent}: expected device=cuda for this choice, got device=cpu"):
             build_world(load_config(chosen))
 
 
-def test_what_runs_on_cpus_alone_says_so() -> None:
+def test_an_option_that_runs_only_on_cpus_is_refused_on_a_gpu() -> None:
     with pytest.raises(ValueError, match="collision: expected device=cpu for this choice, got device=cuda:1"):
         constructor(load_config(["collision=fcl"]), "collision", torch.device("cuda:1"))
 
@@ -142,7 +144,7 @@ def test_what_runs_on_cpus_alone_says_so() -> None:
         (["collision=none"], NoChecker, NoChecker),
     ],
 )
-def test_a_group_has_a_part_for_each_kind_of_device(overrides: list[str], cpu: type | None, cuda: type) -> None:
+def test_a_group_has_a_constructor_for_each_kind_of_device(overrides: list[str], cpu: type | None, cuda: type) -> None:
     group = overrides[0].split("=")[0]
     cfg = load_config([*overrides, "device=cuda:1"])
     made = constructor(cfg, group, torch.device("cuda:1"))
@@ -152,7 +154,7 @@ def test_a_group_has_a_part_for_each_kind_of_device(overrides: list[str], cpu: t
         assert constructor(cfg, group, torch.device("cpu")).func is cpu
 
 
-def test_what_is_said_of_a_renderer_holds_on_every_device() -> None:
+def test_the_settings_of_a_renderer_apply_on_every_device() -> None:
     said = {"antialiased": False, "background": [0.5, 0.0, 1.0]}
     for name, own in (("auto", {"tolerance": 0.25}), ("reference", {}), ("gsplat", {})):
         values = {**said, **own}
@@ -163,14 +165,14 @@ def test_what_is_said_of_a_renderer_holds_on_every_device() -> None:
                 assert {key: keywords[key] for key in values} == values, (name, kind)
 
 
-def test_a_choice_for_no_device_at_all_is_refused_by_its_key(tmp_path: Path) -> None:
+def test_a_choice_without_a_constructor_for_any_device_is_refused_by_its_key(tmp_path: Path) -> None:
     cfg = load_config(tiny_overrides(tmp_path))
     cfg.renderer.cache = {"max_bytes": 5}
     with pytest.raises(ValueError, match=r"renderer\.cache: expected a constructor for cpu or cuda, got max_bytes"):
         constructor(cfg, "renderer.cache", torch.device("cpu"))
 
 
-def test_views_are_remembered_where_the_device_can_unless_that_is_left_out(tmp_path: Path) -> None:
+def test_views_are_cached_on_each_kind_of_device_unless_the_cache_is_disabled(tmp_path: Path) -> None:
     overrides = tiny_overrides(tmp_path)
     cfg = load_config([*overrides, "renderer.cache.max_bytes=5"])
     for kind, expected in (("cpu", LatticeRenderer), ("cuda", DeviceLatticeRenderer)):
@@ -201,12 +203,10 @@ MINE = [
     ("order", "kinds"),
     [
         ("[pose_noise,mine,appearance,stack]", [PoseNoise, RewardScaling, FrameStack]),
-        ("[stack,mine,pose_noise]", [FrameStack, RewardScaling, PoseNoise]),  # a transform that is off needs no place
+        ("[stack,mine,pose_noise]", [FrameStack, RewardScaling, PoseNoise]),  # a disabled transform needs no entry
     ],
 )
-def test_a_transform_of_ones_own_takes_the_place_that_it_is_given(
-    order: str, kinds: list[type], tmp_path: Path
-) -> None:
+def test_a_custom_transform_takes_its_place_in_the_order(order: str, kinds: list[type], tmp_path: Path) -> None:
     chosen = ["memory=stack", "transforms/pose_noise=uniform", *MINE, f"transforms.order={order}"]
     env = make_env([*tiny_overrides(tmp_path), *chosen], batch_size=[2])
     assert [type(transform) for transform in env.transform] == kinds
@@ -214,7 +214,7 @@ def test_a_transform_of_ones_own_takes_the_place_that_it_is_given(
     torch.testing.assert_close(rewards, torch.ones_like(rewards), atol=1e-3, rtol=0)
 
 
-def test_an_order_that_names_no_transform_or_leaves_one_out_is_refused(tmp_path: Path) -> None:
+def test_an_order_with_an_unknown_or_a_missing_transform_is_refused(tmp_path: Path) -> None:
     overrides = tiny_overrides(tmp_path)
     known = r"expected only names from pose_noise, latency, skip, appearance, stack, got stak"
     with pytest.raises(ValueError, match=rf"transforms\.order: {known}"):
@@ -225,7 +225,9 @@ def test_an_order_that_names_no_transform_or_leaves_one_out_is_refused(tmp_path:
         make_env([*overrides, "memory=stack", "transforms.order=[]"])
 
 
-def test_a_task_moves_with_its_env_and_the_plan_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_task_moves_to_the_device_of_its_env_and_the_plan_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pretend_device(monkeypatch)
     world = build_world(load_config(tiny_overrides(tmp_path)))
     assert world.env(2, device="meta").task.goal.device.type == "meta"
@@ -250,7 +252,7 @@ def test_every_scene_composes_and_sets_the_goal_and_the_height(path: Path) -> No
         assert cfg.task.motion.height == cfg.robot.height > 0
 
 
-def test_the_kitchen_is_the_task_that_figures_are_compared_on(shared_scenes: Path) -> None:
+def test_the_kitchen_has_the_settings_with_which_results_are_compared(shared_scenes: Path) -> None:
     world = build_world(load_config(["scene=kitchen", f"scene.path={shared_scenes / 'kitchen' / 'kitchen.spz'}"]))
     assert world.robot.body.size == (0.4, 0.4, 0.1)
     assert world.robot.height == 1.05
@@ -259,7 +261,7 @@ def test_the_kitchen_is_the_task_that_figures_are_compared_on(shared_scenes: Pat
     assert len(world.plan.start_rows) > 500
 
 
-def test_a_mistyped_key_stops_with_the_valid_ones() -> None:
+def test_a_mistyped_key_is_refused_with_the_valid_keys() -> None:
     with pytest.raises(SystemExit, match=r"loss.gama: no such key, did you mean loss.gamma\? .*clip_epsilon"):
         command_line("train", ["scene=backyard", "loss.gama=0.9"])
     with pytest.raises(SystemExit, match=r"sede: no such key, did you mean seed\? .*collector"):
@@ -270,7 +272,7 @@ def test_a_mistyped_key_stops_with_the_valid_ones() -> None:
         command_line("train", ["task=fps", "motion@task.motion=drive", "task.motion.turn=1"])
 
 
-def test_a_value_that_nobody_gave_is_named(tmp_path: Path) -> None:
+def test_a_missing_value_is_named(tmp_path: Path) -> None:
     with pytest.raises(
         ValueError, match=r"scene\.path: expected a value, got none; type scene\.path=<splat file or folder>"
     ):
@@ -285,11 +287,11 @@ def test_a_value_that_nobody_gave_is_named(tmp_path: Path) -> None:
         ["task=fps", "motion@task.motion=drive", "task.motion.time_step=0.1", "rewards@task.rewards=unit"],
     ],
 )
-def test_right_overrides_pass_sweeps_and_hydra_options_among_them(arguments: list[str]) -> None:
+def test_valid_overrides_sweeps_and_hydra_options_are_accepted_unchanged(arguments: list[str]) -> None:
     assert command_line("train", arguments) == arguments
 
 
-def test_options_stand_before_what_a_scene_proposes_so_that_hydra_takes_both(tmp_path: Path) -> None:
+def test_options_precede_what_a_scene_proposes_so_that_hydra_accepts_both(tmp_path: Path) -> None:
     write_gaussians(tmp_path / "room.ply", tiny_gaussians())
     (tmp_path / "scene.yaml").write_text("splat: room.ply\nrobot_height: 0.5\n")
     words = command_line("train", ["seed=0,1", "-m", f"scene={tmp_path}", "--cfg", "job"])
@@ -315,7 +317,7 @@ def test_options_stand_before_what_a_scene_proposes_so_that_hydra_takes_both(tmp
         (["scene=yards", "scene.count=1,2"], "scene.count: expected one value, got 1,2; .* or sweep trainings with -m"),
     ],
 )
-def test_lists_that_cannot_be_meant_say_what_to_type(words: list[str], message: str, tmp_path: Path) -> None:
+def test_invalid_lists_are_refused_with_what_to_type_instead(words: list[str], message: str, tmp_path: Path) -> None:
     (tmp_path / "blocks.yaml").touch()
     with pytest.raises(SystemExit, match=message):
         command_line("train", [word.format(tmp_path) for word in words])
@@ -323,7 +325,7 @@ def test_lists_that_cannot_be_meant_say_what_to_type(words: list[str], message: 
 
 @pytest.fixture
 def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working folder with a splat file, a scene folder, and a file with the name of one of our scenes."""
+    """A working directory with a splat file, a scene folder, and a file with the name of a built-in scene."""
     monkeypatch.chdir(tmp_path)
     tiny_overrides(tmp_path)
     for name in ("it's, a (room).ply", "kitchen"):
@@ -349,27 +351,27 @@ def test_the_path_of_a_scene_stands_for_its_config(path: str, places: Path) -> N
         assert load_config([f"scene={written}"]).scene.path == written
 
 
-def test_a_path_in_quotes_is_that_path(places: Path) -> None:
+def test_a_path_may_be_in_quotes(places: Path) -> None:
     for quote in "'\"":
         assert load_config([f"scene={quote}garden/splat.ply{quote}"]).scene.path == "garden/splat.ply"
 
 
-def test_the_name_of_a_scene_goes_before_a_file_of_that_name(places: Path) -> None:
+def test_the_name_of_a_scene_takes_precedence_over_a_file_of_that_name(places: Path) -> None:
     assert with_scene_paths(["scene=kitchen", "task=fps"]) == ["scene=kitchen", "task=fps"]
     assert OmegaConf.is_missing(load_config(["scene=kitchen"]).scene, "path")
 
 
-def test_a_path_that_is_not_there_is_told_with_what_there_is(places: Path) -> None:
+def test_a_missing_path_is_refused_with_the_valid_choices(places: Path) -> None:
     with pytest.raises(SystemExit, match=r"scene: expected one of backyard, file, .* or an existing path, got no.ply"):
         command_line("train", ["scene=no.ply"])
 
 
-def test_what_is_no_path_of_a_scene_is_left_as_it_is(places: Path) -> None:
+def test_overrides_that_give_no_path_of_a_scene_are_unchanged(places: Path) -> None:
     others = ["scene=nowhere", "scene=", "scene.path=garden", "task=garden", "+scene=garden", "~scene", "-m"]
     assert with_scene_paths(others) == others
 
 
-def test_a_scenes_folder_says_how_it_stands(places: Path) -> None:
+def test_a_scene_folder_states_its_frame(places: Path) -> None:
     room = tiny_overrides(places)
     tiny = ("scene=", "scene.path=", "task.motion.", "robot.height", "robot.body")
     kept = [override for override in room if not override.startswith(tiny)]
@@ -379,7 +381,7 @@ def test_a_scenes_folder_says_how_it_stands(places: Path) -> None:
     torch.testing.assert_close(scene.gaussians.means, expected, atol=1e-4, rtol=0)
 
 
-def test_a_hydra_that_runs_already_is_left_as_it_is(tmp_path: Path) -> None:
+def test_a_hydra_that_is_already_initialised_is_left_unchanged(tmp_path: Path) -> None:
     (tmp_path / "other.yaml").write_text("size: 3\n")
     assert not GlobalHydra.instance().is_initialized()
     with initialize_config_dir(str(tmp_path), version_base="1.3"):
@@ -402,7 +404,7 @@ class Wander(TaskModule):
 
 
 def aimless(folder: Path) -> DictConfig:
-    """A training of the task above on the tiny lattice."""
+    """Return the config of a short training of the task above on the tiny lattice."""
     overrides = [one for one in tiny_overrides(folder) if not one.startswith("task.max_steps")]
     settings = {"total_frames": 256, "frames_per_batch": 128}
     return load_config(
@@ -440,7 +442,7 @@ def test_a_task_without_goal_states_is_planned_trained_and_evaluated(
     assert "SPL" not in said and f"return {summary['mean_return']:.1f}" in said
 
 
-def test_a_snake_is_tested_by_its_apples(
+def test_a_snake_is_tested_by_the_number_of_its_apples(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("splatrl.evaluation.figures.save_figure", lambda *_: None)
@@ -466,7 +468,9 @@ def test_a_resumed_config_is_the_saved_one_with_single_keys_changed(tmp_path: Pa
         resumed_config(tmp_path, ["scene=kitchen"])
 
 
-def test_a_saved_config_finds_its_scene_from_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_saved_config_finds_its_scene_from_any_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     save_config(load_config(["scene=file", "scene.path=scenes/garden.ply"]), tmp_path)
     assert run_config(tmp_path).scene.path == str(tmp_path / "scenes" / "garden.ply")
@@ -474,7 +478,7 @@ def test_a_saved_config_finds_its_scene_from_elsewhere(tmp_path: Path, monkeypat
     assert "path" not in run_config(tmp_path).scene
 
 
-def test_a_folder_without_a_run_is_named(tmp_path: Path) -> None:
+def test_a_folder_without_a_run_is_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=f"{tmp_path}: expected a run folder"):
         run_config(tmp_path)
 
@@ -512,13 +516,13 @@ def test_a_saved_config_keeps_its_interpolations(tmp_path: Path) -> None:
         ("evaluation.checkpoint=newest", r"evaluation\.checkpoint: expected one of last, best, got newest"),
     ],
 )
-def test_a_value_out_of_range_is_named_before_anything_is_lost(override: str, message: str, tmp_path: Path) -> None:
+def test_a_value_out_of_range_is_named_before_the_training_starts(override: str, message: str, tmp_path: Path) -> None:
     cfg = load_config([*tiny_overrides(tmp_path), override])
     with pytest.raises(Exception, match=message):  # Hydra wraps what constructors raise
         build_trainer(cfg, build_world(cfg), tmp_path)
 
 
-def test_a_config_of_ones_own_has_keys_of_its_own(tmp_path: Path) -> None:
+def test_a_config_of_a_user_may_have_keys_of_its_own(tmp_path: Path) -> None:
     arguments = ["--config-dir", str(tmp_path), "--config-name", "mine", "mykey=4"]
     assert command_line("train", arguments) == arguments
     (tmp_path / "mine.yaml").write_text(
@@ -527,7 +531,7 @@ def test_a_config_of_ones_own_has_keys_of_its_own(tmp_path: Path) -> None:
     cfg = load_config()
     cfg.network["_target_"] = "tests.configuration.test_configuration.Wander"
     with initialize_config_dir(str(tmp_path), version_base="1.3"):
-        check_config(cfg)  # a config of theirs is as good as ours
+        check_config(cfg)  # a user's own config is trusted like ours
         assert GlobalHydra.instance().is_initialized()
     with pytest.raises(ValueError, match="expected a constructor that appears in conf/"):
         check_config(cfg)

@@ -1,4 +1,4 @@
-"""``--help`` explains every key by the comments of conf/."""
+"""``--help`` explains every key with the comments in conf/."""
 
 import functools
 
@@ -21,7 +21,7 @@ CHOICES = [
 
 @pytest.fixture(autouse=True, scope="module")
 def read_once():
-    """The same files explain every page."""
+    """Cache the comments of files, since every page needs the same ones."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(key_help_module, "comments_of", functools.cache(comments_of))
         yield
@@ -51,14 +51,14 @@ def test_a_page_lists_every_key_of_the_config_within_the_terminals_width(name, m
 
 
 @pytest.mark.parametrize("name", MOST_USED)
-def test_what_is_used_most_stands_first(name):
+def test_the_most_used_keys_come_first(name):
     page = help_page(name, ["scene=file"])
     places = [page.index(f"\n{key}=") for key in MOST_USED[name]]
     assert places == sorted(places)
     assert places[-1] < page.index("CHOICES") < page.index("ALL KEYS")
 
 
-def test_a_page_describes_the_config_that_is_typed(capsys):
+def test_the_page_describes_the_config_that_was_typed(capsys):
     with pytest.raises(SystemExit) as end:
         command_line("train", ["task=apple", "seed=7", "--help"])
     assert not end.value.code
@@ -68,12 +68,12 @@ def test_a_page_describes_the_config_that_is_typed(capsys):
     assert "\ntask.reach=1.1 " in page
 
 
-def test_a_fault_is_told_before_help():
+def test_a_mistake_is_reported_instead_of_the_help():
     with pytest.raises(SystemExit, match="sed: no such key"):
         command_line("train", ["sed=7", "-h"])
 
 
-def test_comments_of_a_yaml_file():
+def test_the_comments_of_a_yaml_file_are_found_by_key():
     found = comments_of(
         "# @package _global_\n# What it is.\n# More.\ndefaults:\n  - /a@b.c: one  # which\n"
         "  - override /d: two  # why\na: '#1'  # first # still\nb:  # second\n"
@@ -86,7 +86,7 @@ def test_comments_of_a_yaml_file():
     assert comments_of("{}").keys == {}
 
 
-def test_what_options_have_in_common_is_explained_once():
+def test_keys_that_options_have_in_common_have_the_same_explanation():
     published, unit = (key_help("train", [f"rewards@task.rewards={name}"]) for name in ("published", "unit"))
     assert published.comments["task.rewards.goal"] == unit.comments["task.rewards.goal"] != ""
 

@@ -1,4 +1,4 @@
-"""``scene=many scene.paths=[...]``: what belongs to each scene, and what was typed for all of them."""
+"""``scene=many scene.paths=[...]``: values that belong to each scene, and overrides that apply to all of them."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from splatrl.envs.world import Worlds
 from tests.two_rooms import in_both, overrides, two_rooms
 
 
-def test_each_scene_has_what_its_folder_proposes(tmp_path: Path) -> None:
+def test_each_scene_has_the_values_that_its_folder_proposes(tmp_path: Path) -> None:
     west, east = place_configs(load_config(in_both(tmp_path)))
     assert (west.robot.height, east.robot.height) == (0.5, 0.65)
     assert (west.task.goal, east.task.goal) == ([0.5, 1.0, 0.0], [5.5, 0.5, 0.0])
@@ -29,13 +29,13 @@ def test_each_scene_has_what_its_folder_proposes(tmp_path: Path) -> None:
     assert [Path(place.scene.path).name for place in (west, east)] == ["west", "east"]
 
 
-def test_what_is_typed_holds_in_all_scenes_wherever_it_stands(tmp_path: Path) -> None:
+def test_an_override_applies_to_all_scenes_wherever_it_is_typed(tmp_path: Path) -> None:
     words = in_both(tmp_path)
     for typed in ([*words, "robot.height=0.6"], ["robot.height=0.6", *words]):
         assert [place.robot.height for place in place_configs(load_config(typed))] == [0.6, 0.6]
 
 
-def test_scenes_are_folders_files_and_configs_with_or_without_a_seed(tmp_path: Path) -> None:
+def test_scenes_may_be_folders_and_configs_with_or_without_a_seed(tmp_path: Path) -> None:
     west, _ = two_rooms(tmp_path)
     words = [*overrides(), "scene=many", f"scene.paths=[{west},backyard:7,backyard]"]
     places = place_configs(load_config(words))
@@ -54,15 +54,15 @@ def test_scenes_are_folders_files_and_configs_with_or_without_a_seed(tmp_path: P
             "[yards]",
             r"scene.paths: expected one of backyard, town, yard, one with a seed such as yard:3, or .* got yards",
         ),
-        ("[kitchen]", "scene.paths: expected .* got kitchen"),  # that has no path
+        ("[kitchen]", "scene.paths: expected .* got kitchen"),  # its path is missing
     ],
 )
-def test_a_wrong_list_says_what_is_expected(paths: str, message: str) -> None:
+def test_an_invalid_list_of_scenes_is_refused_with_what_is_expected(paths: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         check_config(load_config(["scene=many", f"scene.paths={paths}"]))
 
 
-def test_each_job_of_a_sweep_over_folders_has_what_its_folder_proposes(tmp_path: Path) -> None:
+def test_each_job_of_a_sweep_over_folders_has_the_values_that_its_folder_proposes(tmp_path: Path) -> None:
     west, east = two_rooms(tmp_path)
     words = command_line("train", ["-m", *overrides(), "seed=0,1", f"scene={west},{east}"])
     assert words == ["-m", *overrides(), "seed=0,1", "scene=file", f"scene.path='{west}','{east}'"]
@@ -91,7 +91,7 @@ def test_each_job_of_a_sweep_over_yards_has_the_goal_of_its_yard(
         assert job_config(composed(words, "train"), words) == load_config([f"scene={job}", "seed=1"])
 
 
-def test_each_job_of_a_sweep_over_lists_of_scenes_has_all_of_its_list(tmp_path: Path) -> None:
+def test_each_job_of_a_sweep_over_lists_of_scenes_has_all_scenes_of_its_list(tmp_path: Path) -> None:
     west, east = two_rooms(tmp_path)
     for key, job, names in (
         ("scene=yards", "scene.count=2", ["yard:0", "yard:1"]),
@@ -103,7 +103,9 @@ def test_each_job_of_a_sweep_over_lists_of_scenes_has_all_of_its_list(tmp_path: 
         assert place_names(job_config(composed(words, "train"), words)) == names
 
 
-def test_a_name_that_says_too_little_is_that_of_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_name_is_a_folder_where_the_config_of_that_name_is_incomplete(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     west, _ = two_rooms(tmp_path)
     west.rename(tmp_path / "kitchen")
     monkeypatch.chdir(tmp_path)
@@ -111,7 +113,7 @@ def test_a_name_that_says_too_little_is_that_of_a_folder(tmp_path: Path, monkeyp
     assert place.robot.height == 0.5
 
 
-def test_what_is_wrong_with_one_of_several_scenes_names_it(tmp_path: Path) -> None:
+def test_an_error_in_one_of_several_scenes_names_that_scene(tmp_path: Path) -> None:
     words, west = in_both(tmp_path), tmp_path / "west"
     (west / "scene.yaml").write_text("splat: room.ply\ngoal: [0.5, 1.0, 0.0]\n")
     with pytest.raises(ValueError, match=f"robot.height: expected a value in {west}, got none"):
@@ -135,7 +137,7 @@ def test_scenes_that_would_be_drawn_in_different_ways_are_refused(tmp_path: Path
     check_config(load_config([*words, f"{key}=" + ("true" if "anti" in key else "0.5")]))
 
 
-def test_a_run_folder_knows_its_scenes(tmp_path: Path) -> None:
+def test_a_run_folder_stores_its_scenes(tmp_path: Path) -> None:
     cfg = load_config(in_both(tmp_path))
     save_config(cfg, tmp_path)
     world = build_world(run_config(tmp_path))
@@ -144,12 +146,12 @@ def test_a_run_folder_knows_its_scenes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("key", ["scene", "task"])
-def test_a_scene_of_a_strange_run_builds_nothing_else(tmp_path: Path, key: str) -> None:
+def test_a_scene_in_a_strangers_run_can_name_only_trusted_constructors(tmp_path: Path, key: str) -> None:
     cfg = load_config(in_both(tmp_path))
     OmegaConf.set_struct(cfg, False)
     if key == "scene":
         cfg.scene.places[1].scene._target_ = "os.system"
-    else:  # a reference that is harmless without the scene, and is not with it
+    else:  # a reference that is harmless until the scene changes what it refers to
         cfg.task._target_ = "${landmarks.kind}"
         cfg.landmarks.kind = "splatrl.envs.tasks.Grid"
         cfg.scene.places[1].landmarks.kind = "os.system"
@@ -157,19 +159,19 @@ def test_a_scene_of_a_strange_run_builds_nothing_else(tmp_path: Path, key: str) 
         check_config(cfg)
 
 
-def test_a_scene_cannot_say_whom_to_trust(tmp_path: Path) -> None:
+def test_a_scene_cannot_extend_the_allowed_targets(tmp_path: Path) -> None:
     cfg = load_config(in_both(tmp_path))
     OmegaConf.set_struct(cfg, False)
     cfg.scene.places[1].allow_targets = ["os"]
     assert [list(place.allow_targets) for place in place_configs(cfg)] == [[], []]
 
 
-def test_commands_for_one_scene_say_so(tmp_path: Path) -> None:
+def test_commands_for_one_scene_refuse_several(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="scene: expected one scene for this command, got 2"):
         build_one_world(load_config(in_both(tmp_path)))
 
 
-def test_yards_are_as_many_as_asked_for_each_with_its_own_goal() -> None:
+def test_there_are_as_many_yards_as_requested_each_with_its_own_goal() -> None:
     words = ["scene=yards", "scene.count=2", "scene.first=3"]
     places = place_configs(load_config(words))
     assert [place.scene.seed for place in places] == [3, 4]
@@ -181,6 +183,6 @@ def test_yards_are_as_many_as_asked_for_each_with_its_own_goal() -> None:
 @pytest.mark.parametrize(
     ("word", "message"), [("scene.count=0", "scene.count: expected"), ("scene.first=x", "scene.first")]
 )
-def test_a_wrong_number_of_yards_says_so(word: str, message: str) -> None:
+def test_an_invalid_number_of_yards_is_refused(word: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         load_config(["scene=yards", word])

@@ -1,4 +1,4 @@
-"""A scene's folder is all that a training needs, what it says is data, and the command line has the last word."""
+"""A scene folder is all that a training needs, its values are data, and the command line overrides them."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ SMALL = ["device=cpu", "robot.image_width=16", "robot.image_height=12", "network
 
 @pytest.fixture
 def garden(tmp_path: Path) -> Path:
-    """The tiny room as a captured place."""
+    """The tiny room as the folder of a captured scene."""
     folder = tmp_path / "garden"
     folder.mkdir()
     write_gaussians(folder / "splat.ply", tiny_gaussians())
@@ -37,7 +37,7 @@ def garden(tmp_path: Path) -> Path:
     return folder
 
 
-def test_what_is_written_is_read_and_each_line_says_what_it_is(garden: Path) -> None:
+def test_a_description_is_read_back_as_written_and_every_line_has_a_comment(garden: Path) -> None:
     assert {key: read_description(garden)[key] for key in PROPOSALS} == {
         **PROPOSALS,
         "quality": {**PROPOSALS["quality"], "ssim": None},  # type: ignore[dict-item]
@@ -47,7 +47,7 @@ def test_what_is_written_is_read_and_each_line_says_what_it_is(garden: Path) -> 
     assert len(figures) == 4 and all("#" in line for line in lines if line not in figures)
 
 
-def test_a_folder_says_all_that_a_training_needs(garden: Path, tmp_path: Path) -> None:
+def test_a_folder_states_everything_that_a_training_needs(garden: Path, tmp_path: Path) -> None:
     cfg = load_config([f"scene={garden}", *SMALL])
     assert cfg.robot.height == cfg.task.motion.height == HEIGHT
     assert (cfg.task.motion.lower, cfg.task.motion.upper) == ([-1.0, -1.5], [1.0, 1.5])
@@ -59,20 +59,20 @@ def test_a_folder_says_all_that_a_training_needs(garden: Path, tmp_path: Path) -
 
 
 def trained(cfg: DictConfig, folder: Path) -> int:
-    """Frames that a training of a few batches saw."""
+    """Train for a few batches, and return the number of frames in the config."""
     world = build_world(cfg)
     assert len(world.plan.start_rows) > 10
     build_trainer(cfg, world, folder).fit()
     return int(cfg.collector.total_frames)
 
 
-def test_a_policy_trains_in_a_folder_and_nothing_else_is_said(garden: Path, tmp_path: Path) -> None:
+def test_a_policy_trains_in_a_scene_folder_without_further_overrides_of_the_scene(garden: Path, tmp_path: Path) -> None:
     few = ["collector.total_frames=256", "collector.frames_per_batch=128", "env.num_envs=16", "logger.video=false"]
     arguments = command_line("train", [f"scene={garden}/", *SMALL, *few, "logger.num_test_episodes=8"])
     assert trained(load_config(arguments), tmp_path) == 256
 
 
-def test_the_command_line_has_the_last_word(garden: Path) -> None:
+def test_the_command_line_overrides_the_scene_folder(garden: Path) -> None:
     own = ["robot.height=0.7", "landmarks.goal=[0.0,1.0,90.0]", "task.motion.lower=[-0.5,-0.5]"]
     for overrides in ([*own, f"scene={garden}"], [f"scene={garden}", *own]):
         cfg = load_config(command_line("train", overrides))
@@ -80,15 +80,15 @@ def test_the_command_line_has_the_last_word(garden: Path) -> None:
         assert cfg.task.motion.upper == [1.0, 1.5]
 
 
-def test_a_folder_named_in_full_proposes_the_same(garden: Path) -> None:
+def test_a_folder_given_as_scene_path_proposes_the_same_values(garden: Path) -> None:
     short, full = (load_config(said) for said in ([f"scene={garden}"], ["scene=file", f"scene.path='{garden}'"]))
     assert short == full
     assert load_config(with_scene_paths([f"scene={garden}"])) == short
 
 
 @pytest.mark.parametrize("task", ["circle", "fps", "sim2real", "snake", "drive", "grid,circle"])
-def test_a_task_takes_only_what_it_has(task: str, garden: Path) -> None:
-    proposed = with_scene_paths([f"task={task}", f"scene={garden}"])[:-3]  # without those given, "scene" being two
+def test_a_task_takes_only_the_proposals_for_its_own_keys(task: str, garden: Path) -> None:
+    proposed = with_scene_paths([f"task={task}", f"scene={garden}"])[:-3]  # without the words given; "scene" became two
     keys = {override.partition("=")[0] for override in proposed}
     solid = {"collision.occupancy.resolution", "collision.occupancy.density.cutoff"}
     always = {"robot.height", "landmarks.goal", "landmarks.object"} | solid
@@ -98,7 +98,7 @@ def test_a_task_takes_only_what_it_has(task: str, garden: Path) -> None:
         load_config([*proposed, f"task={one}", "scene=file", f"scene.path={garden}"])
 
 
-def test_a_motion_of_the_command_line_takes_the_bounds(garden: Path) -> None:
+def test_a_motion_chosen_on_the_command_line_takes_the_bounds(garden: Path) -> None:
     cfg = load_config(["task=fps", "motion@task.motion=drive", f"scene={garden}"])
     assert cfg.task.motion.upper == [1.0, 1.5] and "time_step" in cfg.task.motion
 
@@ -132,7 +132,7 @@ def test_a_folder_that_proposes_nothing_changes_nothing(garden: Path) -> None:
         ("collector: {total_frames: 1}", "expected the keys splat, .*quality, got collector"),
     ],
 )
-def test_values_that_are_not_what_their_key_takes_are_refused(line: str, message: str, garden: Path) -> None:
+def test_invalid_values_in_a_scene_folder_are_refused(line: str, message: str, garden: Path) -> None:
     (garden / "scene.yaml").write_text(f"splat: splat.ply\n{line}\n")
     with pytest.raises(ValueError, match=message):
         load_config([f"scene={garden}"])
@@ -144,7 +144,7 @@ def test_values_that_are_not_what_their_key_takes_are_refused(line: str, message
             write_description(garden, "splat.ply", "x", {}, ((0, 0, 0), (1, 1, 1)), True, {key: value})
 
 
-def test_a_scene_of_unknown_scale_is_warned_of(garden: Path) -> None:
+def test_a_scene_of_unknown_scale_causes_a_warning(garden: Path) -> None:
     (garden / "scene.yaml").write_text("splat: splat.ply\nmetric: false\n")
     with pytest.warns(UserWarning, match="not metric: its scale is unknown"):
         scene = read_scene(garden)

@@ -1,4 +1,4 @@
-"""Configs that are composed once are those that Hydra composes, and each caller's own."""
+"""Cached configs equal those that Hydra composes, and each caller gets its own copy."""
 
 import pytest
 from hydra import compose
@@ -35,7 +35,7 @@ def test_a_config_is_what_hydra_composes(name: str, overrides: list[str]) -> Non
         assert OmegaConf.is_struct(got) == OmegaConf.is_struct(expected)
 
 
-def test_what_is_changed_in_a_config_stays_there() -> None:
+def test_changes_to_a_config_do_not_affect_the_next_one() -> None:
     first = load_config(["task=fps", "seed=5"])
     first.robot.height, first.task.motion.step = 9.0, 9.0
     second = load_config(["task=fps"])
@@ -45,7 +45,7 @@ def test_what_is_changed_in_a_config_stays_there() -> None:
 @pytest.mark.parametrize(
     "override", ["robot.hight=1", "task=nothing", "seed=1,2", "robot@height=one", "seed.a=1", "transforms/skip=[a,b]"]
 )
-def test_what_does_not_fit_is_said_by_hydra(override: str) -> None:
+def test_invalid_overrides_raise_the_same_errors_as_in_hydra(override: str) -> None:
     said = []
     for make in (composed, by_hydra):
         with pytest.raises(HydraException) as error:

@@ -1,4 +1,4 @@
-"""A run folder from a stranger runs no code: what it names is built only where it stands in conf/, or was allowed."""
+"""A stranger's run folder runs no code: only constructors that appear in conf/ or were allowed are called."""
 
 import json
 import shutil
@@ -20,7 +20,7 @@ from splatrl.scenes import read_scene
 from tests.tiny import tiny_overrides
 
 RUN = "import os; os.mkdir({made!r})"
-WAYS = [  # key, and what a stranger puts there
+WAYS = [  # a key, and the YAML that a stranger puts there
     ("scene.name", "{{_target_: sympy.sympify, a: \"__import__('os').mkdir('{made}')\"}}"),
     ("scene.name", "{{_target_: site.addsitedir, sitedir: {made}}}"),
     ("scene.name", "{{_target_: torch.ops.load_library, path: {made}}}"),
@@ -64,7 +64,7 @@ WAYS = [  # key, and what a stranger puts there
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled_parser() -> Iterator[None]:
-    """YAML is parsed by libyaml, where it is there: other tests look at how it is parsed."""
+    """Parse YAML with libyaml if it is available, which is faster; other tests cover the parser itself."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(yaml, "SafeLoader", getattr(yaml, "CSafeLoader", yaml.SafeLoader))
         yield
@@ -72,7 +72,7 @@ def compiled_parser() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The run folder of a run in the tiny room."""
+    """The folder of a run in the tiny room."""
     room = tmp_path_factory.mktemp("room")
     save_config(load_config(tiny_overrides(room)), room)
     return room
@@ -80,13 +80,13 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def folder(saved: Path, tmp_path: Path) -> Path:
-    """A run folder that nobody has changed yet."""
+    """An unmodified copy of the run folder."""
     shutil.copy(saved / "config.yaml", tmp_path)
     return tmp_path
 
 
 def changed(folder: Path, key: str, text: str) -> None:
-    """Write YAML for a key into the config of a run folder, which may be one that refers to robot.word."""
+    """Write YAML for a key into the config of a run folder; it may refer to ``robot.word``, which is not allowed."""
     with (folder / "config.yaml").open() as file:
         cfg: Any = OmegaConf.to_container(OmegaConf.load(file))
     node = cfg
@@ -102,10 +102,10 @@ def changed(folder: Path, key: str, text: str) -> None:
 
 
 @pytest.mark.parametrize(("key", "text"), WAYS)
-def test_a_run_folder_names_only_what_stands_in_conf(key: str, text: str, folder: Path) -> None:
+def test_a_run_folder_may_name_only_constructors_that_appear_in_conf(key: str, text: str, folder: Path) -> None:
     made = folder / "made"
     changed(folder, key, text.format(made=made))
-    if key == "allow_targets":  # what the folder says of it is nothing
+    if key == "allow_targets":  # the folder's own list is ignored
         assert run_config(folder).allow_targets == []
         return
     with pytest.raises(ValueError, match=r"config\.yaml: .*(a constructor that appears in|references to a single key)"):
@@ -115,7 +115,7 @@ def test_a_run_folder_names_only_what_stands_in_conf(key: str, text: str, folder
 
 @pytest.mark.parametrize("use", [load_policy, lambda run: resumed_config(run, [f"resume={run}"])])
 @pytest.mark.parametrize(("key", "text"), WAYS[::12])
-def test_whoever_uses_a_run_folder_reads_it_so(
+def test_the_targets_of_a_run_folder_are_checked_whenever_it_is_used(
     key: str, text: str, use: Callable[[Path], object], folder: Path
 ) -> None:
     made = folder / "made"
@@ -125,21 +125,21 @@ def test_whoever_uses_a_run_folder_reads_it_so(
     assert not made.exists()
 
 
-def test_the_key_and_the_target_are_named(folder: Path) -> None:
+def test_the_error_names_the_key_and_the_target(folder: Path) -> None:
     changed(folder, "robot.body.size", "[1, {a: {_target_: os.system}}, 1]")
     with pytest.raises(ValueError, match=r"robot\.body\.size\.1\.a\._target_: expected .* got 'os\.system'"):
         run_config(folder)
 
 
 @pytest.mark.parametrize("text", ["${robot}", "{a: {x: '${task.motion}'}}", "${task.motion.step}", "${nowhere.to_be}"])
-def test_references_in_circles_or_to_nowhere_are_refused(text: str, folder: Path) -> None:
+def test_circular_and_dangling_references_are_refused(text: str, folder: Path) -> None:
     changed(folder, "robot.word", "'${task.motion.step}'" if text == "${robot}" else "x")
     changed(folder, "task.motion.step", text if text != "${robot}" else "'${robot.word}'")
     with pytest.raises(ValueError, match=r"config\.yaml: (config|task\.motion\.step): expected"):
         run_config(folder)
 
 
-def test_references_that_unfold_are_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_references_that_expand_exponentially_are_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert targets.MAX_VALUES <= 10_000
     monkeypatch.setattr(targets, "MAX_VALUES", 1_000)
     cfg = OmegaConf.load(folder / "config.yaml")
@@ -151,7 +151,7 @@ def test_references_that_unfold_are_refused(folder: Path, monkeypatch: pytest.Mo
         run_config(folder)
 
 
-def test_a_package_is_allowed_what_it_defines_and_not_what_it_imports(folder: Path) -> None:
+def test_an_allowed_package_may_name_what_it_defines_and_not_what_it_imports(folder: Path) -> None:
     changed(folder, "network._target_", "tests.training.toys.policy")
     given = "expected a constructor that appears in conf/"
     changed(folder, "network._target_", "tests.configuration.test_targets.tiny_overrides")
@@ -173,7 +173,7 @@ def test_a_package_is_allowed_what_it_defines_and_not_what_it_imports(folder: Pa
         run_config(folder, ["tests"])
 
 
-def test_what_is_built_passes_the_same_gate_wherever_it_comes_from(tmp_path: Path) -> None:
+def test_targets_are_checked_wherever_a_config_comes_from(tmp_path: Path) -> None:
     cfg = load_config([*tiny_overrides(tmp_path), "scene._target_=builtins.print"])
     with pytest.raises(ValueError, match=r"scene\._target_: expected a constructor that appears in conf/"):
         build_world(cfg)
@@ -194,7 +194,7 @@ def test_a_config_without_its_sections_is_refused(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../../x", "/x", "a/b", "..", ".", "a\\\\b", "a\\nb", "a\\0b", "x" * 300])
-def test_a_name_is_no_way_out_of_a_folder(name: str, tmp_path: Path) -> None:
+def test_a_name_cannot_point_outside_its_folder(name: str, tmp_path: Path) -> None:
     tiny_overrides(tmp_path)
     (tmp_path / "scene.yaml").write_text(f'splat: tiny.ply\nname: "{name}"\n')
     with pytest.raises(ValueError, match=r"scene\.yaml: name: expected a name, without slashes"):
@@ -204,13 +204,13 @@ def test_a_name_is_no_way_out_of_a_folder(name: str, tmp_path: Path) -> None:
         read_scene(tmp_path)
 
 
-def test_the_name_of_a_scene_in_a_run_folder_is_no_way_out_either(folder: Path) -> None:
+def test_the_name_of_a_scene_in_a_run_folder_cannot_point_outside_it(folder: Path) -> None:
     changed(folder, "scene.name", "../../x")
     with pytest.raises(Exception, match=r"scene\.name: expected a name, without slashes, got '\.\./\.\./x'"):
         build_world(run_config(folder))
 
 
-def test_what_a_plugins_package_names_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_constructors_that_a_plugins_configs_name_are_accepted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "plugin_of_a_test" / "conf" / "motion"
     folder.mkdir(parents=True)
     (folder.parent / "__init__.py").touch()  # Hydra asks for one

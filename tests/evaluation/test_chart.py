@@ -1,4 +1,4 @@
-"""The map in a video shows the robot, its trail and the goal in their places."""
+"""The map in a video shows the robot, its trail and the goal at the right positions."""
 
 import math
 from collections.abc import Sequence
@@ -60,7 +60,7 @@ def test_the_robot_is_drawn_at_its_pose() -> None:
     assert (np.abs(here - (2.0, 3.5)).max(1) < 0.3).all()
 
 
-def test_the_trail_leads_from_the_start_to_the_present_step_and_no_further() -> None:
+def test_the_trail_runs_from_the_start_to_the_current_step_and_no_further() -> None:
     for step, farthest in ((1, 1.0), (2, 2.0)):
         trail = found(chart().draw(recording(), step), BLUE)
         assert trail[:, 0].min() < 0.2 and trail[:, 0].max() == pytest.approx(farthest + 0.2, abs=0.15)
@@ -68,19 +68,19 @@ def test_the_trail_leads_from_the_start_to_the_present_step_and_no_further() -> 
 
 
 @pytest.mark.parametrize("outcome", [Outcome.GOAL, Outcome.COLLISION, Outcome.TIMEOUT])
-def test_only_the_last_picture_tells_the_outcome_by_the_robots_colour(outcome: Outcome) -> None:
+def test_the_robot_has_the_colour_of_the_outcome_in_the_last_frame_only(outcome: Outcome) -> None:
     assert len(found(chart().draw(recording(outcome), 3), COLORS[outcome])) > 50
     assert len(found(chart().draw(recording(outcome), 2), COLORS[outcome])) == 0
 
 
-def test_the_goal_is_marked_at_its_place_in_every_picture() -> None:
+def test_the_goal_is_marked_at_its_position_in_every_frame() -> None:
     for step in (0, 3):
         goal = found(chart().draw(recording(), step), GOAL)
         assert len(goal) > 50 and np.linalg.norm(goal - (3.0, 4.0), axis=1).max() < 0.4
         assert goal[:, 1].mean() > 4.05  # the arrow points up
 
 
-def test_what_moves_in_an_episode_is_marked_where_it_is_at_each_step() -> None:
+def test_a_moving_mark_is_drawn_at_its_position_at_each_step() -> None:
     places = [(0.5, 4.5), (0.5, 4.5), (3.5, 2.5), (3.5, 4.5)]
     marks = [[Mark("apple", torch.tensor([*place, math.nan], dtype=torch.float64))] for place in places]
     one = Chart(MapView(GROUND), BODY, (400, 384))
@@ -90,7 +90,7 @@ def test_what_moves_in_an_episode_is_marked_where_it_is_at_each_step() -> None:
     assert len(found(one.draw(recording(), 0), GOAL)) == 0
 
 
-def test_marks_of_two_names_differ_in_colour_and_shape_and_a_legend_names_them() -> None:
+def test_marks_with_different_names_differ_in_colour_and_shape_and_have_a_legend() -> None:
     places = torch.tensor([[0.5, 4.5, math.nan], [1.5, 4.5, math.nan]], dtype=torch.float64)
     marks = [[Mark(name, place) for name, place in zip(("mark", "ball"), places, strict=True)]] * 4
     image = Chart(MapView(GROUND), BODY, (400, 384)).draw(recording(marks=marks), 0)
@@ -100,13 +100,13 @@ def test_marks_of_two_names_differ_in_colour_and_shape_and_a_legend_names_them()
         here = np.abs(shown - place).max(1) < 0.2
         assert here.sum() > 30
         sizes.append(np.ptp(shown[here], 0).mean() ** 2 / here.sum())
-        assert (shown[~here].mean(0) > (2.5, 2.0)).all() and shown[~here][:, 1].max() < 2.7  # lower right
+        assert (shown[~here].mean(0) > (2.5, 2.0)).all() and shown[~here][:, 1].max() < 2.7  # legend, lower right
     assert sizes[1] > 1.2 * sizes[0]  # a diamond fills less of its square than a disc
     alone = Chart(MapView(GROUND), BODY, (400, 384)).draw(recording(marks=[marks[0][:1]] * 4), 0)
     assert np.abs(found(alone, GOAL) - places[0, :2].numpy()).max() < 0.2  # one name needs no legend
 
 
-def test_dots_of_a_trail_do_not_run_into_each_other() -> None:
+def test_the_dots_of_a_long_trail_do_not_merge() -> None:
     steps = torch.linspace(0.0, 3.0, 301)
     planar = torch.stack([steps, torch.full_like(steps, 2.5), torch.zeros_like(steps)], 1)
     one = replace(recording(), planar=planar, action=torch.zeros(300))
@@ -116,14 +116,14 @@ def test_dots_of_a_trail_do_not_run_into_each_other() -> None:
     assert apart.max() > 2.5 / SCALE
 
 
-def test_what_is_solid_is_dark() -> None:
+def test_solid_areas_are_drawn_dark() -> None:
     solid = torch.zeros(60, 100, dtype=torch.bool)
     solid[10:20, 20:40] = True  # x 0 to 1, y 4 to 4.5
     bright = np.asarray(chart(solid).draw(recording(), 0))[..., 0]
     assert bright[44:76, 84:156].max() < 130 and bright[:36].min() > 240
 
 
-def test_drawing_leaves_no_trace_on_the_next_picture() -> None:
+def test_drawing_a_frame_does_not_affect_the_next_one() -> None:
     one = chart()
     before = one.draw(recording(), 1).tobytes()
     one.draw(recording(), 3)
@@ -131,5 +131,5 @@ def test_drawing_leaves_no_trace_on_the_next_picture() -> None:
 
 
 @pytest.mark.parametrize(("body", "half"), [(Sphere(0.25), 0.25), (Capsule(0.15, 0.5), 0.15), (BODY, 0.15)])
-def test_a_body_is_seen_from_above(body: Box | Sphere | Capsule, half: float) -> None:
+def test_the_drawn_body_has_the_extent_of_the_body_seen_from_above(body: Box | Sphere | Capsule, half: float) -> None:
     assert Chart(MapView(GROUND), body, (400, 384)).body.max() == pytest.approx(half)

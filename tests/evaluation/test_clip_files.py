@@ -42,7 +42,7 @@ def levels(clip: clip_files.Clip) -> list[int]:
     return [int(np.asarray(image).mean()) for image in clip.images()]
 
 
-def test_what_is_written_is_read_again(tmp_path: Path) -> None:
+def test_a_written_clip_is_read_back_unchanged(tmp_path: Path) -> None:
     images = torch.randint(0, 256, (3, 5, 7, 3), dtype=torch.uint8)
     allowed = torch.tensor([[True, False, False, True], [False] * 4, [False, True, False, False]])
     write_clip(tmp_path / "walk", images, allowed, NAMES)
@@ -54,7 +54,7 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
         assert torch.equal(torch.from_numpy(np.array(image)), written)
 
 
-def test_a_clip_that_fails_leaves_nothing_and_one_that_exists_is_left_alone(tmp_path: Path) -> None:
+def test_a_failed_clip_leaves_no_files_and_an_existing_clip_is_left_alone(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="zip"):
         write_clip(tmp_path / "walk", torch.zeros(1, 2, 2, 3), torch.ones(1, 3, dtype=torch.bool), NAMES)
     with pytest.raises(RuntimeError, match="half way"), new_folder(tmp_path / "walk") as made:
@@ -68,7 +68,7 @@ def test_a_clip_that_fails_leaves_nothing_and_one_that_exists_is_left_alone(tmp_
     assert len(list((tmp_path / "walk").iterdir())) == 2
 
 
-def test_images_come_in_the_order_of_their_numbers_whatever_else_lies_there(tmp_path: Path) -> None:
+def test_images_are_ordered_by_number_and_other_files_are_ignored(tmp_path: Path) -> None:
     folder = folder_clip(tmp_path / "a", names=("2.png", "10.jpg", "f1-9.JPEG", "f1-10.png"))
     (folder / ".hidden.png").write_bytes(b"")
     (folder / "notes.txt").write_bytes(b"")
@@ -87,16 +87,16 @@ def test_a_video_is_read_with_the_table_beside_it(tmp_path: Path) -> None:
     assert levels(walk) == pytest.approx([10, 90, 200], abs=3)
 
 
-def test_a_photograph_is_turned_upright(tmp_path: Path) -> None:
+def test_a_photo_is_turned_upright_as_its_exif_data_says(tmp_path: Path) -> None:
     folder = folder_clip(tmp_path / "a")
     exif = Image.Exif()
-    exif[0x0112] = 6  # lies on its side
+    exif[0x0112] = 6  # orientation 6: the image lies on its side
     gray(9, (30, 20)).save(folder / "000.jpg", exif=exif)
     (folder / "000.png").unlink()
     assert [image.size for image in read_clips(tmp_path, NAMES)[0].images()] == [(20, 30)]
 
 
-def test_a_table_may_come_from_a_spreadsheet(tmp_path: Path) -> None:
+def test_a_table_exported_from_a_spreadsheet_is_read(tmp_path: Path) -> None:
     folder = folder_clip(tmp_path / "a", names=("0.png", "1.png"))
     (folder / "actions.csv").write_bytes("\ufeffframe, action\r\n1,left\r\n\r\n".encode())
     assert read_clips(tmp_path, NAMES)[0].labels == {1: {2}}
@@ -122,7 +122,7 @@ def test_a_table_may_come_from_a_spreadsheet(tmp_path: Path) -> None:
         ("frame,action\n0,left\xff\n".encode("latin-1"), "expected a CSV file in UTF-8"),
     ],
 )
-def test_a_label_that_makes_no_sense_is_named_with_its_line(tmp_path: Path, table: str | bytes, message: str) -> None:
+def test_an_invalid_label_is_reported_with_its_line(tmp_path: Path, table: str | bytes, message: str) -> None:
     folder = folder_clip(tmp_path / "a")
     (folder / "actions.csv").write_bytes(table if isinstance(table, bytes) else table.encode())
     with pytest.raises(ValueError, match=message):
@@ -130,7 +130,7 @@ def test_a_label_that_makes_no_sense_is_named_with_its_line(tmp_path: Path, tabl
 
 
 @pytest.mark.parametrize("kind", ["folder", "video"])
-def test_a_label_beyond_the_last_frame_is_named_with_its_line(tmp_path: Path, kind: str) -> None:
+def test_a_label_beyond_the_last_frame_is_reported_with_its_line(tmp_path: Path, kind: str) -> None:
     table = "frame,action\n1,left\n\n3,right\n"
     if kind == "folder":
         folder_clip(tmp_path / "a", table, ("0.png", "1.png", "2.png"))
@@ -140,14 +140,14 @@ def test_a_label_beyond_the_last_frame_is_named_with_its_line(tmp_path: Path, ki
         list(read_clips(tmp_path, NAMES)[0].images())
 
 
-def test_a_table_of_absurd_size_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_table_that_is_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder_clip(tmp_path / "a")
     monkeypatch.setattr(clip_files, "MAX_CSV_BYTES", 10)
     with pytest.raises(ValueError, match="expected at most 10 bytes, got 20"):
         read_clips(tmp_path, NAMES)
 
 
-def test_folders_without_clips_say_what_is_missing(tmp_path: Path) -> None:
+def test_the_error_for_a_folder_without_clips_says_what_is_missing(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="expected a folder of clips"):
         read_clips(tmp_path / "nowhere", NAMES)
     with pytest.raises(ValueError, match="expected sub-folders"):
@@ -165,7 +165,7 @@ def test_folders_without_clips_say_what_is_missing(tmp_path: Path) -> None:
 
 
 def png(width: int, height: int) -> bytes:
-    """A PNG with a valid header and nothing else."""
+    """Return a PNG with a valid header and almost no pixel data."""
 
     def chunk(kind: bytes, body: bytes) -> bytes:
         return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
@@ -203,7 +203,7 @@ def test_a_video_that_is_damaged_or_too_large_is_refused(tmp_path: Path, monkeyp
         list(clip.images())
 
 
-def test_a_playlist_in_the_guise_of_a_clip_reads_no_other_file(tmp_path: Path) -> None:
+def test_a_playlist_disguised_as_a_video_cannot_read_other_files(tmp_path: Path) -> None:
     (tmp_path / "clips").mkdir()
     video_clip(tmp_path / "secret.mp4", [1, 2], "frame,action\n0,left\n")
     video_clip(tmp_path / "clips" / "a.mp4", [1, 2], "frame,action\n0,left\n")

@@ -23,7 +23,7 @@ PROBABILITIES = torch.tensor([0.1, 0.2, 0.3, 0.4])
 
 
 class Recorder(nn.Module):
-    """Returns the same logits for every image, and remembers the images."""
+    """Returns the same logits for every image, and records the images."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -40,7 +40,7 @@ def recorder() -> tuple[Recorder, TensorDictModule]:
 
 
 def clips(folder: Path, labels: Sequence[Sequence[Sequence[int]]]) -> list[Clip]:
-    """Clips of random frames, given the right actions for each frame of each clip."""
+    """Write and read clips of random frames, given the allowed actions of each frame of each clip."""
     generator = torch.Generator().manual_seed(3)
     for number, frames in enumerate(labels):
         allowed = torch.tensor([[action in frame for action in range(4)] for frame in frames])
@@ -49,7 +49,7 @@ def clips(folder: Path, labels: Sequence[Sequence[Sequence[int]]]) -> list[Clip]
     return read_clips(folder, NAMES)
 
 
-def test_matches_and_probability_are_counted_over_the_labelled_frames_alone(tmp_path: Path) -> None:
+def test_matches_and_probability_are_counted_over_labelled_frames_only(tmp_path: Path) -> None:
     policy = recorder()[1]
     found = match(policy, NAMES, clips(tmp_path, [[[3], [], [0, 3], [2]], [[0, 1]]]), (HEIGHT, WIDTH, 3))
     assert [(one.name, one.frames, one.matches) for one in found] == [("clip-0", 3, 2), ("clip-1", 1, 0)]
@@ -60,7 +60,7 @@ def test_matches_and_probability_are_counted_over_the_labelled_frames_alone(tmp_
     assert every.mass == pytest.approx((0.4 + 0.5 + 0.3 + 0.3) / 4)
 
 
-def test_each_frame_is_shown_once_in_its_order_and_reported(tmp_path: Path) -> None:
+def test_the_policy_sees_each_frame_once_in_order_and_progress_is_reported(tmp_path: Path) -> None:
     module, policy = recorder()
     shown: list[int] = []
     some = clips(tmp_path, [[[3], [], [1]]])
@@ -70,7 +70,7 @@ def test_each_frame_is_shown_once_in_its_order_and_reported(tmp_path: Path) -> N
     assert shown == [1, 1, 1]
 
 
-def test_stacked_frames_are_those_before_with_the_newest_last_and_the_first_repeated(tmp_path: Path) -> None:
+def test_stacked_frames_end_with_the_newest_and_are_padded_with_the_first(tmp_path: Path) -> None:
     module, policy = recorder()
     some = clips(tmp_path, [[[3]] * 4, [[3]] * 2])
     match(policy, NAMES, some, (HEIGHT, WIDTH, 9))
@@ -83,14 +83,14 @@ def test_stacked_frames_are_those_before_with_the_newest_last_and_the_first_repe
 
 @pytest.fixture
 def remembering() -> tuple[TensorDictModuleBase, TensorDictBase]:
-    """A recurrent policy, and what it reads at the start of an episode."""
+    """A recurrent policy, and its inputs at the start of an episode."""
     torch.manual_seed(1)
     policy = actor_critic((HEIGHT, WIDTH, 3), Categorical(4), pool=1, features=16, memory=8).get_policy_operator()
     env = TransformedEnv(tiny_env([1]), Compose(*memory_transforms(8)))
     return policy, env.reset().select("recurrent_state", "is_init")
 
 
-def test_a_recurrent_state_is_carried_through_a_clip_and_begins_anew_with_the_next(
+def test_a_recurrent_state_is_carried_through_a_clip_and_reset_for_the_next(
     tmp_path: Path, remembering: tuple[TensorDictModuleBase, TensorDictBase], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     policy, start = remembering
@@ -116,14 +116,14 @@ def test_a_recurrent_state_is_carried_through_a_clip_and_begins_anew_with_the_ne
     assert not torch.allclose(found[1], alone["logits"], atol=1e-4)  # without the earlier frames
 
 
-def test_a_policy_that_reads_more_than_it_is_given_is_refused(
+def test_a_policy_whose_inputs_are_not_all_given_is_refused(
     tmp_path: Path, remembering: tuple[TensorDictModuleBase, TensorDictBase]
 ) -> None:
     with pytest.raises(ValueError, match=r"start: expected .*recurrent_state.*, which the policy reads"):
         match(remembering[0], NAMES, clips(tmp_path, [[[3]]]), (HEIGHT, WIDTH, 3))
 
 
-def test_scoring_leaves_the_global_generator_alone_and_tracks_no_gradient(tmp_path: Path) -> None:
+def test_scoring_is_repeatable_and_leaves_the_global_generator_alone(tmp_path: Path) -> None:
     policy = actor_critic((HEIGHT, WIDTH, 3), Categorical(4), pool=1).get_policy_operator()
     some = clips(tmp_path, [[[3]] * 3])
     state = torch.get_rng_state()
@@ -132,7 +132,7 @@ def test_scoring_leaves_the_global_generator_alone_and_tracks_no_gradient(tmp_pa
     assert match(policy, NAMES, some, (HEIGHT, WIDTH, 3)) == first
 
 
-def test_an_image_is_cropped_about_its_middle() -> None:
+def test_an_image_is_cropped_about_its_centre() -> None:
     wide = np.zeros((8, 20, 3), np.uint8)
     wide[:, :5], wide[:, -5:] = 255, 255  # all but the middle 8 × 10
     tall = np.ascontiguousarray(wide.transpose(1, 0, 2))
@@ -148,18 +148,18 @@ def test_an_image_is_shrunk_by_averaging_areas(height: int, width: int) -> None:
     assert np.abs(fitted(Image.fromarray(image), height, width).numpy() - cells).max() <= 0.51
 
 
-def test_parts_of_pixels_count_by_their_area() -> None:
+def test_pixels_are_weighted_by_the_area_that_is_covered() -> None:
     line = np.array([[0, 90, 210]], np.uint8)[..., None].repeat(3, -1)
     shrunk = fitted(Image.fromarray(line.repeat(3, 0)), 2, 2)
-    assert shrunk[0, :, 0].tolist() == [30, 170]  # one and a half of the three each
+    assert shrunk[0, :, 0].tolist() == [30, 170]  # each covers one and a half of the three pixels
 
 
 @pytest.mark.parametrize("size", [(7, 9), (640, 480), (33, 1000)])
-def test_an_even_image_stays_even_at_any_size(size: tuple[int, int]) -> None:
+def test_a_uniform_image_stays_uniform_at_any_size(size: tuple[int, int]) -> None:
     assert (fitted(Image.new("RGB", size, (7, 100, 255)), 12, 16) == torch.tensor([7, 100, 255])).all()
 
 
-def test_the_table_sets_runs_side_by_side() -> None:
+def test_the_table_compares_runs_side_by_side() -> None:
     with_noise = [ClipResult("a", 4, 3, 0.5), ClipResult("b", 2, 0, 0.25)]
     without = [ClipResult("a", 4, 1, 0.25), ClipResult("b", 2, 2, 1.0)]
     assert table({"with": with_noise, "without": without}).splitlines() == [
@@ -171,7 +171,7 @@ def test_the_table_sets_runs_side_by_side() -> None:
     ]
 
 
-def test_a_policy_must_say_as_many_actions_as_there_are_names(tmp_path: Path) -> None:
+def test_a_policy_must_have_as_many_actions_as_there_are_names(tmp_path: Path) -> None:
     def three(pixels: Tensor) -> Tensor:
         return torch.zeros(len(pixels), 3)
 

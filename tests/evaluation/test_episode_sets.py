@@ -1,4 +1,4 @@
-"""Files of navigation episodes: written, read back, and refused in one line where they are wrong."""
+"""Files of navigation episodes are written, read back, and refused with a one-line error where they are wrong."""
 
 import gzip
 import json
@@ -32,18 +32,18 @@ def content(path: Path) -> Any:
 def test_a_file_has_habitats_fields_in_habitats_frame(tmp_path: Path) -> None:
     first = content(written(tmp_path))["episodes"][0]
     assert first["episode_id"] == "0" and first["scene_id"] == "yard"
-    assert first["start_position"] == pytest.approx([-2.0, 0.4, -1.0])  # ours: ahead is x, left is y
+    assert first["start_position"] == pytest.approx([-2.0, 0.4, -1.0])  # in our frame, ahead is x and left is y
     assert first["start_rotation"] == pytest.approx([0.0, math.sin(0.25), 0.0, math.cos(0.25)])
     assert first["goals"] == [{"position": pytest.approx([1.0, 0.4, -3.0]), "radius": 0.2}]
     assert first["info"]["geodesic_distance"] == pytest.approx(4.5)
 
 
-def test_a_start_and_its_goal_are_as_high_as_the_robot_in_their_scene(tmp_path: Path) -> None:
+def test_a_start_and_its_goal_are_at_the_height_of_the_robot_in_their_scene(tmp_path: Path) -> None:
     for height, row in zip((0.4, 1.05), content(written(tmp_path))["episodes"], strict=True):
         assert row["start_position"][1] == row["goals"][0]["position"][1] == pytest.approx(height)
 
 
-def test_what_is_written_is_read_back_and_has_the_same_bytes_each_time(tmp_path: Path) -> None:
+def test_episodes_are_read_back_as_written_and_their_file_is_reproducible(tmp_path: Path) -> None:
     path = written(tmp_path)
     state, goal, scene = read_episodes(path, ["kitchen", "yard"])
     torch.testing.assert_close(state, STATE)
@@ -53,7 +53,7 @@ def test_what_is_written_is_read_back_and_has_the_same_bytes_each_time(tmp_path:
     assert path.read_bytes() == written(tmp_path / "again").read_bytes()
 
 
-def test_the_frames_are_each_others_inverse() -> None:
+def test_the_conversions_to_and_from_habitats_frame_are_inverses() -> None:
     places = torch.randn(10, 3, generator=torch.Generator().manual_seed(0))
     assert torch.equal(from_habitat(to_habitat(places)), places)
     assert torch.equal(to_habitat(torch.eye(3)), torch.tensor([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
@@ -75,7 +75,9 @@ def test_the_frames_are_each_others_inverse() -> None:
         ("info", {"goal_yaw": "north"}, r"info.goal_yaw"),
     ],
 )
-def test_a_wrong_episode_is_refused_in_one_line_by_its_field(key: str, value: Any, match: str, tmp_path: Path) -> None:
+def test_an_invalid_episode_is_refused_in_one_line_that_names_the_field(
+    key: str, value: Any, match: str, tmp_path: Path
+) -> None:
     path = written(tmp_path)
     wrong = content(path)
     wrong["episodes"][0][key] = value
@@ -97,7 +99,16 @@ def test_a_wrong_episode_is_refused_in_one_line_by_its_field(key: str, value: An
         (gzip.compress(b"[" * 100_000), "expected JSON, got"),
         (gzip.compress(b'{"episodes": [{}]}')[:-9], "expected a complete gzip file of .* got a truncated one"),
     ],
-    ids=["empty", "text", "cut", "list", "none", "number", "nested", "truncated"],
+    ids=[
+        "empty-file",
+        "not-gzip",
+        "incomplete-json",
+        "not-an-object",
+        "no-episodes",
+        "episode-is-a-number",
+        "deeply-nested",
+        "truncated-gzip",
+    ],
 )
 def test_a_damaged_file_is_refused_in_one_line(data: bytes, match: str, tmp_path: Path) -> None:
     path = tmp_path / "episodes.json.gz"
@@ -107,7 +118,7 @@ def test_a_damaged_file_is_refused_in_one_line(data: bytes, match: str, tmp_path
     assert "\n" not in str(caught.value) and str(caught.value).count("expected") == 1
 
 
-def test_a_file_that_unpacks_to_more_than_it_may_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_unpacks_to_too_many_bytes_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(episode_sets, "MOST_BYTES", 1000)
     path = tmp_path / "episodes.json.gz"
     path.write_bytes(gzip.compress(b" " * 100_000 + b'{"episodes": []}'))
@@ -115,6 +126,6 @@ def test_a_file_that_unpacks_to_more_than_it_may_is_refused(tmp_path: Path, monk
         read_episodes(path, ["yard"])
 
 
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
+def test_a_missing_episode_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="expected an episode file"):
         read_episodes(tmp_path / "none.json.gz", ["yard"])

@@ -33,14 +33,14 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
 
 
 def lattice(headings: int = 8) -> Tensor:
-    """Poses at 4 × 3 positions, 0.25 m apart, times headings: [N, 3]."""
+    """Return poses at 4 × 3 positions, 0.25 m apart, each with evenly spaced headings: [N, 3]."""
     yaws = torch.arange(headings, dtype=torch.float64) * math.tau / headings
     steps = torch.arange(4, dtype=torch.float64) * 0.25
     return torch.cartesian_prod(steps - 0.5, steps[:3], yaws)
 
 
 def polygons(figure: Figure, color: str) -> np.ndarray:
-    """Outlines with this colour on the map: [N, K, 2]."""
+    """Return the outlines with this colour on the map: [N, K, 2]."""
     sets = [c for c in figure.axes[0].collections if isinstance(c, PolyCollection) and len(c.get_facecolor())]
     chosen = [c for c in sets if to_hex(c.get_facecolor()[0]) == color]
     return np.concatenate([[path.vertices[:-1] for path in c.get_paths()] for c in chosen] or [np.zeros((0, 7, 2))])
@@ -74,7 +74,7 @@ def test_a_learning_curve_shows_every_known_value_and_counts_levels_from_one(dra
     assert below.get_xlabel() == "frames"
 
 
-def test_the_smooth_curve_weighs_iterations_by_their_episodes(drawn: list[Figure]) -> None:
+def test_the_smoothed_curve_weights_iterations_by_their_episodes(drawn: list[Figure]) -> None:
     history = [{"frames": float(i), "success": float(i % 2), "episodes": 1.0 + 2 * (i % 2)} for i in range(24)]
     learning_curve(history, Path("unused.png"))
     smooth = drawn[0].axes[0].lines[1].get_ydata()  # the mean of two neighbours, with weights 1 and 3
@@ -82,16 +82,14 @@ def test_the_smooth_curve_weighs_iterations_by_their_episodes(drawn: list[Figure
 
 
 @pytest.mark.parametrize("history", [[], [{"frames": 10.0, "success": math.nan}], [{"frames": 10.0, "success": 0.5}]])
-def test_a_history_of_hardly_anything_makes_a_picture_without_warning(
-    history: list[dict[str, float]], tmp_path: Path
-) -> None:
+def test_an_almost_empty_history_is_drawn_without_warnings(history: list[dict[str, float]], tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         learning_curve(history, tmp_path / "curve.png")
     assert [path.name for path in tmp_path.iterdir()] == ["curve.png"]
 
 
-def test_a_training_of_one_batch_is_a_dot_and_its_level_goes_back_to_the_first_frame(drawn: list[Figure]) -> None:
+def test_a_training_of_one_batch_is_a_dot_and_its_level_starts_at_frame_zero(drawn: list[Figure]) -> None:
     learning_curve([{"frames": 10.0, "success": 0.5, "return": 3.0, "level": 0.0}], Path("unused.png"))
     above, below, levels = drawn[0].axes
     for axes in (above, below):
@@ -100,12 +98,12 @@ def test_a_training_of_one_batch_is_a_dot_and_its_level_goes_back_to_the_first_f
     assert levels.lines[0].get_xdata().tolist() == [0, 10] and levels.lines[0].get_ydata().tolist() == [1, 1]
 
 
-def test_the_suffix_is_the_format(tmp_path: Path) -> None:
+def test_the_suffix_sets_the_file_format(tmp_path: Path) -> None:
     learning_curve([{"frames": 10.0, "success": 0.5}], tmp_path / "curve.pdf")
     assert (tmp_path / "curve.pdf").read_bytes().startswith(b"%PDF")
 
 
-def test_every_start_is_an_arrow_from_its_position_along_its_heading(drawn: list[Figure]) -> None:
+def test_every_start_is_drawn_as_an_arrow_from_its_position_along_its_heading(drawn: list[Figure]) -> None:
     planar = lattice()
     success = planar[:, 0] > -0.3
     start_map(planar, success, VIEW, Path("unused.png"))
@@ -121,7 +119,7 @@ def test_every_start_is_an_arrow_from_its_position_along_its_heading(drawn: list
 
 
 @pytest.mark.parametrize("headings", [4, 16, 36])
-def test_arrows_of_a_rosette_and_of_its_neighbours_do_not_overlap(headings: int, drawn: list[Figure]) -> None:
+def test_arrows_at_one_position_and_at_its_neighbours_do_not_overlap(headings: int, drawn: list[Figure]) -> None:
     planar = lattice(headings)
     start_map(planar, torch.ones(len(planar), dtype=torch.bool), VIEW, Path("unused.png"))
     offset = polygons(drawn[0], REACHED) - planar[:, None, :2].numpy()
@@ -131,7 +129,7 @@ def test_arrows_of_a_rosette_and_of_its_neighbours_do_not_overlap(headings: int,
     assert np.arctan2(np.abs(across), along).max() < math.pi / headings
 
 
-def test_a_pose_that_succeeds_now_and_then_has_a_colour_of_its_own(drawn: list[Figure]) -> None:
+def test_a_pose_that_succeeds_in_some_episodes_has_its_own_colour(drawn: list[Figure]) -> None:
     planar = lattice().repeat(2, 1)
     success = torch.ones(len(planar), dtype=torch.bool)
     success[:5] = False  # the first of two episodes
@@ -140,15 +138,15 @@ def test_a_pose_that_succeeds_now_and_then_has_a_colour_of_its_own(drawn: list[F
     assert labels(drawn[0]) == ["goal reached", "reached in some episodes", "goal pose"]
 
 
-def test_starts_that_are_no_lattice_get_arrows_of_a_size_that_can_be_seen(drawn: list[Figure]) -> None:
+def test_starts_that_are_not_on_a_lattice_get_arrows_of_a_visible_size(drawn: list[Figure]) -> None:
     planar = torch.rand(200, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     start_map(planar, planar[:, 0] > 0.5, VIEW, Path("unused.png"))
     arrows = polygons(drawn[0], REACHED)
     length, width = np.linalg.norm(arrows[:, 3] - arrows[:, [0, 6]].mean(1), axis=-1), arrows[:, 2] - arrows[:, 4]
-    assert (length > 0.05).all() and (np.linalg.norm(width, axis=-1) > 0.01).all()  # of 3 m
+    assert (length > 0.05).all() and (np.linalg.norm(width, axis=-1) > 0.01).all()  # on a map 3 m wide
 
 
-def test_the_goal_and_the_blocked_positions_are_marked_where_they_are(drawn: list[Figure]) -> None:
+def test_the_goal_and_the_blocked_positions_are_marked_at_their_positions(drawn: list[Figure]) -> None:
     planar, blocked = lattice(), torch.tensor([[0.5, 0.25], [0.75, 0.5]])
     start_map(planar, planar[:, 0] > 0, VIEW, Path("unused.png"), blocked=blocked)
     crosses, disc = drawn[0].axes[0].lines
@@ -159,7 +157,7 @@ def test_the_goal_and_the_blocked_positions_are_marked_where_they_are(drawn: lis
     assert {"body does not fit", "goal pose"} <= set(labels(drawn[0]))
 
 
-def test_each_mark_is_drawn_and_marks_of_one_name_share_an_entry_of_the_legend(drawn: list[Figure]) -> None:
+def test_each_mark_is_drawn_and_marks_with_the_same_name_share_a_legend_entry(drawn: list[Figure]) -> None:
     places = torch.tensor([[0.3, 0.7, math.nan], [-0.5, 0.2, math.nan], [0.9, 1.1, 0.5]], dtype=torch.float64)
     marks = [Mark(name, place) for name, place in zip(("apple", "apple", "door"), places, strict=True)]
     start_map(lattice(), lattice()[:, 0] > 0, replace(VIEW, marks=marks), Path("unused.png"))
@@ -173,7 +171,7 @@ def test_each_mark_is_drawn_and_marks_of_one_name_share_an_entry_of_the_legend(d
     assert shown == [looks[0], looks[2]]
 
 
-def test_a_map_without_marks_has_none(drawn: list[Figure]) -> None:
+def test_a_map_without_marks_draws_none(drawn: list[Figure]) -> None:
     success_map(lattice(), torch.ones(96, dtype=torch.bool), MapView(GROUND), Path("unused.png"))
     assert not drawn[0].axes[0].lines and labels(drawn[0]) == []
 
@@ -201,7 +199,7 @@ def test_a_map_is_in_metres_with_x_to_the_right_and_y_up(drawn: list[Figure]) ->
     assert width / height == pytest.approx(1.5)
 
 
-def test_what_is_solid_is_outlined_where_it_stands(drawn: list[Figure]) -> None:
+def test_solid_areas_are_outlined_at_their_position(drawn: list[Figure]) -> None:
     solid = torch.zeros(80, 120, dtype=torch.bool)
     solid[20:40, 70:90] = True  # 0.025 m per pixel: x from 0.25 to 0.75, y from 0.5 to 1
     success_map(lattice(), torch.ones(96, dtype=torch.bool), replace(VIEW, solid=solid), Path("unused.png"))
@@ -225,19 +223,19 @@ def test_a_written_map_has_green_where_the_goal_is_reached_and_red_where_not(tmp
     assert columns[1].max() < columns[0].min()
 
 
-def test_of_starts_too_close_to_be_seen_some_are_drawn_evenly_spread(drawn: list[Figure]) -> None:
+def test_starts_that_are_too_dense_to_be_seen_are_thinned_evenly(drawn: list[Figure]) -> None:
     steps = torch.arange(0.0, 1.0, 0.01, dtype=torch.float64)
     starts = torch.cartesian_prod(steps, steps, torch.zeros(1, dtype=torch.float64))
     start_map(starts, torch.ones(len(starts), dtype=torch.bool), VIEW, Path("unused.png"))
     arrows = polygons(drawn[0], REACHED)
-    cell = 3.0 / figures.MOST_ARROWS  # of the picture's 3 m
+    cell = 3.0 / figures.MOST_ARROWS  # the map is 3 m wide
     assert len(arrows) == math.ceil(1.0 / cell) ** 2
     assert np.ptp(arrows[:, :, 0], axis=1).min() > 0.4 * cell
     title = drawn[0].axes[0].get_title()
     assert "10,000 of 10,000 start poses" in title and f"\n{len(arrows)} of them drawn" in title
 
 
-def test_the_whole_place_is_drawn_beside_the_map_with_its_window(drawn: list[Figure]) -> None:
+def test_an_inset_shows_the_whole_place_and_the_window_of_the_map(drawn: list[Figure]) -> None:
     wide = TopDown(torch.full((40, 60, 3), 90, dtype=torch.uint8), (-15.0, 15.0, -5.0, 15.0))
     starts, done = lattice(), torch.ones(96, dtype=torch.bool)
     start_map(starts, done, replace(VIEW, overview=wide), Path("unused.png"))

@@ -1,4 +1,4 @@
-"""What a policy would do in a film is drawn on it and written beside it."""
+"""A policy's action probabilities for each frame of a video are drawn beside the frame and written to a CSV file."""
 
 import csv
 from pathlib import Path
@@ -26,7 +26,7 @@ def seen(path: Path) -> tuple[int, list[np.ndarray]]:
         return round(float(rate or 0)), [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
 
 
-def test_a_video_keeps_its_frames_and_speed_and_each_has_a_row(tmp_path: Path) -> None:
+def test_a_video_keeps_its_frames_and_rate_and_every_frame_has_a_csv_row(tmp_path: Path) -> None:
     encode(iter(frames(5)), tmp_path / "walk.mp4", 15)
     shown: list[int] = []
     found = draw_film(recorder()[1], NAMES, tmp_path / "walk.mp4", (12, 16, 3), tmp_path / "out", progress=shown.append)
@@ -41,7 +41,7 @@ def test_a_video_keeps_its_frames_and_speed_and_each_has_a_row(tmp_path: Path) -
         assert {float(row[name]) for row in rows} == {round(chance, 4)}
 
 
-def test_bars_are_as_long_as_actions_are_probable(tmp_path: Path) -> None:
+def test_the_bars_are_proportional_to_the_action_probabilities(tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir()
     for number, image in enumerate(frames(2)):
         image.save(tmp_path / "photos" / f"{number}.png")
@@ -55,7 +55,7 @@ def test_bars_are_as_long_as_actions_are_probable(tmp_path: Path) -> None:
     assert bars == pytest.approx([(PANEL - 20) * chance for chance in PROBABILITIES.tolist()], abs=10)
 
 
-def test_the_same_film_gives_the_same_bytes(tmp_path: Path) -> None:
+def test_the_same_video_gives_the_same_bytes(tmp_path: Path) -> None:
     encode(iter(frames(3)), tmp_path / "walk.mp4", 10)
     for name in ("a", "b"):
         draw_film(recorder()[1], NAMES, tmp_path / "walk.mp4", (12, 16, 3), tmp_path / name)
@@ -63,7 +63,7 @@ def test_the_same_film_gives_the_same_bytes(tmp_path: Path) -> None:
         assert (tmp_path / f"a.{kind}").read_bytes() == (tmp_path / f"b.{kind}").read_bytes()
 
 
-def test_what_is_no_film_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
+def test_a_source_that_is_no_video_is_refused_and_leaves_no_files(tmp_path: Path) -> None:
     (tmp_path / "text.mp4").write_text("no video")
     (tmp_path / "empty").mkdir()
     for name, message in (

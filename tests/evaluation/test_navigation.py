@@ -17,7 +17,7 @@ MEASURES = ("success", "spl", "soft_spl", "distance_to_goal", "collisions")
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A training of a few steps with a lidar, a compass and the point goal."""
+    """The run folder of a short training with a lidar, a compass, the point goal and depth."""
     folder = tmp_path_factory.mktemp("run")
     few = ["env.num_envs=4", "collector.frames_per_batch=32", "collector.total_frames=64", "loss.mini_batch_size=16"]
     few += ["logger.num_test_episodes=4", "evaluation.starts=6", "logger.video=false", "loss.ppo_epochs=1"]
@@ -27,7 +27,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_report_has_habitats_measures_and_the_episodes_are_kept(run: Path) -> None:
+def test_the_report_has_habitats_measures_and_the_episodes_are_saved(run: Path) -> None:
     report = json.loads((run / "evaluation.json").read_text())
     for key in (*MEASURES, *(f"{key}_argmax" for key in MEASURES)):
         assert report[key] >= 0.0, key
@@ -36,7 +36,7 @@ def test_the_report_has_habitats_measures_and_the_episodes_are_kept(run: Path) -
     assert (run / "episodes.json.gz").is_file()
 
 
-def test_the_saved_episodes_give_the_same_report_again_in_a_folder_of_its_own(
+def test_evaluating_the_saved_episodes_gives_the_same_report_in_its_own_folder(
     run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own = (run / "evaluation.json").read_bytes()
@@ -50,7 +50,7 @@ def test_the_saved_episodes_give_the_same_report_again_in_a_folder_of_its_own(
         assert after[key] == pytest.approx(before[key], abs=1e-4), key
 
 
-def test_an_evaluation_that_is_refused_leaves_the_run_as_it_was(
+def test_a_refused_evaluation_leaves_the_run_unchanged(
     run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = sorted(run.rglob("*"))
@@ -61,7 +61,7 @@ def test_an_evaluation_that_is_refused_leaves_the_run_as_it_was(
     assert sorted(run.rglob("*")) == before
 
 
-def test_a_file_of_episodes_for_another_task_or_place_is_refused(run: Path, tmp_path: Path) -> None:
+def test_an_episode_file_is_refused_by_a_task_without_navigation(run: Path, tmp_path: Path) -> None:
     cfg = run_config(run)
     world = build_world(cfg)
     from splatrl.evaluation.rollouts import given_episodes

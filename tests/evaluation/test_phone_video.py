@@ -1,4 +1,4 @@
-"""A filmed walk shows the scene as a phone would, and says where the phone was."""
+"""A simulated phone video shows the scene as a phone would, and records where the phone was."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +20,7 @@ RENDERER = NativeRenderer(tiny_gaussians())
 
 
 def walk(frames: int = 12, turn: float = 0.05) -> torch.Tensor:
-    """Past the south side of the block, turning."""
+    """Walk past the south side of the block, turning by ``turn`` radians per frame: [T, 6]."""
     step = torch.arange(frames).double()
     nothing = torch.zeros(frames).double()
     return torch.stack([0.02 * step - 1, nothing - 1, nothing + 0.5, turn * step, nothing + 0.1, nothing], 1)
@@ -38,7 +38,7 @@ def seen(phone: Phone) -> NDArray[np.float64]:
     return RENDERER.pixels(cameras).numpy().astype(float)
 
 
-def test_a_film_shows_what_the_cameras_of_its_truth_see(tmp_path: Path) -> None:
+def test_a_video_shows_what_its_ground_truth_cameras_see(tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     truth = phone_video(RENDERER, walk(), PHONE, tmp_path / "film.mp4", progress=lambda *now: told.append(now))
     assert truth == tmp_path / "film.npz" and told == [(number + 1, 12) for number in range(12)]
@@ -48,7 +48,7 @@ def test_a_film_shows_what_the_cameras_of_its_truth_see(tmp_path: Path) -> None:
         np.testing.assert_allclose(known["K"], PHONE.K.numpy())
     frames = filmed(tmp_path / "again.mp4", PHONE)
     assert frames.shape == (12, 64, 96, 3)
-    assert np.abs(frames - seen(PHONE)).mean() < 4.0  # what H.264 and its halved colours lose
+    assert np.abs(frames - seen(PHONE)).mean() < 4.0  # the loss of H.264 with subsampled chroma
 
 
 def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
@@ -59,7 +59,7 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
     assert all(film == first for film in again) and other != first
 
 
-def test_an_open_shutter_blurs_what_moves(tmp_path: Path) -> None:
+def test_an_open_shutter_causes_motion_blur(tmp_path: Path) -> None:
     sharp = filmed(tmp_path / "sharp.mp4", PHONE, turn=0.2)
     blurred = filmed(tmp_path / "blurred.mp4", replace(PHONE, shutter=0.05, glimpses=5), turn=0.2)
     edges = [np.abs(np.diff(film[..., 1], axis=2)).mean() for film in (sharp, blurred)]
@@ -68,7 +68,7 @@ def test_an_open_shutter_blurs_what_moves(tmp_path: Path) -> None:
     assert np.abs(still - sharp).mean() < 1.0
 
 
-def test_exposure_drifts_and_noise_covers_the_image(tmp_path: Path) -> None:
+def test_the_exposure_drifts_and_noise_covers_the_image(tmp_path: Path) -> None:
     calm = seen(PHONE)
     drifting = filmed(tmp_path / "drift.mp4", replace(PHONE, drift=1.0, fps=1))
     gains = drifting.mean((1, 2, 3)) / calm.mean((1, 2, 3))
@@ -77,7 +77,7 @@ def test_exposure_drifts_and_noise_covers_the_image(tmp_path: Path) -> None:
     assert 5.0 < noisy[..., 1].std() < 13.0
 
 
-def test_sizes_that_cannot_be_filmed_are_refused() -> None:
+def test_invalid_phone_settings_are_refused() -> None:
     with pytest.raises(ValueError, match="width: expected an even number of pixels, got 95"):
         replace(PHONE, width=95)
     with pytest.raises(ValueError, match="glimpses: expected at least 1, got 0"):

@@ -1,4 +1,4 @@
-"""Recordings hold everything that happened, from the first pose to the last."""
+"""Recordings hold every step of an episode, from the first pose to the last."""
 
 import pytest
 import torch
@@ -18,7 +18,7 @@ def scripted(*actions: list[int]) -> "Script":
 
 
 class Script:
-    """Plays rows of actions, [T, B], and then repeats the last one."""
+    """A policy that plays rows of actions, [T, B], and then repeats the last row."""
 
     def __init__(self, actions: Tensor):
         self.actions, self.step = actions, 0
@@ -29,14 +29,16 @@ class Script:
         return td
 
 
-STARTS = torch.tensor([[0, 0, 2], [2, 2, 1], [1, 4, 0]])  # far from all, south of the block, two steps from the goal
+STARTS = torch.tensor(
+    [[0, 0, 2], [2, 2, 1], [1, 4, 0]]
+)  # far from all else, south of the block, two steps from the goal
 ACTIONS = [0, 4, 3], [4, 2, 4], [0, 0, 0]  # out of bounds; into the block; to the goal
 
 
 def test_each_recording_ends_where_its_own_episode_ends() -> None:
     policy = scripted(*ACTIONS)
     recordings = record_episodes(tiny_env((3,)), policy, STARTS)
-    assert policy.step == 3  # as long as the longest
+    assert policy.step == 3  # as many steps as the longest episode
     assert [r.outcome for r in recordings] == [Outcome.OUT_OF_BOUNDS, Outcome.COLLISION, Outcome.GOAL]
     assert [r.action.tolist() for r in recordings] == [[0, 4, 3], [4, 2], [0]]
     for recording in recordings:
@@ -50,7 +52,7 @@ def test_each_recording_ends_where_its_own_episode_ends() -> None:
     ]
 
 
-def test_poses_and_pixels_belong_together_from_the_start_on() -> None:
+def test_every_recorded_pose_has_the_pixels_that_are_seen_from_it() -> None:
     env = tiny_env((3,))
     recordings = record_episodes(env, scripted(*ACTIONS), STARTS)
     motion = tiny_task().motion
@@ -63,12 +65,12 @@ def test_poses_and_pixels_belong_together_from_the_start_on() -> None:
         assert torch.equal(recording.pixels, seen)
 
 
-def test_a_task_that_remembers_nothing_and_places_nothing_leaves_none_of_it() -> None:
+def test_a_task_without_memory_parts_and_marks_records_none() -> None:
     (recording, *_) = record_episodes(tiny_env((3,)), scripted(*ACTIONS), STARTS)
     assert (dict(recording.memory), recording.parts, list(recording.marks)) == ({}, None, [])
 
 
-def test_what_the_task_remembers_is_kept_and_marked_step_by_step() -> None:
+def test_the_memory_parts_and_marks_of_a_task_are_recorded_at_every_step() -> None:
     env = painted_env(Runaway(coarse_forward(), PLACE, max_steps=5), batch=2)
     starts = torch.tensor([[-1.0, -1.5, 0.0], [-1.0, 1.5, 0.0]])
     recordings = record_episodes(env, scripted([0, 0, 0], [2, 2, 2]), starts)
@@ -86,7 +88,7 @@ def test_what_the_task_remembers_is_kept_and_marked_step_by_step() -> None:
         torch.testing.assert_close(stands[:, :2, 3], drawn[:, :2] + recording.planar[:, :2].float())
 
 
-def test_goals_reached_and_the_image_of_a_goal_are_kept() -> None:
+def test_reached_goals_are_recorded_only_for_tasks_with_several_goals() -> None:
     env = painted_env(Several(coarse_forward(), PLACE, max_steps=2), batch=1)
     (recording,) = record_episodes(env, scripted([0, 2]), torch.tensor([[-1.0, -1.5, 0.0]]))
     assert recording.goals is not None and recording.goals.tolist() == [0, 0, 0]
@@ -94,7 +96,7 @@ def test_goals_reached_and_the_image_of_a_goal_are_kept() -> None:
     assert plain.goals is None and plain.goal_image is None
 
 
-def test_episodes_can_begin_with_what_the_task_is_to_remember() -> None:
+def test_episodes_can_start_with_a_given_memory() -> None:
     env = painted_env(Runaway(coarse_forward(), PLACE, max_steps=2), batch=1)
     given = {"target": torch.tensor([[0.1, 0.2, 0.3]])}
     (recording,) = record_episodes(env, scripted([0, 2]), torch.tensor([[-1.0, -1.5, 0.0]]), memory=given)
@@ -102,13 +104,13 @@ def test_episodes_can_begin_with_what_the_task_is_to_remember() -> None:
 
 
 class Several(Apple):
-    """Says that an episode may have several goals."""
+    """An apple task whose episodes may have several goals."""
 
     goals_for_success = 3
 
 
 class Runaway(Apple):
-    """The apple moves north by 0.1 m in each step, and a part stands at the sum of its position and the robot's."""
+    """The apple moves north by 0.1 m per step, and a part is placed at the sum of its position and the robot's."""
 
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
         ahead = step.memory["target"] + torch.tensor([0.0, 0.1, 0.0])
@@ -120,13 +122,13 @@ class Runaway(Apple):
         return Parts(torch.ones(len(state), 1, dtype=torch.int64), poses)
 
 
-def test_an_episode_without_end_is_cut_at_the_limit_of_steps() -> None:
+def test_an_episode_that_does_not_end_times_out_at_max_steps() -> None:
     spinning = scripted(*[[4]] * 3)
     recordings = record_episodes(tiny_env((3,), max_steps=5), spinning, STARTS.clone().fill_(0))
     assert [(r.outcome, len(r.action)) for r in recordings] == [(Outcome.TIMEOUT, 5)] * 3
 
 
-def test_sampling_depends_on_the_seed_and_on_nothing_else() -> None:
+def test_sampling_depends_only_on_the_seed() -> None:
     def policy(td: TensorDictBase) -> TensorDictBase:
         return td.set("action", torch.randint(0, 6, td.batch_size))
 
@@ -139,6 +141,6 @@ def test_sampling_depends_on_the_seed_and_on_nothing_else() -> None:
     assert played[0] == played[1] != played[2]
 
 
-def test_an_env_of_another_size_is_refused() -> None:
+def test_an_env_with_another_batch_size_is_refused() -> None:
     with pytest.raises(ValueError, match=r"one robot per start \(3\), got 2"):
         record_episodes(tiny_env((2,)), scripted(*ACTIONS), STARTS)

@@ -1,4 +1,4 @@
-"""The summary of episodes."""
+"""Summaries of episodes, and the JSON files that hold them."""
 
 import json
 from pathlib import Path
@@ -17,7 +17,7 @@ def episodes(outcomes: list[Outcome], lengths: list[int]) -> Episodes:
     return Episodes(torch.zeros(count, 3), outcome, torch.tensor(lengths), paid, 3 * reached, reached)
 
 
-def test_rates_are_over_all_episodes_and_paths_repeat_with_their_start() -> None:
+def test_rates_are_over_all_episodes_and_each_episode_has_the_shortest_path_of_its_start() -> None:
     sampled = episodes([Outcome.GOAL, Outcome.COLLISION, Outcome.GOAL, Outcome.OUT_OF_BOUNDS], [2, 9, 6, 1])
     argmax = episodes([Outcome.TIMEOUT, Outcome.GOAL], [200, 3])
     summary = summarise(sampled, argmax, torch.tensor([2, 3]))  # starts 0, 0, 1, 1

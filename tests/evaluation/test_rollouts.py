@@ -1,4 +1,4 @@
-"""Episodes from given starts."""
+"""Running episodes from given starts."""
 
 import pytest
 import torch
@@ -10,7 +10,7 @@ from tests.tiny import CountingRenderer, tiny_env, tiny_plan
 
 
 class Planner:
-    """Walks the shortest path, or with some probability in any direction."""
+    """Follows the shortest path, but takes a random action with probability ``slip``."""
 
     def __init__(self, slip: float = 0.0):
         self.plan, self.slip = tiny_plan(), slip
@@ -41,10 +41,10 @@ def test_the_planner_reaches_the_goal_from_every_start_in_the_fewest_steps(robot
     assert sum(finished) == len(some)
 
 
-def test_robots_without_a_start_stand_still() -> None:
+def test_robots_without_a_start_are_not_rendered() -> None:
     plan, env = tiny_plan(), tiny_env([8], max_steps=50)
     order = plan.distance[plan.start_rows].argsort()
-    some = starts()[torch.cat([order[:3], order[-1:]])]  # three are soon there, and fewer than there are robots
+    some = starts()[torch.cat([order[:3], order[-1:]])]  # three short episodes and a long one, for eight robots
     shortest = torch.cat([plan.distance[plan.start_rows][order[:3]], plan.distance[plan.start_rows][order[-1:]]])
     env.drawing.renderer = counting = CountingRenderer(env.drawing.renderer)
     episodes = run_episodes(env, Planner(), some)
@@ -52,7 +52,7 @@ def test_robots_without_a_start_stand_still() -> None:
     assert counting.rendered == 8 + int(shortest.sum())
 
 
-def test_every_outcome_is_counted_for_the_start_that_it_belongs_to() -> None:
+def test_every_outcome_is_assigned_to_its_own_start() -> None:
     some = starts()[:40]
     forward = run_episodes(tiny_env([6], max_steps=9), lambda td: td.set("action", torch.zeros(6).long()), some)
     alone = [
@@ -76,17 +76,17 @@ def test_a_seed_gives_the_same_episodes_and_leaves_the_global_generator_alone() 
     assert not torch.equal(first.length, other.length)
 
 
-def test_evaluating_tells_no_curriculum() -> None:
+def test_evaluation_episodes_do_not_advance_the_curriculum() -> None:
     env = tiny_env([4], first=1, window=1, threshold=0.01)
     run_episodes(env, Planner(), starts()[:20])
     assert env.curriculum.level == 0
 
 
-def test_spl_weighs_success_by_the_shortest_over_the_taken_path() -> None:
+def test_spl_weights_success_by_the_length_of_the_shortest_over_the_taken_path() -> None:
     outcome = torch.tensor([Outcome.GOAL, Outcome.GOAL, Outcome.TIMEOUT, Outcome.COLLISION])
     length = torch.tensor([4, 8, 20, 1])
     reached = outcome == Outcome.GOAL
     episodes = Episodes(torch.zeros(4, 3), outcome, length, torch.zeros(4), reached.long(), reached)
     assert episodes.step_spl(torch.tensor([4, 2, 5, 3])) == pytest.approx((1 + 2 / 8) / 4)
-    assert episodes.step_spl(torch.tensor([5, 2, 5, 3])) == pytest.approx((1 + 2 / 8) / 4)  # never above 1 each
+    assert episodes.step_spl(torch.tensor([5, 2, 5, 3])) == pytest.approx((1 + 2 / 8) / 4)  # each ratio is at most 1
     assert episodes.rate(Outcome.TIMEOUT) == 0.25

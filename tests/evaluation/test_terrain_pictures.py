@@ -21,14 +21,14 @@ def surveyed(*boxes: tuple[float, ...]) -> Surveyed:
     return Surveyed(Ground(plane, 0.0, 100, 1.0, (0.0, 0.0), 0.0), Terrain(torch.from_numpy(plane), rows))
 
 
-def test_boxes_are_drawn_where_they_are(tmp_path: Path) -> None:
+def test_boxes_are_drawn_at_their_positions(tmp_path: Path) -> None:
     middles = []
     for x in (-0.6, 0.6):
         path = tmp_path / "ground.png"
         draw_terrain(tiny_gaussians(), surveyed((x, 0.0, 0.2, 0.2, 0.5, 0.2)), LOWER, UPPER, path)
         image = np.asarray(Image.open(path).convert("RGB")).astype(int)
-        tall = (image[..., 0] > 220) & (image[..., 1] > 220) & (image[..., 2] < 80)  # the colour of the highest top
-        columns = np.flatnonzero(tall[:, : image.shape[1] * 2 // 5].any(0))  # of the map from above
+        tall = (image[..., 0] > 220) & (image[..., 1] > 220) & (image[..., 2] < 80)  # colour of the highest top face
+        columns = np.flatnonzero(tall[:, : image.shape[1] * 2 // 5].any(0))  # in the map from above
         assert len(columns)
         middles.append(columns.mean())
     assert middles[0] < middles[1] - 50

@@ -13,7 +13,7 @@ LOWER, UPPER = (-1.0, 2.0), (2.0, 4.0)  # 3 m × 2 m, off the origin
 
 
 def blobs(rows: list[tuple[tuple[float, float, float], float, tuple[float, float, float]]]) -> Gaussians:
-    """Opaque round Gaussians: (mean, scale, colour) each."""
+    """Return opaque round Gaussians, each given by its mean, scale and colour."""
     means, scales, colors = (torch.tensor(column) for column in zip(*rows, strict=True))
     return Gaussians(
         means=means,
@@ -51,7 +51,7 @@ def test_the_higher_of_two_gaussians_hides_the_lower() -> None:
     assert image[10, 10, 1] > 200 and image[10, 10, 0] < 30
 
 
-def test_what_is_above_the_cut_is_not_shown() -> None:
+def test_gaussians_above_the_cut_are_not_shown() -> None:
     scene = blobs([((0.5, 3.0, 0.0), 0.3, GREEN), ((0.5, 3.0, 1.5), 0.3, RED)])
     image, _ = top_down(scene, LOWER, UPPER, below=1.0, size=30)
     assert image[..., 0].max() == 0 and image[10, 15, 1] > 200
@@ -67,7 +67,7 @@ def test_a_sky_dome_does_not_cover_the_floor(mean: tuple[float, float, float], s
     assert image[..., 2].max() == 0 and image[10, 15, 1] > 200
 
 
-def test_a_window_that_is_no_whole_number_of_pixels_grows_about_its_centre() -> None:
+def test_a_window_grows_about_its_centre_to_a_whole_number_of_pixels() -> None:
     shape = top_down(blobs([((0.5, 0.5, 0.0), 0.3, GREEN)]), (0.0, 0.0), (1.0, 0.61), below=1.0, size=10)
     assert shape.image.shape == (7, 10, 3)
     assert shape.extent == pytest.approx((0.0, 1.0, -0.045, 0.655))
@@ -94,7 +94,7 @@ EXTENT = (-1.0, 2.0, 2.0, 4.0)
 GROUND = TopDown(torch.zeros(20, 30, 3, dtype=torch.uint8), EXTENT)  # 0.1 m per pixel
 
 
-def test_a_footprint_covers_the_pixels_of_its_voxels_and_no_other() -> None:
+def test_a_footprint_covers_the_pixels_of_its_voxels_and_no_others() -> None:
     occupancy = Occupancy.from_keys([[0, 5, 1], [3, 4, 1], [2, 4, 3], [2, 4, -1]], 0.5)
     solid = footprint(occupancy, low=0.3, high=1.2, ground=GROUND)
     expected = torch.zeros(20, 30, dtype=torch.bool)
@@ -103,18 +103,18 @@ def test_a_footprint_covers_the_pixels_of_its_voxels_and_no_other() -> None:
     assert torch.equal(solid, expected)
 
 
-def test_a_voxel_that_only_reaches_into_the_heights_counts() -> None:
+def test_a_voxel_that_is_partly_within_the_height_range_counts() -> None:
     occupancy = Occupancy.from_keys([[0, 5, 1]], 0.5)  # from 0.5 m to 1 m
     for low, high, counts in ((0.9, 2.0, True), (1.0, 2.0, False), (-1.0, 0.6, True), (-1.0, 0.5, False)):
         assert footprint(occupancy, low, high, GROUND).any() == counts
 
 
-def test_the_footprint_of_nothing_is_empty() -> None:
+def test_the_footprint_of_an_empty_grid_is_empty() -> None:
     assert not footprint(Occupancy.empty(), 0.0, 1.0, GROUND).any()
 
 
 def yard(half: float, walls: float = 1.0) -> Gaussians:
-    """A square floor up to walls at ± ``half``, and a ceiling that reaches farther."""
+    """Return a square floor with walls at y = ± ``half``, under a ceiling that reaches farther in x."""
     steps = torch.linspace(-half, half, 41).tolist()
     floor = [((x, y, 0.0), 0.05, GREEN) for x in steps for y in steps]
     sides = [((x, s * half, z), 0.05, RED) for x in steps for s in (-1, 1) for z in (0.3, walls)]
@@ -122,9 +122,9 @@ def yard(half: float, walls: float = 1.0) -> Gaussians:
     return blobs(floor + sides + ceiling)
 
 
-def test_a_map_of_a_large_place_reaches_beyond_the_poses_and_has_an_overview_to_the_walls() -> None:
+def test_a_map_of_a_large_place_has_a_margin_and_an_overview_up_to_the_walls() -> None:
     (low, high), wide = map_window(yard(20.0), (-3.0, -3.0), (5.0, 3.0), below=1.5)
-    assert low == pytest.approx([-5.0, -5.0]) and high == pytest.approx([7.0, 5.0])  # a quarter of 8 m
+    assert low == pytest.approx([-5.0, -5.0]) and high == pytest.approx([7.0, 5.0])  # a margin of a quarter of 8 m
     assert wide is not None
     for corner, edge in zip(wide, (-20.4, 20.4), strict=True):
         assert corner == pytest.approx([edge, edge], abs=0.5)
@@ -136,7 +136,7 @@ def test_a_map_of_a_room_ends_at_its_walls_and_has_no_overview() -> None:
     assert wide is None
 
 
-def test_an_overview_does_not_reach_to_the_horizon() -> None:
+def test_the_width_of_an_overview_is_limited_to_a_multiple_of_the_map() -> None:
     (low, high), wide = map_window(yard(1000.0), (-1.0, -1.0), (1.0, 1.0), below=1.5)
     assert wide is not None
     assert wide[1][0] - wide[0][0] == pytest.approx(WIDEST * (high[0] - low[0]))

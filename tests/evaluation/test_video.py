@@ -23,7 +23,7 @@ from tests.tiny import tiny_gaussians, tiny_motion, tiny_robot
 
 GROUND = TopDown(torch.full((39, 29, 3), 255, dtype=torch.uint8), (-1.45, 1.45, -1.95, 1.95))
 VIEW = MapView(GROUND, marks=[Mark("goal pose", torch.tensor([0.5, 1.0, 0.0], dtype=torch.float64))])
-STRIP = slice(400, None)  # rows of the text
+STRIP = slice(400, None)  # rows of the caption
 
 
 def recording(shade: int, outcome: Outcome, steps: int = 3) -> Recording:
@@ -59,14 +59,14 @@ def has(picture: np.ndarray, color: str) -> bool:
 
 @pytest.fixture(scope="module")
 def shown(tmp_path_factory: pytest.TempPathFactory) -> list[np.ndarray]:
-    """The frames of both recordings, at ten a second."""
+    """The frames of both recordings, at 10 frames per second."""
     folder = tmp_path_factory.mktemp("shown")
     rollout_video(RECORDINGS, tiny_robot(), VIEW, folder / "clip.mp4", fps=10)
     assert [path.name for path in folder.iterdir()] == ["clip.mp4"]
     return frames(folder / "clip.mp4")
 
 
-def test_each_step_is_a_frame_and_the_last_of_an_episode_stays(shown: list[np.ndarray]) -> None:
+def test_each_step_is_a_frame_and_the_last_frame_of_an_episode_is_held(shown: list[np.ndarray]) -> None:
     shades = [picture[8:392, 280:500].mean() for picture in shown]
     expected = [60, 80, 100] + [120] * 8 + [100, 120] + [140] * 8
     assert shades == pytest.approx(expected, abs=3)
@@ -79,7 +79,7 @@ def test_the_policys_pixels_are_enlarged_without_blur(shown: list[np.ndarray]) -
     assert row[:250] == pytest.approx(0, abs=6) and row[262:] == pytest.approx(60, abs=6)
 
 
-def test_with_a_drawing_the_view_is_large_and_the_policys_pixels_are_its_inset(tmp_path: Path) -> None:
+def test_with_a_drawing_the_view_is_large_and_has_the_policys_pixels_as_an_inset(tmp_path: Path) -> None:
     one = recording(60, Outcome.GOAL, steps=1)
     renderer = ReferenceRenderer(tiny_gaussians())
     rollout_video([one], tiny_robot(), VIEW, tmp_path / "clip.mp4", drawing=SceneDrawing(renderer))
@@ -91,7 +91,7 @@ def test_with_a_drawing_the_view_is_large_and_the_policys_pixels_are_its_inset(t
     assert inset[:, :78].max() < 8 and inset[:, 90:].min() > 50
 
 
-def test_the_image_of_a_goal_is_in_the_corner_of_the_view(tmp_path: Path, shown: list[np.ndarray]) -> None:
+def test_a_goal_image_is_shown_in_the_corner_of_the_view(tmp_path: Path, shown: list[np.ndarray]) -> None:
     red = torch.tensor([200, 0, 0], dtype=torch.uint8).expand(12, 16, 3)
     one = replace(recording(60, Outcome.GOAL, steps=1), goal_image=red)
     rollout_video([one], tiny_robot(), VIEW, tmp_path / "clip.mp4")
@@ -112,7 +112,7 @@ def test_goals_are_counted_where_an_episode_has_several(tmp_path: Path) -> None:
     assert changed == [True, False, True]
 
 
-def test_the_large_view_shows_what_the_task_remembered_and_placed_at_each_step(tmp_path: Path) -> None:
+def test_the_large_view_is_drawn_with_the_memory_and_parts_of_each_step(tmp_path: Path) -> None:
     steps = 11  # more than one batch of views
     memory = {"target": torch.arange(3.0 * (steps + 1)).view(-1, 3)}
     parts = Parts(torch.arange(steps + 1).view(-1, 1), torch.eye(4).repeat(steps + 1, 1, 1, 1))
@@ -124,7 +124,7 @@ def test_the_large_view_shows_what_the_task_remembered_and_placed_at_each_step(t
     assert torch.equal(targets, memory["target"]) and torch.equal(models, parts.model)
 
 
-def test_a_camera_outside_adds_a_panel_that_shows_its_views(tmp_path: Path) -> None:
+def test_an_outside_camera_adds_a_panel_with_its_views(tmp_path: Path) -> None:
     parts = Parts(torch.zeros(3, 1, dtype=torch.int64), torch.eye(4).repeat(3, 1, 1, 1))
     one = replace(recording(60, Outcome.GOAL, steps=2), memory={"target": torch.zeros(3, 3)}, parts=parts)
     drawing = Kept()
@@ -138,7 +138,7 @@ def test_a_camera_outside_adds_a_panel_that_shows_its_views(tmp_path: Path) -> N
 
 
 class Kept(SceneDrawing):
-    """Draws black, and remembers what it was asked to draw."""
+    """Draws black images, and records what it was asked to draw."""
 
     def __init__(self) -> None:
         super().__init__(ReferenceRenderer(tiny_gaussians()))
@@ -156,7 +156,7 @@ class Kept(SceneDrawing):
         return View(torch.zeros(len(cameras), cameras.height, cameras.width, 3, dtype=torch.uint8), {})
 
 
-def test_the_outcome_is_told_at_the_end_of_each_episode_and_not_before(shown: list[np.ndarray]) -> None:
+def test_the_outcome_is_shown_at_the_end_of_each_episode_and_not_before(shown: list[np.ndarray]) -> None:
     assert [has(picture[STRIP], REACHED) for picture in shown] == [False] * 3 + [True] * 8 + [False] * 10
     assert [has(picture[STRIP], MISSED) for picture in shown] == [False] * 13 + [True] * 8
 
@@ -187,19 +187,19 @@ def test_the_action_that_led_to_a_frame_is_named_or_shown_as_numbers(tmp_path: P
         rollout_video(one, tiny_robot(), VIEW, tmp_path / "clip.mp4", action_names=names)
         for kept, picture in zip((first, second), frames(tmp_path / "clip.mp4"), strict=False):
             kept.append(picture)
-    assert all((picture == first[0]).all() for picture in first)  # nothing has been done yet
+    assert all((picture == first[0]).all() for picture in first)  # no action has been taken yet
     assert (second[1] == second[0]).all()  # both are +y
     for other in second[2:]:
         changed = (np.abs(second[0] - other).max(-1) > 60).nonzero()
         assert len(changed[0]) > 10 and changed[0].min() >= STRIP.start
 
 
-def test_what_a_caption_says_stays_in_its_column() -> None:
+def test_a_caption_is_shrunk_to_fit_its_column() -> None:
     assert fitting("+x", 150).size == 18
     assert fitting("1.31 -2.08 -0.41 0.52", 150).getlength("1.31 -2.08 -0.41 0.52") <= 150
 
 
-def test_a_failure_leaves_what_was_there(tmp_path: Path) -> None:
+def test_a_failed_video_leaves_the_previous_file(tmp_path: Path) -> None:
     (tmp_path / "clip.mp4").write_bytes(b"an older clip")
     with pytest.raises(ValueError, match="at least one episode"):
         rollout_video([], tiny_robot(), VIEW, tmp_path / "clip.mp4")

@@ -32,7 +32,7 @@ def test_the_view_has_the_ground_below_and_the_sky_above() -> None:
     assert image[-10:, :, 2].mean() > 2 * image[-10:, :, 0].mean()
 
 
-def test_a_person_stands_free_of_what_is_solid_and_away_from_the_middle() -> None:
+def test_the_standing_place_is_in_free_space_and_away_from_the_middle() -> None:
     solid = Occupancy.from_boxes([[0.0, 0.0, 0.0], [2.5, 1.5, 0.0]], [[2.0, 4.0, 2.5], [3.5, 2.5, 2.5]], 0.1)
     place = np.array(standing_place(solid, BOUNDS, 1.6))
     assert place[0] > 4.0
@@ -41,7 +41,7 @@ def test_a_person_stands_free_of_what_is_solid_and_away_from_the_middle() -> Non
 
 
 @pytest.mark.parametrize("corner", range(4))
-def test_blocks_are_seen_from_the_corner_that_hides_least(corner: int) -> None:
+def test_voxels_are_viewed_from_the_corner_that_hides_least(corner: int) -> None:
     corners = np.array([[0.0, 0.0], [0.0, 3.0], [5.0, 3.0], [5.0, 0.0]])
     towers = np.pad(np.delete(corners, corner, 0), ((0, 0), (0, 1)))
     lower = np.concatenate([np.zeros((1, 3)), towers])

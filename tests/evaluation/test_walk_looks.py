@@ -18,7 +18,7 @@ def test_a_perfect_camera_changes_nothing() -> None:
     assert torch.equal(photo(CLEAR, pixels=pixels), pixels)
 
 
-def test_exposure_is_the_same_in_all_of_a_clip_and_another_in_another() -> None:
+def test_exposure_is_constant_in_a_clip_and_differs_between_clips() -> None:
     levels = [photo(Lens(1.0, 0.0, 0.0, 0.0), seed).unique().tolist() for seed in range(40)]
     assert all(len(level) == 1 for level in levels)
     light = torch.tensor(levels).flatten() / 120
@@ -26,7 +26,7 @@ def test_exposure_is_the_same_in_all_of_a_clip_and_another_in_another() -> None:
     assert light.min() > 0.72 and light.max() < 1.38  # a stop is a factor of 2 ** (1 / 2.2) in stored values
 
 
-def test_a_tint_is_one_of_the_whole_clip_and_parts_the_channels() -> None:
+def test_a_tint_is_constant_in_a_clip_and_differs_between_channels() -> None:
     tinted = photo(Lens(0.0, 0.2, 0.0, 0.0))
     assert len(tinted.flatten(0, 2).unique(dim=0)) == 1
     assert len(tinted[0, 0, 0].unique()) == 3
@@ -43,7 +43,7 @@ def test_blur_spreads_a_point_within_its_frame_and_keeps_its_light() -> None:
     assert abs(((spread[0, :, :, 1] / 255) ** 2.2).sum() - 1) < 0.1
 
 
-def test_noise_differs_from_frame_to_frame_about_the_same_level() -> None:
+def test_noise_differs_between_frames_and_keeps_the_mean_level() -> None:
     noisy = photographed(
         torch.full((2, 50, 50, 3), 120, dtype=torch.uint8),
         Lens(0.0, 0.0, 0.0, 8.0),

@@ -46,7 +46,7 @@ def generator(seed: int = 0) -> torch.Generator:
 
 @cache
 def planar_plan() -> Plan:
-    """The plan of walks in steps of 0.25 m to a place in the north-east, facing it."""
+    """Plan walks in steps of 0.25 m to a place in the north-east that the walker must face."""
     motion = ForwardMotion(HEIGHT, 0.25, 30.0, (-1.0, -1.5), (1.0, 1.5))
 
     def reached(state: Tensor) -> Tensor:
@@ -61,7 +61,7 @@ def far(count: int, seed: int = 0) -> list[Tensor]:
     return far_paths(planar_plan(), count, generator(seed), lambda states: awkwardness(planar_plan(), states))
 
 
-def test_a_hand_sways_with_the_deviations_that_it_is_given_at_every_time() -> None:
+def test_the_sway_of_a_hand_has_the_given_deviations_at_every_frame() -> None:
     hand = Hand()
     walks = torch.stack([sway(hand, 50, generator(seed)) for seed in range(800)])
     sizes = hand.sizes().float()
@@ -79,7 +79,7 @@ def test_a_hand_sways_smoothly() -> None:
     assert (steps.std((0, 1)) > 0.05 * hand.sizes()).all()
 
 
-def test_easing_passes_every_pose_gently_and_turns_the_short_way() -> None:
+def test_easing_passes_smoothly_through_every_pose_and_turns_the_short_way() -> None:
     poses = torch.tensor([[0.0, 0.0, 6.2], [0.5, 0.0, 6.2], [0.5, 0.0, 0.1]], dtype=torch.float64)
     between = eased(poses, 4)
     assert len(between) == 9
@@ -90,7 +90,7 @@ def test_easing_passes_every_pose_gently_and_turns_the_short_way() -> None:
     assert between[1, 0] < 0.5 / 4 < between[2, 0] - between[1, 0]
 
 
-def test_a_path_on_a_lattice_is_a_shortest_one_from_every_start() -> None:
+def test_paths_on_a_lattice_are_shortest_from_every_start_and_vary_with_the_seed() -> None:
     found = tiny_plan()
     starts = found.states[found.start_rows]
     walked = paths(found, starts, generator())
@@ -100,7 +100,7 @@ def test_a_path_on_a_lattice_is_a_shortest_one_from_every_start() -> None:
     assert any(not torch.equal(one, other) for one, other in zip(walked, again, strict=True))
 
 
-def test_who_can_go_on_does_not_turn() -> None:
+def test_a_path_repeats_its_action_while_that_is_optimal() -> None:
     found = planar_plan()
     for states in far(4):
         taken = [_action(found, *pair) for pair in pairwise(states)]
@@ -113,10 +113,10 @@ def _action(found: Plan, state: Tensor, ahead: Tensor) -> int:
     return int((moved - ahead).norm(dim=1).argmin())
 
 
-def test_a_path_is_awkward_where_it_goes_backwards_or_too_near_or_ends_too_soon() -> None:
+def test_a_path_is_awkward_where_it_goes_backwards_comes_too_near_or_ends_too_soon() -> None:
     found = planar_plan()
     away = torch.tensor([[-0.9, 1.0, 0.0], [-0.65, 1.0, 0.0], [-0.4, 1.0, 0.0]])
-    assert awkwardness(found, away) == 1.0  # not there yet
+    assert awkwardness(found, away) == 1.0  # it does not reach the goal
     there = torch.tensor([[0.5, 1.0, 0.0]])
     assert awkwardness(found, torch.cat([away, there])) == 0.0
     assert awkwardness(found, torch.cat([away.flip(0), there])) == pytest.approx(2 / 3)
@@ -125,7 +125,7 @@ def test_a_path_is_awkward_where_it_goes_backwards_or_too_near_or_ends_too_soon(
     assert awkwardness(found, torch.cat([near.flip(0), there])) == pytest.approx(2 / 3 + 1 / 2)
 
 
-def test_paths_begin_far_away_and_at_all_distances_in_between() -> None:
+def test_paths_start_at_distances_that_are_spread_from_far_to_near() -> None:
     found = planar_plan()
     lengths = [found.cost_to_go(states[:1]).item() for states in far(8)]
     every = found.distance[found.start_rows].double()
@@ -135,7 +135,7 @@ def test_paths_begin_far_away_and_at_all_distances_in_between() -> None:
     assert max(awkwardness(found, states) for states in far(8)) < 0.5
 
 
-def test_of_several_paths_the_one_is_taken_that_has_least_to_be_said_against_it() -> None:
+def test_the_candidate_path_with_the_lowest_penalty_is_taken() -> None:
     asked: list[float] = []
 
     def eastern(states: Tensor) -> float:
@@ -147,7 +147,7 @@ def test_of_several_paths_the_one_is_taken_that_has_least_to_be_said_against_it(
         assert -states[0, 0].item() == min(asked[16 * number : 16 * number + 16])
 
 
-def test_a_path_stops_where_the_plan_goes_to_and_fro() -> None:
+def test_a_path_stops_where_the_plan_oscillates() -> None:
     found = planar_plan()
 
     def dithers(state: Tensor) -> Tensor:
@@ -159,7 +159,7 @@ def test_a_path_stops_where_the_plan_goes_to_and_fro() -> None:
     assert len(states) <= 3
 
 
-def test_a_path_where_nothing_is_to_be_seen_is_empty() -> None:
+def test_emptiness_is_the_part_of_a_path_that_sees_nothing() -> None:
     found, robot = planar_plan(), tiny_robot()
     inside = torch.tensor([[0.5, 0.5, 0.0], [0.5, 0.75, 0.0]])
     outside = torch.tensor([[9.0, 9.0, 0.0], [9.0, 9.25, 0.0]])
@@ -168,7 +168,7 @@ def test_a_path_where_nothing_is_to_be_seen_is_empty() -> None:
     assert emptiness(found, torch.cat([inside, outside]), robot, tiny_renderer()) == pytest.approx(0.5, abs=0.15)
 
 
-def test_a_steady_walk_is_the_path_itself_labelled_with_the_action_that_it_takes() -> None:
+def test_a_steady_walk_follows_its_path_and_is_labelled_with_the_actions_taken() -> None:
     found = planar_plan()
     states = far(1)[0]
     walked = walk(found, tiny_robot(), states, STILL, generator())
@@ -179,7 +179,7 @@ def test_a_steady_walk_is_the_path_itself_labelled_with_the_action_that_it_takes
         assert walked.allowed[STILL.frames * row, _action(found, *pair)], row
 
 
-def test_a_frame_is_labelled_by_where_its_camera_is_and_not_by_the_path() -> None:
+def test_a_frame_is_labelled_by_the_pose_of_its_camera_and_not_by_the_path() -> None:
     found = planar_plan()
     states = far(1)[0]
     hand = Hand(place=0.05, yaw_deg=12.0, pitch_deg=8.0, roll_deg=8.0)
@@ -227,7 +227,7 @@ class Painter:
 
 
 class Stand(TaskModule):
-    """Puts model 3 of the scene where each robot stands, and remembers a place."""
+    """A task that places model 3 at each robot, and keeps a target in its memory."""
 
     def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
         return {"target": torch.tensor([0.7, 1.0, HEIGHT]).repeat(len(state), 1)}
@@ -237,7 +237,7 @@ class Stand(TaskModule):
 
 
 def world(found: Plan, drawing: Drawing) -> World:
-    """A world in which walks are recorded, with only the plan, robot, task and drawing that they need."""
+    """Return a world for recording walks, with little more than the plan, robot, task and drawing that they need."""
     gaussians = tiny_gaussians()
     return World(
         scene=Scene("room", gaussians, ((-1.0, -1.5, 0.0), (1.0, 1.5, 1.0))),
@@ -268,18 +268,18 @@ def test_recorded_walks_are_clips_in_the_shape_of_the_robots_image(tmp_path: Pat
     for clip in clips:
         images = list(clip.images())
         assert {image.size for image in images} == {(32, 24)}
-        assert 0.7 * len(images) < len(clip.labels) < len(images)  # none at the goal
+        assert 0.7 * len(images) < len(clip.labels) < len(images)  # frames at the goal have no label
         assert len(images) - 1 not in clip.labels
 
 
-def test_the_same_seed_records_the_same_bytes_and_another_others(tmp_path: Path) -> None:
+def test_a_seed_fixes_the_recorded_bytes_and_another_seed_changes_them(tmp_path: Path) -> None:
     for name, seed in (("a", 3), ("b", 3), ("c", 4)):
         record(tmp_path / name, seed)
     assert contents(tmp_path / "a") == contents(tmp_path / "b") != contents(tmp_path / "c")
 
 
 class Photographs(SceneDrawing):
-    """Draws everything in one grey, and remembers what it was asked to draw."""
+    """Draws everything in one grey, and records what it was asked to draw."""
 
     def __init__(self) -> None:
         super().__init__(Painter())
@@ -296,7 +296,7 @@ class Photographs(SceneDrawing):
         return View(torch.full((len(cameras), cameras.height, cameras.width, 3), 200, dtype=torch.uint8), {})
 
 
-def test_what_the_task_places_and_the_drawing_adds_is_photographed_with_the_scene(tmp_path: Path) -> None:
+def test_walks_are_drawn_by_the_worlds_drawing_with_the_tasks_memory_and_parts(tmp_path: Path) -> None:
     clear, drawing = Lens(exposure=0.0, tint=0.0, blur=0.0, noise=0.0), Photographs()
     record(tmp_path, drawing=drawing, lens=clear, hand=STILL)
     clips = read_clips(tmp_path, NAMES)
@@ -310,13 +310,13 @@ def test_what_the_task_places_and_the_drawing_adds_is_photographed_with_the_scen
         assert torch.allclose(places, cameras.camera_to_world[:, :3, 3], atol=1e-5)
 
 
-def test_a_lattice_can_be_walked_too(tmp_path: Path) -> None:
+def test_a_walk_can_be_recorded_on_a_lattice(tmp_path: Path) -> None:
     record_walks(tmp_path, world(tiny_plan(), SceneDrawing(Painter())), count=1, height=12)
     (clip,) = read_clips(tmp_path, tiny_motion().action_names)
     assert len(clip.labels) > 10
 
 
-def test_walks_that_fail_leave_no_part_of_a_clip(tmp_path: Path) -> None:
+def test_a_failed_recording_leaves_no_partial_clip(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="no picture"):
         record(tmp_path, drawing=Broken(Painter()))
     assert list(tmp_path.iterdir()) == []
@@ -326,14 +326,14 @@ def test_walks_that_fail_leave_no_part_of_a_clip(tmp_path: Path) -> None:
 
 
 class Broken(SceneDrawing):
-    """Draws nothing."""
+    """Fails to draw."""
 
     def draw(self, *_: object) -> View:
         raise RuntimeError("no picture")
 
 
 @pytest.mark.parametrize("motion", [DriveMotion(HEIGHT), OrbitMotion((0.0, 0.0, HEIGHT), elevation_deg=(0.0, 40.0))])
-def test_what_cannot_be_walked_is_refused(motion: PlannedMotion, tmp_path: Path) -> None:
+def test_a_motion_that_cannot_be_walked_is_refused(motion: PlannedMotion, tmp_path: Path) -> None:
     other = Plan(**{**vars(planar_plan()), "motion": motion})
     refused = rf"expected a motion on the ground with named actions.*got {type(motion).__name__}"
     with pytest.raises(ValueError, match=refused):
@@ -347,6 +347,6 @@ def test_a_walk_needs_a_goal(tmp_path: Path) -> None:
     assert not (tmp_path / "clips").exists()
 
 
-def test_clips_without_a_number_or_a_size_are_refused(tmp_path: Path) -> None:
+def test_a_recording_of_no_clips_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="at least 1 clip"):
         record(tmp_path, count=0)

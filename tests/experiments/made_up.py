@@ -27,7 +27,7 @@ NODE: dict[str, Any] = {
 
 
 def compose(overrides: Sequence[str]) -> dict[str, Any]:
-    """The part of a config that is read: 430 frames in batches of 40, unless the overrides say otherwise."""
+    """Return the part of a config that is read: 430 frames in batches of 40, unless the overrides say otherwise."""
     given = dict(override.split("=", 1) for override in overrides)
     return {
         "collector": {"total_frames": int(given.get("collector.total_frames", 430)), "frames_per_batch": 40},
@@ -40,7 +40,7 @@ def compose(overrides: Sequence[str]) -> dict[str, Any]:
 
 
 def made_up(folder: Path, node: dict[str, Any] | None = None, selection: Selection | None = None) -> Experiment:
-    """The experiment above, or another."""
+    """Plan the experiment above, or that of another node."""
     return planned("tried", node or NODE, SCENES, folder, compose, selection)
 
 
@@ -49,8 +49,8 @@ def begin(run: Run, frames: int, tested: Sequence[float] = ()) -> None:
 
     Args:
         run: the training.
-        frames: frames that it has completed.
-        tested: success in tests, every 200 frames, which take a minute.
+        frames: number of frames that it has completed.
+        tested: success rates of tests, one every 200 frames, that is, every minute of training.
     """
     checkpoint = run.folder / "checkpoints" / "last.pt"
     checkpoint.parent.mkdir(parents=True)

@@ -1,4 +1,4 @@
-"""What is left to train."""
+"""Budgets of experiments: what is left to train, and how long it takes."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from splatrl.experiments import budget, statement
 from tests.experiments.made_up import NODE, begin, finish, made_up
 
 
-def test_a_budget_counts_frames_of_begun_runs_and_takes_the_expected_speed(tmp_path: Path) -> None:
+def test_a_budget_subtracts_frames_of_begun_runs_and_uses_the_expected_speed(tmp_path: Path) -> None:
     experiment = made_up(tmp_path)
     begin(experiment.runs[0], 120)
     found = budget(experiment)
@@ -18,7 +18,7 @@ def test_a_budget_counts_frames_of_begun_runs_and_takes_the_expected_speed(tmp_p
     assert "expected" in str(found)
 
 
-def test_a_budget_takes_the_speed_of_what_is_finished(tmp_path: Path) -> None:
+def test_a_budget_uses_the_measured_speed_of_finished_runs(tmp_path: Path) -> None:
     experiment = made_up(tmp_path)
     for run in experiment.runs[:2]:
         finish(run, 0.5, seconds=20.0)
@@ -28,7 +28,7 @@ def test_a_budget_takes_the_speed_of_what_is_finished(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("jobs", "time"), [(1, "3.3 h"), (4, "49 min")])
-def test_the_statement_sums_up_over_experiments(tmp_path: Path, jobs: int, time: str) -> None:
+def test_the_statement_sums_over_experiments(tmp_path: Path, jobs: int, time: str) -> None:
     experiments = [made_up(tmp_path / name, NODE | {"overhead": 980}) for name in "ab"]
     *each, last = statement([budget(experiment) for experiment in experiments], jobs).splitlines()
     assert len(each) == 2

@@ -31,7 +31,7 @@ def clips(runs: Path) -> Path:
     return runs / "clips"
 
 
-def test_a_run_is_scored_by_the_checkpoint_that_is_asked_for(runs: Path, clips: Path) -> None:
+def test_a_run_is_scored_with_the_requested_checkpoint(runs: Path, clips: Path) -> None:
     labels = [list(clip.labels.values()) for clip in read_clips(clips, NAMES)]
     for checkpoint, action in ((None, 0), ("best", BEST)):
         found = score_run(runs / "forward", clips, checkpoint)
@@ -39,7 +39,7 @@ def test_a_run_is_scored_by_the_checkpoint_that_is_asked_for(runs: Path, clips: 
         assert [one.matches for one in found] == [sum(action in label for label in one) for one in labels]
 
 
-def test_the_apple_hangs_in_recorded_clips_where_the_task_has_it(runs: Path, clips: Path, tmp_path: Path) -> None:
+def test_recorded_clips_show_the_apple_unless_the_sprite_is_disabled(runs: Path, clips: Path, tmp_path: Path) -> None:
     bare = build_world(altered(config(runs, "transforms/sprite=none"), 0))
     record_clips(bare, tmp_path / "bare", count=2, height=18)
     for clip, without in zip(read_clips(clips, NAMES), read_clips(tmp_path / "bare", NAMES), strict=True):
@@ -49,12 +49,12 @@ def test_the_apple_hangs_in_recorded_clips_where_the_task_has_it(runs: Path, cli
 
 
 def red(image: Image.Image) -> float:
-    """Share of clearly red pixels."""
+    """Return the fraction of clearly red pixels."""
     r, g, b = np.asarray(image).astype(int).transpose(2, 0, 1)
     return float(((r > 2 * g) & (r > 2 * b)).mean())
 
 
-def test_an_experiment_is_scored_on_clips_of_each_scene_that_are_recorded_once(
+def test_an_experiment_is_scored_on_clips_that_are_recorded_once_per_scene(
     runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     @dataclass
@@ -82,7 +82,7 @@ def test_an_experiment_is_scored_on_clips_of_each_scene_that_are_recorded_once(
     assert len(recorded) == 2
 
 
-def test_the_altered_scene_is_another_yard_and_another_way_to_draw_any_scene() -> None:
+def test_an_altered_scene_is_another_yard_and_is_rendered_in_another_way() -> None:
     own = load_config([])
     other = altered(own, 2)
     assert (own.scene.seed, own.scene.clutter, own.renderer.tolerance) == (0, 0, 0.5)

@@ -15,11 +15,11 @@ PROGRAM = ["python", "-m", "a.training"]
 
 
 def keep_config(run: Run, **changes: Any) -> None:
-    """Write the config that a training leaves, or one that differs."""
+    """Write the config that a training leaves, with some of its values changed."""
     OmegaConf.save(OmegaConf.create({**run.config, **changes}), run.folder / "config.yaml")
 
 
-def test_a_folder_with_the_settings_that_are_asked_for_is_gone_on_with(tmp_path: Path) -> None:
+def test_a_folder_with_the_requested_settings_is_continued(tmp_path: Path) -> None:
     new, begun, finished, *_ = made_up(tmp_path).runs
     begin(begun, 40)
     finish(finished, 0.5)
@@ -30,7 +30,7 @@ def test_a_folder_with_the_settings_that_are_asked_for_is_gone_on_with(tmp_path:
         assert not new.folder.exists() and begun.folder.exists() and finished.folder.exists()
 
 
-def test_a_folder_with_other_settings_is_refused_or_deleted_when_that_is_asked_for(tmp_path: Path) -> None:
+def test_a_folder_with_other_settings_is_refused_or_deleted_if_fresh_is_set(tmp_path: Path) -> None:
     other, same = made_up(tmp_path).runs[:2]
     for run in (other, same):
         begin(run, 40)
@@ -43,7 +43,7 @@ def test_a_folder_with_other_settings_is_refused_or_deleted_when_that_is_asked_f
     assert same.folder.exists() and not other.folder.exists()
 
 
-def test_all_trainings_are_one_queue_and_their_machine_is_noted_where_one_is_left(
+def test_all_trainings_form_one_queue_and_unfinished_experiments_note_the_machine(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     todo, done = made_up(tmp_path / "todo"), made_up(tmp_path / "done")
@@ -66,7 +66,7 @@ def test_all_trainings_are_one_queue_and_their_machine_is_noted_where_one_is_lef
     assert [path.name for path in done.folder.glob("*.json")] == ["scores.json"]
 
 
-def test_an_experiment_is_scored_once_when_all_of_it_is_finished(tmp_path: Path) -> None:
+def test_an_experiment_is_scored_once_after_all_its_runs_are_finished(tmp_path: Path) -> None:
     experiment = made_up(tmp_path)
     asked: list[Path] = []
 
@@ -85,7 +85,7 @@ def test_an_experiment_is_scored_once_when_all_of_it_is_finished(tmp_path: Path)
 
 
 @pytest.mark.usefixtures("blank_curves")
-def test_several_experiments_have_a_report_each_and_one_of_all(tmp_path: Path) -> None:
+def test_several_experiments_have_a_report_each_and_a_joint_report(tmp_path: Path) -> None:
     one, other = made_up(tmp_path / "a"), made_up(tmp_path / "b")
     for experiment in (one, other):
         finish(experiment.runs[0], 0.5)

@@ -1,4 +1,4 @@
-"""Experiments as data."""
+"""Experiments are data, from which their runs are planned."""
 
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,11 @@ def test_every_arm_is_trained_in_its_scenes_with_its_seeds(tmp_path: Path) -> No
     assert names == {f"tried/{place}-s{seed}" for place in places for seed in (0, 1)}
 
 
-def test_every_arm_has_its_first_seed_before_any_has_its_second(tmp_path: Path) -> None:
+def test_every_arm_runs_its_first_seed_before_any_arm_runs_its_second(tmp_path: Path) -> None:
     assert [run.seed for run in made_up(tmp_path).runs] == [0, 0, 0, 1, 1, 1]
 
 
-def test_a_run_knows_its_overrides_its_config_and_its_whole_batches(tmp_path: Path) -> None:
+def test_a_run_has_its_overrides_its_config_and_a_whole_number_of_batches(tmp_path: Path) -> None:
     run = made_up(tmp_path).runs[-1]
     assert run.overrides == ("scene=yard", "curriculum=no", "seed=1")
     assert run.config["seed"] == 1
@@ -33,13 +33,13 @@ def test_seeds_frames_and_scenes_can_be_chosen(tmp_path: Path) -> None:
     assert "collector.total_frames=120" in runs[0].overrides
 
 
-def test_a_key_that_an_arm_does_not_know_is_named(tmp_path: Path) -> None:
+def test_an_unknown_key_of_an_arm_is_named(tmp_path: Path) -> None:
     node: dict[str, Any] = NODE | {"arms": {"with": NODE["arms"]["with"] | {"sedes": [0]}}}
     with pytest.raises(ValueError, match=r"experiments\.tried\.arms\.with: expected the keys .*, got .*sedes"):
         made_up(tmp_path, node)
 
 
-def test_a_key_that_an_experiment_lacks_is_named(tmp_path: Path) -> None:
+def test_a_missing_key_of_an_experiment_is_named(tmp_path: Path) -> None:
     node = {key: value for key, value in NODE.items() if key != "paper"}
     with pytest.raises(ValueError, match=r"experiments\.tried: expected the keys .*paper"):
         made_up(tmp_path, node)

@@ -1,4 +1,4 @@
-"""What run folders record."""
+"""The status, history and settings that run folders record."""
 
 import json
 import math
@@ -30,7 +30,7 @@ def test_a_run_that_was_killed_before_its_video_is_not_finished(tmp_path: Path) 
     assert status(run) == "finished"
 
 
-def test_a_run_in_several_scenes_is_finished_with_the_video_of_each_that_it_shows(tmp_path: Path) -> None:
+def test_a_run_in_several_scenes_is_finished_once_each_shown_scene_has_a_video(tmp_path: Path) -> None:
     run = made_up(tmp_path).runs[0]
     run.config["logger"]["video"] = True
     finish(run, 0.9)
@@ -52,7 +52,7 @@ def test_an_empty_cell_of_the_history_is_nan(tmp_path: Path) -> None:
     assert (second["frames"], second["success"]) == (80, 0.08)
 
 
-def test_configs_differ_in_what_changes_results_and_not_in_speed() -> None:
+def test_differences_of_configs_list_what_changes_results_and_not_what_changes_speed() -> None:
     asked, found = compose(["scene=yard"]), compose(["scene=yard", "collector.total_frames=80"])
     found |= {"threads": 7, "resume": "here", "renderer": {"threads": 3, "tolerance": 0.5}}
     found["collector"]["cuda_graph"] = True
@@ -66,6 +66,6 @@ def test_configs_differ_in_what_changes_results_and_not_in_speed() -> None:
     ]
 
 
-def test_a_path_and_its_absolute_form_are_the_same() -> None:
+def test_a_relative_path_equals_its_absolute_form() -> None:
     asked, found = compose(["scene=yard.spz"]), compose([f"scene={Path('yard.spz').absolute()}"])
     assert differences(asked, found) == []

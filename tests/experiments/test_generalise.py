@@ -15,7 +15,7 @@ from tests.experiments.trained import save_run
 from tests.two_rooms import overrides, two_rooms
 
 
-def test_places_are_those_whose_files_are_given(tmp_path: Path) -> None:
+def test_places_are_the_test_places_whose_scenes_are_given(tmp_path: Path) -> None:
     choose_places(tmp_path, {"backyard": ["scene=backyard"], "yards": ["scene=yards"]})
     assert json.loads((tmp_path / PLACES).read_text()) == {"backyard": ["scene=backyard"]}
 
@@ -38,7 +38,7 @@ def test_a_policy_is_tested_in_several_scenes_at_once_and_in_one(tmp_path: Path)
     assert all(0 <= row["success_rate"] <= 1 for row in rows)
 
 
-def test_runs_that_remember_and_runs_that_do_not_are_tested_side_by_side(tmp_path: Path) -> None:
+def test_runs_with_and_without_memory_are_tested_side_by_side(tmp_path: Path) -> None:
     words = [*overrides("pointnav"), "task.max_steps=8", f"scene={two_rooms(tmp_path)[0]}", "evaluation.starts=4"]
     runs = []
     for name, more in (("plain", []), ("gru", ["memory=gru"]), ("told", ["sensors=[pointgoal]"])):
@@ -56,7 +56,7 @@ def test_the_table_shows_places_in_which_nothing_was_trained(tmp_path: Path) -> 
     assert "unseen" in lines and "0.250" in lines
 
 
-def test_those_who_never_learned_are_tested_as_well_and_told_last(tmp_path: Path) -> None:
+def test_baselines_that_learned_nothing_are_tested_too_and_listed_last(tmp_path: Path) -> None:
     place = load_config([*overrides("pointnav"), f"scene={two_rooms(tmp_path)[0]}", "evaluation.starts=16"])
     straight, taught = unlearned("west", place)
     assert (straight["place"], straight["starts"]) == ("west", 16)

@@ -1,4 +1,4 @@
-"""A scene that was captured again lies over the original; film, structure from motion and fit are made up here."""
+"""A recaptured scene is aligned with the original; the video, structure from motion and fit are faked here."""
 
 import json
 import shutil
@@ -26,16 +26,16 @@ from tests.capture.walks import similarity_of
 from tests.tiny import tiny_gaussians, tiny_overrides
 
 CAPTURE = similarity_of(5)
-"""From the original to the frame of the made-up capture."""
+"""Similarity from the original's frame to that of the fake capture."""
 SCALE = float(np.linalg.det(CAPTURE[:3, :3]) ** (1 / 3))
 HAZE = (1.0, -1.0, 0.5)
-"""Around it the made-up capture knows voxels to be free."""
+"""Centre of the voxels that the fake capture knows to be free."""
 QUALITY = Quality(30.0, 0.9, 31.0, 0.9, 5, 1.0, 100, 0, 0.05)
 
 
 @pytest.fixture
 def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Lets the film be its truth alone, and the capture be the original in a frame of its own."""
+    """Replace the video by its ground truth alone, and the capture by the original in another frame; list the calls."""
     called: list[str] = []
 
     def film(renderer: object, walk: Tensor, phone: Phone, path: Path, *_: object) -> None:
@@ -70,12 +70,12 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return called
 
 
-def test_the_capture_lies_over_the_original_and_keeps_its_task(tmp_path: Path, calls: list[str]) -> None:
+def test_the_capture_is_aligned_with_the_original_and_keeps_its_task(tmp_path: Path, calls: list[str]) -> None:
     room = tiny_overrides(tmp_path)
     folder = recapture(tmp_path / "loop", {"room": room}, "room")
     original = build_world(load_config([*room, "task=grid"]))
     plain = [one for one in room if not one.startswith(("scene", "landmarks", "robot.height", "task.motion.lower"))]
-    plain = [one for one in plain if not one.startswith("task.motion.upper")]  # all of these the folder says
+    plain = [one for one in plain if not one.startswith("task.motion.upper")]  # the folder states all of these
     found = build_world(load_config([f"scene={folder}", *plain]))
     np.testing.assert_allclose(found.scene.gaussians.means, original.scene.gaussians.means, atol=1e-3)
     assert found.robot == original.robot and torch.equal(found.task.motion.origin, original.task.motion.origin)
@@ -83,12 +83,12 @@ def test_the_capture_lies_over_the_original_and_keeps_its_task(tmp_path: Path, c
     assert found.scene.free is not None and found.scene.free.voxel_size == 0.05
     free = read_points(found.scene.free.path)
     assert np.abs(free - HAZE).max() == pytest.approx(0.3, abs=0.07)
-    assert np.prod(np.ptp(free, axis=0) + 0.05) == pytest.approx(len(free) * 0.05**3, rel=0.4)  # it is turned
+    assert np.prod(np.ptp(free, axis=0) + 0.05) == pytest.approx(len(free) * 0.05**3, rel=0.4)  # the voxels are rotated
     assert calls == ["film", "reconstruct", "fit"]
     assert recapture(tmp_path / "loop", {"room": room}, "room") == folder and calls == ["film", "reconstruct", "fit"]
 
 
-def test_what_robots_see_is_compared_and_drawn(tmp_path: Path, calls: list[str]) -> None:
+def test_robots_views_of_the_original_and_the_capture_are_compared_and_drawn(tmp_path: Path, calls: list[str]) -> None:
     room = tiny_overrides(tmp_path)
     recapture(tmp_path / "loop", {"room": room}, "room")
     figures = json.loads((tmp_path / "loop" / "capture.json").read_text())["figures"]
@@ -98,7 +98,7 @@ def test_what_robots_see_is_compared_and_drawn(tmp_path: Path, calls: list[str])
     assert above.std() > 20 and np.abs(above - below).mean() < 5
 
 
-def test_a_film_that_is_there_is_not_made_again(tmp_path: Path, calls: list[str]) -> None:
+def test_an_existing_video_is_not_made_again(tmp_path: Path, calls: list[str]) -> None:
     room = tiny_overrides(tmp_path)
     folder = recapture(tmp_path / "loop", {"room": room}, "room")
     (folder / "scene.yaml").unlink()

@@ -31,7 +31,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_report(reported(tmp_path_factory.mktemp("experiment")), "an abacus")
 
 
-def test_a_report_says_question_paper_results_and_machine(report: Path) -> None:
+def test_a_report_states_the_question_the_paper_the_results_and_the_machine(report: Path) -> None:
     text = report.read_text()
     order = ["# A title", "Does it?", "It does.", "| yard | with it |", "frames to 90%", "median seed", "an abacus"]
     places = [text.index(part) for part in order]
@@ -39,7 +39,7 @@ def test_a_report_says_question_paper_results_and_machine(report: Path) -> None:
 
 
 @pytest.mark.usefixtures("blank_curves")
-def test_whatever_a_report_links_is_there(tmp_path: Path) -> None:
+def test_every_link_of_a_report_points_to_a_file(tmp_path: Path) -> None:
     experiment = reported(tmp_path / "two words")
     own = write_report(experiment, "an abacus")
     joint = write_joint_report([experiment], tmp_path / "two words", "an abacus")
@@ -53,13 +53,13 @@ def test_a_report_shows_pictures_of_the_median_seed(report: Path) -> None:
     assert "yard-with-s0/starts.png" not in links(report)
 
 
-def test_a_figure_has_a_comparison_each(report: Path) -> None:
+def test_there_is_one_figure_per_comparison(report: Path) -> None:
     figures = {path.name: Image.open(path).size for path in report.parent.glob("*.png")}
     assert figures.keys() == {"curves-yard-430.png", "curves-hall-430.png"}
     assert all(min(size) > 400 for size in figures.values())
 
 
-def test_the_numbers_of_a_report_are_there_as_json(report: Path) -> None:
+def test_the_numbers_of_a_report_are_also_written_as_json(report: Path) -> None:
     numbers = json.loads(report.with_name("report.json").read_text())
     arm = numbers["arms"][0]
     assert (arm["scene"], arm["arm"], arm["seeds"], arm["budget"]) == ("yard", "with it", [0, 1], 430)
@@ -73,14 +73,14 @@ def test_a_report_without_a_finished_run_says_so(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("blank_curves")
-def test_a_report_of_some_runs_says_how_many(tmp_path: Path) -> None:
+def test_a_report_of_some_runs_says_how_many_are_finished(tmp_path: Path) -> None:
     experiment = made_up(tmp_path)
     finish(experiment.runs[0], 0.5)
     assert "1 of 6 trainings are finished" in write_report(experiment, "an abacus").read_text()
 
 
 @pytest.mark.usefixtures("blank_curves")
-def test_the_machine_of_the_trainings_is_told_rather_than_that_of_the_report(tmp_path: Path) -> None:
+def test_a_report_names_the_machine_of_the_trainings_and_not_its_own(tmp_path: Path) -> None:
     experiment = reported(tmp_path)
     (experiment.folder / "machine.json").write_text(json.dumps({"machine": "a loom"}))
     text = write_report(experiment, "an abacus").read_text()

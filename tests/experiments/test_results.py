@@ -1,4 +1,4 @@
-"""Results over seeds."""
+"""Results are aggregated over seeds."""
 
 import math
 from pathlib import Path
@@ -9,19 +9,19 @@ from splatrl.experiments.results import Spread, comparable, entries, success_in_
 from tests.experiments.made_up import begin, finish, made_up
 
 
-def test_a_spread_is_the_mean_and_the_standard_deviation_of_a_sample() -> None:
+def test_a_spread_has_the_mean_and_the_sample_standard_deviation() -> None:
     spread = Spread((0.9, 0.8, 1.0))
     assert spread.mean == pytest.approx(0.9)
     assert spread.deviation == pytest.approx(0.1)
     assert spread.percent() == "90.0 ± 10.0 %"
 
 
-def test_one_seed_has_no_deviation_and_none_has_no_mean() -> None:
+def test_a_spread_of_one_seed_has_no_deviation_and_an_empty_one_has_no_mean() -> None:
     assert Spread((1234.4,)).text() == "1,234"
     assert Spread(()).text() == Spread(()).percent() == "–"
 
 
-def test_entries_hold_finished_runs_only_and_come_scene_by_scene(tmp_path: Path) -> None:
+def test_entries_hold_only_finished_runs_and_are_ordered_by_scene(tmp_path: Path) -> None:
     experiment = made_up(tmp_path)
     finish(experiment.runs[0], 0.5)
     begin(experiment.runs[1], 80)
@@ -34,7 +34,7 @@ def test_entries_hold_finished_runs_only_and_come_scene_by_scene(tmp_path: Path)
     assert [[entry.label for entry in group] for group in comparable(found)] == [["with it"]]
 
 
-def test_an_entry_tells_values_speed_and_the_median_seed(tmp_path: Path) -> None:
+def test_an_entry_gives_its_values_its_speed_its_median_seed_and_its_test_results(tmp_path: Path) -> None:
     experiment = made_up(tmp_path, selection=None)
     for run, success in zip(experiment.runs, (0.9, 0.1, 0.2, 0.7, 0.3, 0.4), strict=True):
         finish(run, success, seconds=8.0)
@@ -50,11 +50,11 @@ def test_an_entry_tells_values_speed_and_the_median_seed(tmp_path: Path) -> None
     assert entry.minutes_to(0.99).values == ()
 
 
-def test_a_test_counts_for_frames_within_one_batch_of_it() -> None:
+def test_the_success_of_a_test_counts_for_frames_within_one_batch_of_it() -> None:
     rows = [{"frames": 40.0, "test_success": math.nan}, {"frames": 200.0, "test_success": 0.5}, {"frames": 240.0}]
     assert success_in_tests(rows) == [(200, 0.5)]
     assert success_near(rows, 161) == success_near(rows, 239) == 0.5
     assert success_near(rows, 160) is None
     assert success_near([], 160) is None
     shown = [{"frames": 5, "test_success": 0.1}, {"frames": 45}, {"frames": 85, "test_success": 0.7}]
-    assert success_near(shown, 110) == 0.7, "ten demonstrated frames are no batch"
+    assert success_near(shown, 110) == 0.7, "the first row counts five demonstrated frames, which are no batch"

@@ -1,4 +1,4 @@
-"""Trainings as processes; here they are short programs that leave what a training would."""
+"""Trainings run as processes; here they are short programs that write what a training would."""
 
 import signal
 import subprocess
@@ -21,7 +21,7 @@ def python(code: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen([sys.executable, "-S", "-c", code])
 
 
-def test_a_new_run_is_begun_and_a_begun_one_gone_on_with(tmp_path: Path) -> None:
+def test_a_new_run_is_started_and_a_begun_one_is_resumed(tmp_path: Path) -> None:
     new, begun, *_ = made_up(tmp_path / "it's here").runs
     begin(begun, 40)
     assert command(new, PROGRAM) == [*PROGRAM, *new.overrides, f"hydra.run.dir={quoted(new)}"]
@@ -38,7 +38,7 @@ def test_a_training_may_use_its_share_of_the_cores(tmp_path: Path) -> None:
     assert start(run, 3, [sys.executable, "-c", share]).wait() == 0
 
 
-def test_only_what_is_not_finished_is_trained_and_at_most_so_many_at_a_time(tmp_path: Path) -> None:
+def test_only_unfinished_runs_are_trained_and_no_more_at_a_time_than_allowed(tmp_path: Path) -> None:
     runs = made_up(tmp_path).runs
     finish(runs[1], 0.5)
     begun: list[Run] = []
@@ -57,7 +57,7 @@ def test_only_what_is_not_finished_is_trained_and_at_most_so_many_at_a_time(tmp_
     assert most == 1
 
 
-def test_a_run_that_fails_is_named_and_the_others_go_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_failed_run_is_named_and_the_others_continue(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     runs = made_up(tmp_path).runs[:3]
 
     def one(run: Run, cores: int, program: Sequence[str]) -> subprocess.Popen[bytes]:
@@ -68,7 +68,7 @@ def test_a_run_that_fails_is_named_and_the_others_go_on(tmp_path: Path, capsys: 
 
 
 def hears_interrupts() -> None:
-    """A shell makes what it starts in the background deaf to them, and so all that is started from there."""
+    """Restore the default handling of SIGINT, which a shell's background jobs and all their children ignore."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
@@ -86,7 +86,7 @@ def test_an_interrupt_ends_the_trainings(tmp_path: Path) -> None:
     assert children[0].returncode == -signal.SIGINT
 
 
-def test_a_folder_in_which_a_process_still_trains_is_left_alone(tmp_path: Path) -> None:
+def test_a_folder_that_another_process_is_training_in_is_left_alone(tmp_path: Path) -> None:
     run = made_up(tmp_path).runs[0]
     first = start(run, 1, SLEEP)
     try:
@@ -99,7 +99,7 @@ def test_a_folder_in_which_a_process_still_trains_is_left_alone(tmp_path: Path) 
     assert (run.folder / "log.txt").read_text().endswith("at work\n")
 
 
-def test_a_training_is_told_what_to_train_and_keeps_its_libraries_to_one_thread(tmp_path: Path) -> None:
+def test_a_training_gets_its_overrides_and_limits_its_libraries_to_one_thread(tmp_path: Path) -> None:
     run = made_up(tmp_path).runs[0]
     says = "import os, sys; print(sys.argv[1:], os.environ['OMP_NUM_THREADS'])"
     assert start(run, 1, [sys.executable, "-S", "-c", says]).wait() == 0

@@ -11,7 +11,7 @@ from tests.experiments.made_up import finish, made_up
 
 
 def finished(folder: Path, *success: float) -> list[str]:
-    """The sentences for seeds with these rates: yard with, hall with, yard without, for seed 0 and then for seed 1."""
+    """Return the verdicts for success rates of: yard with, hall with, yard without, for seed 0 and then for seed 1."""
     experiment = made_up(folder)
     for run, value in zip(experiment.runs, success, strict=False):
         finish(run, value)
@@ -28,12 +28,12 @@ def test_a_lead_within_the_spread_of_seeds_wins_nothing(tmp_path: Path) -> None:
     assert "no clear winner" in finished(tmp_path, 0.90, 0.5, 0.80, 0.70, 0.5, 0.70)[0]
 
 
-def test_one_seed_settles_nothing(tmp_path: Path) -> None:
+def test_a_single_seed_is_not_conclusive(tmp_path: Path) -> None:
     assert "with it is ahead" in (found := finished(tmp_path, 0.9, 0.5, 0.2)[0])
     assert "a single seed is not conclusive" in found
 
 
-def test_spl_is_that_by_distance_where_a_task_measures_it(tmp_path: Path) -> None:
+def test_spl_by_distance_is_preferred_where_a_task_measures_it(tmp_path: Path) -> None:
     experiment = made_up(tmp_path)
     for run in experiment.runs[:2]:
         finish(run, 0.8)
@@ -43,7 +43,7 @@ def test_spl_is_that_by_distance_where_a_task_measures_it(tmp_path: Path) -> Non
     assert sorted(found.values()) == ["0.123", "0.700"]
 
 
-def test_the_main_table_has_a_row_an_arm_and_scene(tmp_path: Path) -> None:
+def test_the_main_table_has_one_row_per_arm_and_scene(tmp_path: Path) -> None:
     experiment = made_up(tmp_path)
     for run in experiment.runs[:3]:
         finish(run, 0.8, seconds=8.0)
@@ -51,7 +51,7 @@ def test_the_main_table_has_a_row_an_arm_and_scene(tmp_path: Path) -> None:
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in main_table(found)]
     assert len({len(row) for row in rows}) == 1
     assert rows[2] == ["yard", "with it", "1", "**80.0 %**", "40.0 %", "0.700", "3.0", "400", "8", "50"]
-    assert dict(zip(rows[0], rows[3], strict=True))["level"] == "–"  # there is none without a curriculum
+    assert dict(zip(rows[0], rows[3], strict=True))["level"] == "–"  # there is no level without a curriculum
     marks = marks_table(found, experiment)
     assert marks[2] == "| yard | with it | 50.0 % | 95.0 % | 400 | 2.0 | 1 of 1 |"
 
@@ -76,7 +76,7 @@ def test_matches_are_given_for_each_clip_and_for_all_frames_together(tmp_path: P
 
 
 @pytest.mark.parametrize("done", [0, 1, 6])
-def test_tables_can_be_made_at_any_time(tmp_path: Path, done: int) -> None:
+def test_tables_can_be_made_with_any_number_of_finished_runs(tmp_path: Path, done: int) -> None:
     experiment = made_up(tmp_path)
     for run in experiment.runs[:done]:
         finish(run, 0.5)

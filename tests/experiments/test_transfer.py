@@ -18,7 +18,7 @@ from tests.tiny import tiny_overrides
 
 
 def run_of(folder: Path, scene: str, *more: str) -> Run:
-    """A run of the first-person task in the tiny room, as if trained."""
+    """Return a run of the first-person task in the tiny room, as if trained."""
     cfg = load_config([*tiny_overrides(folder, "fps"), *more])
     save_run(folder / f"{scene}-a-s0", cfg, 2)
     config = OmegaConf.to_container(cfg)
@@ -46,13 +46,13 @@ def test_every_policy_is_tested_in_every_scene(tmp_path: Path) -> None:
     assert rows == score_everywhere(runs, tmp_path)
 
 
-def test_a_policy_keeps_what_is_its_own_and_takes_on_the_place(tmp_path: Path) -> None:
+def test_a_policy_keeps_its_network_and_takes_the_robot_and_goal_of_the_test_place(tmp_path: Path) -> None:
     own = run_of(tmp_path, "room", "transforms/pose_noise=uniform", "memory=stack").folder
     other = run_of(tmp_path, "part", "robot.height=0.7", "landmarks.goal=[0.0,0.5,90.0]").folder
     moved = placed(run_config(own), run_config(other))
     assert moved.robot.height == 0.7 and moved.landmarks.goal == [0.0, 0.5, 90.0]
     assert not moved.transforms.pose_noise and moved.network.memory == run_config(own).network.memory
-    assert run_config(own).transforms.pose_noise  # the run's own config stays
+    assert run_config(own).transforms.pose_noise  # the run's own config is unchanged
 
 
 def experiment(folder: Path) -> Experiment:
@@ -70,7 +70,7 @@ TESTS = [
 ]
 
 
-def test_tests_in_other_scenes_are_told_by_place_and_training(tmp_path: Path) -> None:
+def test_tests_in_other_scenes_are_listed_by_place_and_training_scene(tmp_path: Path) -> None:
     lines = transfer_table(TESTS, experiment(tmp_path))
     assert lines[2].startswith("| yard | yard | with it | 1 | 40 | **90.0 %** | 80.0 % | 0.0 % | – |")
     assert lines[3].startswith("| yard | hall | with it | 2 | 40 | **60.0 ± 14.1 %** |") and len(lines) == 4
@@ -79,14 +79,14 @@ def test_tests_in_other_scenes_are_told_by_place_and_training(tmp_path: Path) ->
     assert "tested in yard" in said and each in said
 
 
-def test_a_place_may_say_its_weather_and_those_in_which_nothing_was_trained_come_last(tmp_path: Path) -> None:
+def test_places_may_have_a_weather_and_places_without_training_come_last(tmp_path: Path) -> None:
     tests = [{**TESTS[0], "place": place} for place in ("attic, snow", "yard, clear", "yard, snow")]
     lines = transfer_table(tests, experiment(tmp_path))
     assert [line.split("|")[1].strip() for line in lines[2:]] == ["yard, clear", "yard, snow", "attic, snow"]
 
 
 @pytest.mark.usefixtures("blank_curves")
-def test_a_report_tells_transfers_and_the_captured_scene(tmp_path: Path) -> None:
+def test_a_report_includes_tests_in_other_scenes_and_the_captured_scene(tmp_path: Path) -> None:
     asked = experiment(tmp_path)
     for run in asked.runs:
         finish(run, 0.9)

@@ -17,7 +17,7 @@ BEST = 3
 
 
 def config(folder: Path, *more: str) -> DictConfig:
-    """The config of the sim2real task in the room, with its object in the north-east."""
+    """Return the config of the sim2real task in the room, with its object in the north-east."""
     path = folder / "tiny.ply"
     if not path.exists():
         write_gaussians(path, tiny_gaussians())

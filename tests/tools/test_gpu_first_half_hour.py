@@ -1,4 +1,4 @@
-"""tools/gpu_first_half_hour.sh makes every step, whatever becomes of those before it, with a Python that pretends."""
+"""tools/gpu_first_half_hour.sh runs every step, even if earlier ones fail; here with a fake Python interpreter."""
 
 import hashlib
 import os
@@ -24,7 +24,7 @@ esac
 
 @pytest.fixture
 def run(tmp_path: Path) -> Any:
-    """Runs the script with a kit, and returns its exit status and the ending of each step."""
+    """A function that runs the script with a kit, and returns its exit status and the outcome of each step."""
     (tmp_path / "kit" / "wheels").mkdir(parents=True)
     (tmp_path / "kit" / "wheels" / "splatrl-0.whl").touch()
     (tmp_path / "kit" / "commit").write_text("a-commit\n")
@@ -54,7 +54,7 @@ def is_ok(ending: str) -> bool:
     return ending.startswith("ok, ") or ending in ("no compute-sanitizer, not run", "no ncu, not run")
 
 
-def test_every_part_is_run_with_what_the_kit_brings(run: Any, tmp_path: Path) -> None:
+def test_every_part_is_run_with_the_contents_of_the_kit(run: Any, tmp_path: Path) -> None:
     status, endings = run()
     assert status == 0 and all(is_ok(ending) for ending in endings.values()), endings
     marked = {str(path.relative_to(ROOT)) for path in (ROOT / "tests").rglob("test_*.py") if MARK in path.read_text()}
@@ -66,10 +66,10 @@ def test_every_part_is_run_with_what_the_kit_brings(run: Any, tmp_path: Path) ->
     assert "--commit a-commit --only first use collision stepping training fit gsplat" in log
     assert (tmp_path / "work" / "site" / "splatrl" / "conf" / "train.yaml").is_file()
     run("learning")
-    assert (tmp_path / "work" / "site" / "installed").read_text() == "\n"  # once
+    assert (tmp_path / "work" / "site" / "installed").read_text() == "\n"  # installed only once
 
 
-def test_other_code_than_the_wheels_is_said(run: Any, tmp_path: Path) -> None:
+def test_code_that_differs_from_the_wheels_is_reported(run: Any, tmp_path: Path) -> None:
     run("--seconds", "0")
     assert "pack the kit again" not in (tmp_path / "out" / "log.txt").read_text()
     (tmp_path / "kit" / "sources.sha256").write_text(f"{64 * '0'}  CMakeLists.txt\n")
@@ -86,7 +86,7 @@ def test_a_step_that_fails_or_hangs_does_not_stop_the_others(run: Any) -> None:
     assert status == 1 and all(is_ok(ending) for name, ending in endings.items() if name != "load")
 
 
-def test_without_a_gpu_each_step_says_so(run: Any) -> None:
+def test_without_a_gpu_the_steps_that_need_one_say_so(run: Any) -> None:
     status, endings = run(gpu="")
     assert status == 1 and endings.pop("versions").startswith("ok, ")
     assert all(ending == "no GPU, not run" or is_ok(ending) for ending in endings.values())
@@ -102,7 +102,7 @@ def test_without_a_gpu_each_step_says_so(run: Any) -> None:
         (["--fast"], "--fast: expected one of --kit, --out, --seconds, --dry-run"),
     ],
 )
-def test_a_wrong_word_is_refused(tmp_path: Path, arguments: list[str], said: str) -> None:
+def test_an_invalid_argument_is_refused(tmp_path: Path, arguments: list[str], said: str) -> None:
     command = ["bash", str(ROOT / "tools" / "gpu_first_half_hour.sh"), *arguments]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (

@@ -1,4 +1,4 @@
-"""tools/gpu_kit.sh packs all that is needed, and says what is wrong with a kit; no test here needs a network."""
+"""tools/gpu_kit.sh packs everything that is needed, and reports problems of a kit; no test here needs a network."""
 
 import importlib.metadata
 import os
@@ -14,9 +14,9 @@ from packaging.requirements import Requirement
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "tools" / "gpu_kit.sh"
 THERE = ("torch", "numpy", "scipy", "matplotlib", "pillow", "tqdm", "nvidia-cuda-nvrtc")
-"""What the machine has, with all that these need."""
+"""Packages that the GPU machine already has, together with their dependencies."""
 NEEDLESS = {"av", "cython"}
-"""For videos alone, and required by python-fcl, which does not import it."""
+"""Dependencies that are left out: av is only for videos, and python-fcl requires cython without importing it."""
 
 
 def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -25,7 +25,7 @@ def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]
 
 
 def listed() -> list[str]:
-    """The packages that the script packs."""
+    """Return the packages that the script packs."""
     found = re.search(r"^PACKAGES=\((.*?)\)", SCRIPT.read_text(), re.MULTILINE | re.DOTALL)
     assert found is not None
     return found.group(1).split()
@@ -36,7 +36,7 @@ def canonical(name: str) -> str:
 
 
 def required(*roots: str) -> set[str]:
-    """Some packages, with their extras in brackets, and all that they require, by the environment of the tests."""
+    """Return the names of some requirements and of all their dependencies in the environment of the tests."""
     found: set[str] = set()
     left = [Requirement(root) for root in roots]
     while left:
@@ -61,7 +61,7 @@ def kit(tmp_path: Path) -> Path:
     return tmp_path / "kit"
 
 
-def test_what_splatrl_needs_is_packed_or_there() -> None:
+def test_every_dependency_is_packed_or_already_on_the_machine() -> None:
     needed = required("splatrl[cuda]", "pytest", "hypothesis") - required(*THERE) - NEEDLESS - {"splatrl"}
     assert needed <= {canonical(name) for name in listed()}, "add it to PACKAGES of tools/gpu_kit.sh"
 
@@ -78,7 +78,7 @@ def test_what_splatrl_needs_is_packed_or_there() -> None:
         (["--python", "/no/such/python", "packages"], "--python /no/such/python: found no working interpreter"),
     ],
 )
-def test_a_wrong_word_is_refused_in_one_line(tmp_path: Path, arguments: list[str], said: str) -> None:
+def test_an_invalid_argument_is_refused_in_one_line(tmp_path: Path, arguments: list[str], said: str) -> None:
     done = run("--folder", str(tmp_path), *arguments)
     assert done.returncode == 1 and done.stdout == ""
     assert done.stderr.startswith(f"gpu_kit: {said}") and done.stderr.count("\n") == 1
@@ -90,13 +90,13 @@ def test_help_says_what_each_option_is_for() -> None:
     assert "#" not in said and "PACKAGES" not in said
 
 
-def test_a_missing_scene_is_left_out_and_said(tmp_path: Path) -> None:
+def test_a_missing_scene_is_left_out_and_reported(tmp_path: Path) -> None:
     done = run("--folder", str(tmp_path), "kitchen", SPLATRL_SCENES=str(tmp_path / "none"))
     assert done.returncode == 0 and done.stdout.startswith("kitchen: left out, found no ")
     assert not (tmp_path / "scenes").exists()
 
 
-def test_a_scene_is_packed_where_it_is_looked_for(tmp_path: Path) -> None:
+def test_a_scene_is_packed_from_the_folder_of_scenes(tmp_path: Path) -> None:
     (tmp_path / "kitchen").mkdir()
     (tmp_path / "kitchen" / "kitchen.spz").write_bytes(b"splats")
     done = run("--folder", str(tmp_path / "kit"), "kitchen", SPLATRL_SCENES=str(tmp_path))
@@ -104,14 +104,14 @@ def test_a_scene_is_packed_where_it_is_looked_for(tmp_path: Path) -> None:
     assert (tmp_path / "kit" / "scenes" / "kitchen" / "kitchen.spz").read_bytes() == b"splats"
 
 
-def test_a_whole_kit_is_listed_with_its_size(kit: Path) -> None:
+def test_a_complete_kit_is_listed_with_its_size(kit: Path) -> None:
     done = run("--folder", str(kit), "check")
     assert done.returncode == 0, done.stderr
     assert "torchrl-1.0-py3-none-any.whl" in done.stdout
     assert re.search(rf"0\.0 MiB  in {re.escape(str(kit))}, [0-9.]+ MiB with the checkout\n$", done.stdout)
 
 
-def test_too_large_a_kit_is_refused_in_one_line(kit: Path) -> None:
+def test_a_kit_that_is_too_large_is_refused_in_one_line(kit: Path) -> None:
     os.truncate(kit / "kernels.tar.gz", 70 * 2**20)
     done = run("--folder", str(kit), "check")
     assert done.returncode == 1 and done.stderr.count("\n") == 1
@@ -120,7 +120,7 @@ def test_too_large_a_kit_is_refused_in_one_line(kit: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["splatrl", "cuda-core", "kernels.tar.gz"])
-def test_what_is_missing_is_named(kit: Path, name: str) -> None:
+def test_a_missing_part_of_a_kit_is_named(kit: Path, name: str) -> None:
     (path,) = kit.rglob(f"{name.replace('-', '_')}*")
     path.unlink()
     done = run("--folder", str(kit), "check")
@@ -135,7 +135,7 @@ def test_two_wheels_of_one_package_are_refused(kit: Path) -> None:
 
 @pytest.fixture
 def gpu_kernels(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """benchmarks/gpu_kernels.py."""
+    """The module benchmarks/gpu_kernels.py."""
     pytest.importorskip("cuda.core", reason="needs the extra cuda to compile kernels")
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
     return importlib.import_module("gpu_kernels")

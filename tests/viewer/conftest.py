@@ -1,4 +1,4 @@
-"""The tiny room as a world, a page that shows it, and what opens the page without a browser."""
+"""The tiny room as a world, a page that shows it, and visitors that open the page without a browser."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture(scope="session")
 def make_world(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., World]:
-    """Builds the room for a task."""
+    """A function that builds the room for a task."""
     from functools import cache
 
     from splatrl.building import build_world
@@ -38,7 +38,7 @@ def world(make_world: Callable[..., World]) -> World:
 
 @pytest.fixture
 def page(world: World) -> Iterator[Page]:
-    """A page that shows the room, on any port."""
+    """A page that shows the room, on a free port."""
     pytest.importorskip("viser", reason="needs the extra view")
     from splatrl.viewer.page import Page
 
@@ -49,7 +49,7 @@ def page(world: World) -> Iterator[Page]:
 
 @pytest.fixture
 def visit(page: Page) -> Iterator[Callable[[], Visitor]]:
-    """Opens the page, as a browser would."""
+    """A function that opens the page as a browser would."""
     from tests.viewer.visitor import Visitor
 
     visitors: list[Visitor] = []
@@ -65,7 +65,7 @@ def visit(page: Page) -> Iterator[Callable[[], Visitor]]:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """The room as a scene's folder."""
+    """The room as a scene folder."""
     from splatrl.scenes import write_gaussians
     from tests.tiny import tiny_gaussians
 

@@ -29,7 +29,7 @@ playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright
 pytestmark = pytest.mark.slow
 SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
 PATIENCE = 120_000
-"""Milliseconds for what a browser without a GPU does on a busy machine."""
+"""Timeout in milliseconds for a browser without a GPU on a busy machine."""
 
 
 @pytest.fixture(scope="module")
@@ -53,13 +53,13 @@ def tab(chromium: Any) -> Iterator["Tab"]:
 
 
 def picture(tab: "Tab") -> NDArray[np.int64]:
-    """The page without its panel and notes: [H, W, 3]."""
+    """Take a screenshot of the page without its panel and notes: [H, W, 3]."""
     image = Image.open(io.BytesIO(tab.screenshot(timeout=PATIENCE))).convert("RGB")
     return np.asarray(image, np.int64)[220:, :480]
 
 
 def wait(tab: "Tab", holds: Callable[[], Any], what: str) -> Any:
-    """What is given, once it is true, while the browser goes on."""
+    """Wait for a result that is true, while the browser keeps running, and return it."""
 
     def now() -> Any:
         tab.wait_for_timeout(100)
@@ -69,7 +69,7 @@ def wait(tab: "Tab", holds: Callable[[], Any], what: str) -> Any:
 
 
 def drawn(tab: "Tab") -> NDArray[np.int64]:
-    """The page, once it is not blank."""
+    """Wait until the page is not blank, and return a screenshot."""
     wait(tab, lambda: picture(tab).std() > 20, "a picture that is not blank")
     return picture(tab)
 
@@ -82,7 +82,7 @@ def test_the_page_draws_the_splats(tab: "Tab", page: Page) -> None:
     wait(tab, lambda: picture(tab).std() < before.std() / 2, "a picture without splats")
 
 
-def test_what_stands_before_the_splats_is_seen(tab: "Tab", page: Page) -> None:
+def test_an_object_in_front_of_the_splats_is_visible(tab: "Tab", page: Page) -> None:
     page.server.scene.add_icosphere("/ball", 0.3, (255, 0, 255), position=(0.0, 0.0, 1.5))
     tab.goto(page.address)
     drawn(tab)
@@ -111,7 +111,7 @@ def test_a_key_an_arrow_and_a_button_move_the_robot(tab: "Tab", page: Page, worl
     tab.keyboard.press("ArrowUp")
     wait(tab, lambda: driving.driver.steps == steps + 2, "a step by an arrow")
     assert driving.driver.done or driving.driver.state.tolist() != before.tolist()
-    assert [client.camera.position.tolist() for client in camera.values()] == places  # arrows are the robot's
+    assert [client.camera.position.tolist() for client in camera.values()] == places  # arrows move only the robot
 
 
 def test_a_drag_with_the_pointer_changes_the_yaml(tab: "Tab", page: Page, world: World, folder: Path) -> None:
@@ -123,7 +123,7 @@ def test_a_drag_with_the_pointer_changes_the_yaml(tab: "Tab", page: Page, world:
     tab.get_by_role("button", name="save to scene.yaml").wait_for()
     before = (folder / "scene.yaml").read_text()
     x, y = 450, 280  # the middle of the view, where the goal's handle is: its axes begin there
-    for away in (14, 22, 30, 38, 46, 54, 62):  # along the handle, as far as it may reach
+    for away in (14, 22, 30, 38, 46, 54, 62):  # along the handle's axis, whose length on the screen is not known
         tab.mouse.move(x + away, y)
         tab.mouse.down()
         tab.mouse.move(x + away + 40, y, steps=4)

@@ -1,4 +1,4 @@
-"""A robot that is driven, and what it leaves as demonstrations."""
+"""A robot that is driven by hand, and the demonstrations that this yields."""
 
 from collections.abc import Callable
 
@@ -21,7 +21,7 @@ def drive(driver: Driver, world: World, most: int = 60) -> None:
 
 
 @pytest.mark.parametrize("task", ["grid", "fps", "drive", "apple", "polar_plane"])
-def test_what_is_driven_to_the_goal_is_replayed_byte_for_byte(make_world: Callable[..., World], task: str) -> None:
+def test_episodes_driven_to_the_goal_are_replayed_byte_for_byte(make_world: Callable[..., World], task: str) -> None:
     world = make_world(task)
     takes = Takes(world)
     driver = Driver(world, seed=3, kept=takes.add)
@@ -56,7 +56,7 @@ def test_a_blocked_robot_stays_and_its_episode_ends(world: World) -> None:
     assert driver.episode_return == pytest.approx(-10.0 - 0.2 * (driver.steps - 1), abs=1e-4)
 
 
-def test_the_key_after_the_end_begins_another_episode(world: World) -> None:
+def test_a_key_after_the_end_starts_another_episode(world: World) -> None:
     driver = Driver(world, seed=1)
     drive(driver, world)
     assert driver.done and driver.steps > 0
@@ -64,7 +64,7 @@ def test_the_key_after_the_end_begins_another_episode(world: World) -> None:
     assert not driver.done and driver.steps == 0 and driver.outcome is Outcome.RUNNING
 
 
-def test_again_begins_where_the_episode_began(make_world: Callable[..., World]) -> None:
+def test_again_restarts_the_episode_from_the_same_start(make_world: Callable[..., World]) -> None:
     world = make_world("snake")
     driver = Driver(world, seed=5)
     start, target, view = driver.state.clone(), driver.now["target"].clone(), driver.pixels.clone()
@@ -76,7 +76,7 @@ def test_again_begins_where_the_episode_began(make_world: Callable[..., World]) 
     assert torch.equal(driver.pixels, view) and driver.steps == 0
 
 
-def test_only_what_succeeds_is_kept_and_the_last_one_can_be_dropped(world: World) -> None:
+def test_only_successful_episodes_are_kept_and_the_last_can_be_discarded(world: World) -> None:
     takes = Takes(world)
     with pytest.raises(ValueError, match="by=keys: expected at least one episode that reached the goal"):
         takes.demonstrations()

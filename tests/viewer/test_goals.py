@@ -1,4 +1,4 @@
-"""What a robot is to reach is over the splats, in words, and in the panel where it is an image."""
+"""The goals of an episode are shown over the splats, in words, and in the panel if they are images."""
 
 import math
 from collections.abc import Callable
@@ -24,12 +24,14 @@ from splatrl.viewer.robot import enlarged, rgb
         ((1.0, 1.0, -3.0), (0.0, 2.0), "goal 1.41 m, 53° right"),
     ],
 )
-def test_how_far_a_goal_is_and_where(robot: tuple[float, ...], goal: tuple[float, float], said: str) -> None:
+def test_the_distance_and_direction_of_a_goal_are_given_in_words(
+    robot: tuple[float, ...], goal: tuple[float, float], said: str
+) -> None:
     mark = Mark("goal", torch.tensor([*goal, math.nan], dtype=torch.float64))
     assert whereabouts(torch.tensor(robot, dtype=torch.float64), mark) == said
 
 
-def test_the_goal_of_an_episode_is_shown_where_it_is(page: Page, make_world: Callable[..., World]) -> None:
+def test_the_goal_of_an_episode_is_shown_at_its_pose(page: Page, make_world: Callable[..., World]) -> None:
     driving = Driving(page, make_world("pointnav"))
     for key in ("N", "R"):
         assert driving.press(key)
@@ -42,13 +44,13 @@ def test_the_goal_of_an_episode_is_shown_where_it_is(page: Page, make_world: Cal
     assert driving.goals.image is None
 
 
-def test_the_image_of_a_goal_is_in_the_panel(page: Page, make_world: Callable[..., World]) -> None:
+def test_a_goal_image_is_shown_in_the_panel(page: Page, make_world: Callable[..., World]) -> None:
     driving = Driving(page, make_world("imagenav"))
     assert driving.press("N") and driving.goals.image is not None
     assert np.array_equal(driving.goals.image.image, enlarged(driving.driver.now["imagegoal"][0]))
 
 
-def test_what_moves_is_shown_where_it_is_now_and_a_task_that_remembers_nothing_shows_nothing(
+def test_a_moving_target_is_shown_at_its_position_and_a_task_without_memory_shows_none(
     page: Page, world: World, make_world: Callable[..., World]
 ) -> None:
     driving = Driving(page, make_world("snake"))

@@ -1,4 +1,4 @@
-"""Keys and their actions."""
+"""Keys of the viewer, and the actions that they stand for."""
 
 import shutil
 import subprocess
@@ -12,7 +12,7 @@ from splatrl.motions import DriveMotion, ForwardMotion, LatticeMotion, NavigateM
 from splatrl.viewer.keys import input_script, keys_of
 
 
-def test_a_walker_goes_by_four_keys() -> None:
+def test_a_walker_is_driven_by_four_keys() -> None:
     found = {key.key: (key.name, int(key.action)) for key in keys_of(ForwardMotion(0.4))}
     assert found == {"I": ("forward", 0), "K": ("back", 1), "J": ("left", 2), "L": ("right", 3)}
 
@@ -25,7 +25,7 @@ def test_a_lattice_has_keys_for_its_axes_and_spins() -> None:
     assert [key.name for key in found] == list(motion.action_names)
 
 
-def test_a_drive_has_full_speed_turns_and_arcs() -> None:
+def test_a_driving_robot_has_keys_for_full_speed_turns_and_arcs() -> None:
     motion = DriveMotion(0.4)
     found = {key.key: key.action for key in keys_of(motion)}
     assert {"I", "J", "K", "L", "U", "O"} <= found.keys()
@@ -37,26 +37,26 @@ def test_a_drive_has_full_speed_turns_and_arcs() -> None:
     assert len(found) == len(motion.actions())
 
 
-def test_actions_of_which_no_paths_are_made_have_keys_too() -> None:
+def test_actions_that_no_path_is_planned_with_have_keys_too() -> None:
     found = {key.key: (key.name, int(key.action)) for key in keys_of(NavigateMotion(0.4))}
     assert found == {"1": ("stop", 0), "I": ("forward", 1), "J": ("left", 2), "L": ("right", 3)}
 
 
-def test_actions_are_within_what_the_robot_can_be_told() -> None:
+def test_the_actions_of_keys_are_within_the_action_spec() -> None:
     motion = DriveMotion(0.4)
     narrow = Bounded(low=-0.1, high=0.1, shape=(2,), dtype=torch.float32)
     with patch.object(DriveMotion, "action_spec", narrow):
         assert all(narrow.is_in(key.action) for key in keys_of(motion))
 
 
-def test_actions_that_keys_cannot_tell_are_refused() -> None:
+def test_actions_that_keys_cannot_express_are_refused() -> None:
     joints = Bounded(low=-1.0, high=1.0, shape=(12,), dtype=torch.float32)
     refused = pytest.raises(ValueError, match=r"expected actions that keys can express, .*, got 12 numbers per action")
     with patch.object(DriveMotion, "action_spec", joints), refused:
         keys_of(DriveMotion(0.4))
 
 
-def test_unknown_actions_take_the_digits() -> None:
+def test_actions_with_unknown_names_get_the_digits() -> None:
     motion = ForwardMotion(0.4)
     motion.action_names = ("jump", "forward", "duck", "roll")
     assert [(key.key, key.name) for key in keys_of(motion)] == [
@@ -69,7 +69,7 @@ def test_unknown_actions_take_the_digits() -> None:
 
 
 def test_arrows_and_gamepads_press_the_same_keys() -> None:
-    """The script in a JavaScript engine, with a page and a gamepad of paper."""
+    """Run the script in Node, with a mock page and a mock gamepad."""
     node = shutil.which("node")
     if node is None:
         pytest.skip("needs node, to run JavaScript")

@@ -1,4 +1,4 @@
-"""What is laid over the splats."""
+"""The layers that are drawn over the splats."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from splatrl.envs.world import World
 from splatrl.viewer.layers import box_lines, free_places, path_lines, surface
 
 
-def test_a_voxel_has_six_faces_that_look_outwards() -> None:
+def test_a_voxel_has_six_faces_that_face_outwards() -> None:
     vertices, triangles = surface(Occupancy.from_keys([[2, -1, 5]], 0.1))
     assert vertices.shape == (24, 3) and triangles.shape == (12, 3)
     middle = np.array([0.25, -0.05, 0.55])
@@ -34,7 +34,7 @@ def test_a_large_surface_is_shown_more_coarsely() -> None:
     assert coarse.min(0) == pytest.approx([-1.0, -1.0, 0.0], abs=1e-6) and coarse.max(0)[2] == pytest.approx(0.6)
 
 
-def test_nothing_solid_has_no_surface() -> None:
+def test_an_empty_grid_has_no_surface() -> None:
     vertices, triangles = surface(Occupancy.empty())
     assert len(vertices) == len(triangles) == 0
 
@@ -56,7 +56,7 @@ def test_a_box_has_twelve_edges() -> None:
     assert len(np.unique(lines.reshape(-1, 6), axis=0)) == 12
 
 
-def test_a_folder_without_a_path_shows_none(tmp_path: Path) -> None:
+def test_a_path_is_drawn_only_if_the_folder_has_one(tmp_path: Path) -> None:
     assert path_lines(tmp_path, "path.ply") is None
     walk = np.array([[0, 0, 1], [1, 0, 1], [1, 2, 1]], np.float32)
     write_points(tmp_path / "path.ply", walk)

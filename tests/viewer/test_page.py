@@ -1,4 +1,4 @@
-"""The page as its visitors get it: splats, layers, handles, keys and a policy, in messages."""
+"""The messages that visitors of the page receive: splats, layers, handles and keys."""
 
 import threading
 from collections.abc import Callable
@@ -38,12 +38,12 @@ def test_each_visitor_is_sent_the_splats(page: Page, visit: Visit) -> None:
     assert page.bytes == BYTES * len(page.scene.gaussians)
 
 
-def test_a_picture_of_another_shape_is_asked_for_so_that_splats_hide_only_what_is_behind_them(visit: Visit) -> None:
+def test_a_wider_render_is_requested_so_that_splats_hide_only_what_is_behind_them(visit: Visit) -> None:
     asked = visit().find("GetRenderRequestMessage")
     assert (asked["height"], asked["width"]) == (300, 400 + WIDER)
 
 
-def test_large_scenes_come_in_parts(world: World, visit: Visit, page: Page) -> None:
+def test_large_scenes_are_sent_in_parts(world: World, visit: Visit, page: Page) -> None:
     splats = Splats(page.server, parts_of(page.scene.gaussians, first=40))
     visitor = visit()
     for number in range(3):
@@ -51,7 +51,7 @@ def test_large_scenes_come_in_parts(world: World, visit: Visit, page: Page) -> N
     assert splats.counts == [40, 120, len(page.scene.gaussians)]
 
 
-def test_fewer_splats_are_drawn_where_that_is_chosen(visit: Visit, page: Page) -> None:
+def test_a_visitor_can_choose_to_draw_fewer_splats(visit: Visit, page: Page) -> None:
     page.splats = Splats(page.server, parts_of(page.scene.gaussians, first=40))
     page._offer_fewer()
     visitor = visit()
@@ -69,9 +69,9 @@ def test_fewer_splats_are_drawn_where_that_is_chosen(visit: Visit, page: Page) -
     assert not [m for m in late.messages if m.get("name") == "/splats/2"]
 
 
-def test_a_browser_that_draws_slowly_gets_no_more_until_it_asks(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_browser_gets_no_more_splats_until_it_asks(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("splatrl.viewer.splats.SLOW", 0.0)
-    page.splats = Splats(page.server, parts_of(page.scene.gaussians, first=40))  # beside those in one part
+    page.splats = Splats(page.server, parts_of(page.scene.gaussians, first=40))  # beside those sent in one part
     page._offer_fewer()
     visitor = Visitor(page.address)
     until(lambda: len([m for m in visitor.messages if m["type"] == "GetRenderRequestMessage"]) == 4, "pictures")
@@ -81,7 +81,7 @@ def test_a_browser_that_draws_slowly_gets_no_more_until_it_asks(page: Page, monk
     visitor.close()
 
 
-def test_layers_are_sent_when_they_are_asked_for(page: Page, world: World, visit: Visit, tmp_path: Path) -> None:
+def test_layers_are_sent_on_request(page: Page, world: World, visit: Visit, tmp_path: Path) -> None:
     page.show_occupancy(world.occupancy)
     page.show_free(world.plan)
     page.show_path(tmp_path)
@@ -124,9 +124,9 @@ def test_the_page_says_how_an_episode_ended(page: Page, world: World) -> None:
     assert driving.press("N") and "step 0" in driving.status.content
 
 
-def test_one_key_waits_for_the_robot_and_more_are_left_out(page: Page, world: World) -> None:
+def test_one_key_press_waits_for_the_robot_and_further_ones_are_dropped(page: Page, world: World) -> None:
     driving = Driving(page, world)
-    with driving._busy, driving._places:  # as while it moves
+    with driving._busy, driving._places:  # as if the robot were moving
         waiting = threading.Thread(target=driving.press, args=("U",))
         waiting.start()
         until(lambda: driving._places._value == 0, "the key that waits")
@@ -135,7 +135,7 @@ def test_one_key_waits_for_the_robot_and_more_are_left_out(page: Page, world: Wo
     assert driving.driver.steps == 1
 
 
-def test_showing_ends_with_enough_episodes(page: Page, world: World, visit: Visit) -> None:
+def test_driving_ends_once_enough_episodes_are_kept(page: Page, world: World, visit: Visit) -> None:
     takes = Takes(world)
     driving = Driving(page, world, 0, takes, 2)
 
@@ -146,12 +146,12 @@ def test_showing_ends_with_enough_episodes(page: Page, world: World, visit: Visi
 
     show()
     assert len(takes.episodes) == 1 and "kept 1 of 2" in driving.status.content
-    assert driving.press("X")  # it was not good
+    assert driving.press("X")  # discards the episode
     assert takes.episodes == [] and not driving.finished.is_set()
     show()
     assert driving.press("N")
     driving.press("U")
-    assert driving.press("X")  # the running one; the one before stays
+    assert driving.press("X")  # discards the running episode; the one before is kept
     assert len(takes.episodes) == 1
     show()
     assert driving.finished.is_set() and len(takes.episodes) == 2
@@ -182,7 +182,7 @@ def test_a_typed_goal_moves_its_handle(page: Page, world: World, visit: Visit, f
     assert placing.controls["goal"].position.tolist() == [0.25, 0.5, 0.5]
 
 
-def test_what_does_not_fit_is_said_and_not_saved(page: Page, world: World, folder: Path) -> None:
+def test_invalid_values_are_reported_and_not_saved(page: Page, world: World, folder: Path) -> None:
     from splatrl.viewer.place import Handle
 
     def refuse(stated: object) -> None:
@@ -200,7 +200,7 @@ def test_what_does_not_fit_is_said_and_not_saved(page: Page, world: World, folde
     assert read_description(folder)["goal"] == [0.5, 1.0, 0.0]
 
 
-def test_what_somebody_else_wrote_meanwhile_is_not_overwritten(page: Page, world: World, folder: Path) -> None:
+def test_changes_by_others_in_the_meantime_are_not_overwritten(page: Page, world: World, folder: Path) -> None:
     from splatrl.viewer.place import Handle
 
     placing, path = Placing(page, world, VALUES, folder), folder / "scene.yaml"
@@ -216,7 +216,7 @@ def test_what_somebody_else_wrote_meanwhile_is_not_overwritten(page: Page, world
     assert read_description(folder)["goal"] == [-0.5, 1.0, 0.0]
 
 
-def test_a_drag_to_nowhere_is_left_out(page: Page, world: World, folder: Path) -> None:
+def test_a_drag_to_a_position_that_is_not_finite_is_ignored(page: Page, world: World, folder: Path) -> None:
     from splatrl.viewer.place import Handle
 
     placing = Placing(page, world, VALUES, folder)

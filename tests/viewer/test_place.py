@@ -1,4 +1,4 @@
-"""What dragging makes of the values of a scene.yaml."""
+"""Dragging handles changes the values of a scene.yaml."""
 
 import math
 
@@ -14,7 +14,7 @@ VALUES = {
 }
 
 
-def test_everything_that_is_there_has_a_handle() -> None:
+def test_every_value_that_is_given_has_a_handle() -> None:
     found = {handle.name: handle for handle in handles(VALUES, 0.4)}
     assert sorted(found) == ["bounds 0", "bounds 1", "goal", "object", "walk 0", "walk 1"]
     assert found["goal"].position == (0.5, 1.0, 0.4) and found["goal"].yaw == pytest.approx(math.pi / 2)
@@ -23,7 +23,7 @@ def test_everything_that_is_there_has_a_handle() -> None:
     assert handles({"goal": None, "bounds": None}, 0.4) == []
 
 
-def test_a_handle_that_is_let_go_where_it_was_changes_nothing() -> None:
+def test_a_handle_that_is_released_where_it_was_changes_nothing() -> None:
     for handle in handles(VALUES, 0.4):
         assert changes(VALUES, dragged(VALUES, handle, 0.5)) == {}
 
@@ -37,6 +37,6 @@ def test_a_handle_that_is_let_go_where_it_was_changes_nothing() -> None:
         (Handle("walk 0", (-1.7, -1.6, 0.4)), {"walk": [[-1.5, -1.5], [1.0, 1.5]]}),
     ],
 )
-def test_a_drag_changes_its_own_value_alone(handle: Handle, expected: dict[str, object]) -> None:
+def test_a_drag_changes_only_its_own_value(handle: Handle, expected: dict[str, object]) -> None:
     assert changes(VALUES, dragged(VALUES, handle, 0.5)) == expected
     assert VALUES["walk"] == [[-1.0, -1.5], [1.0, 1.5]]

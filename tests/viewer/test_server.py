@@ -1,4 +1,4 @@
-"""Who gets the page."""
+"""The server answers only its own page."""
 
 import socket
 from collections.abc import Iterator
@@ -25,17 +25,17 @@ def server() -> Iterator[viser.ViserServer]:
         ("http://[::1]:8080", "[::1]:8080", "::1", True),
         ("http://evil.example", "127.0.0.1:8080", "127.0.0.1", False),
         ("http://127.0.0.1:9000", "127.0.0.1:8080", "127.0.0.1", False),
-        ("http://evil.example:8080", "evil.example:8080", "127.0.0.1", False),  # its name leads to this machine
+        ("http://evil.example:8080", "evil.example:8080", "127.0.0.1", False),  # by DNS rebinding
         ("null", "127.0.0.1:8080", "127.0.0.1", False),
         ("http://robot.lan:8080", "robot.lan:8080", "0.0.0.0", True),
         ("http://evil.example", "robot.lan:8080", "0.0.0.0", False),
     ],
 )
-def test_only_its_own_page_may_ask(origin: str | None, asked: str, host: str, own: bool) -> None:
+def test_only_the_servers_own_page_may_connect(origin: str | None, asked: str, host: str, own: bool) -> None:
     assert is_own_page(origin, asked, host) is own
 
 
-def test_the_page_of_another_site_is_told_nothing(server: viser.ViserServer) -> None:
+def test_the_page_of_another_site_receives_nothing(server: viser.ViserServer) -> None:
     server.scene.add_label("/secret", "here")
     own = Visitor(address(server), address(server))
     own.find("LabelMessage")
@@ -45,7 +45,7 @@ def test_the_page_of_another_site_is_told_nothing(server: viser.ViserServer) -> 
     own.close()
 
 
-def test_no_page_can_ask_for_a_tunnel(server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_page_can_request_a_public_share_url(server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[object] = []
     monkeypatch.setattr(viser.ViserServer, "request_share_url", lambda self: asked.append(self))
     visitor = Visitor(address(server))
@@ -56,9 +56,9 @@ def test_no_page_can_ask_for_a_tunnel(server: viser.ViserServer, monkeypatch: py
     visitor.close()
 
 
-def test_it_listens_where_it_is_told(server: viser.ViserServer) -> None:
+def test_the_server_listens_at_the_given_address_or_on_the_next_free_port(server: viser.ViserServer) -> None:
     assert address(server) == f"http://127.0.0.1:{server.get_port()}"
-    other = open_server("127.0.0.1", server.get_port(), "room")  # taken, so the next one
+    other = open_server("127.0.0.1", server.get_port(), "room")  # the port is taken, so the next one is used
     assert other.get_port() > server.get_port()
     close(other)
     with pytest.raises(OSError):
@@ -78,7 +78,7 @@ def test_an_impossible_address_is_refused(host: str, port: int, message: str) ->
         open_server(host, port, "room")
 
 
-def test_a_missing_extra_is_said_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_error_for_a_missing_extra_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "viser", None)
     with pytest.raises(ImportError, match=r"pip install 'splatrl\[view\]'"):
         open_server("127.0.0.1", 0, "room")

@@ -1,4 +1,4 @@
-"""Gaussians as the browser takes them."""
+"""Gaussians in the form that the browser takes."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def test_parts_hold_every_gaussian_once_and_double_in_size() -> None:
     assert [len(part.centers) for part in parts_of(gaussians)] == [len(gaussians)]
 
 
-def test_what_covers_most_comes_first() -> None:
+def test_gaussians_that_cover_most_come_first() -> None:
     gaussians = tiny_gaussians()[:3].clone()
     gaussians.scales = torch.tensor([[0.1, 0.1, 0.01], [0.2, 0.2, 0.01], [0.3, 0.01, 0.01]])
     gaussians.opacities = torch.tensor([0.9, 0.1, 0.9])
@@ -43,13 +43,13 @@ def test_covariances_and_colours_are_those_of_the_gaussians() -> None:
     assert part.opacities.tolist() == [[230]]
 
 
-def test_a_sky_is_within_half_precision() -> None:
+def test_the_covariances_of_huge_gaussians_are_finite_in_half_precision() -> None:
     gaussians = tiny_gaussians()[:1].clone()
     gaussians.scales = torch.tensor([[900.0, 900.0, 1.0]])
     assert np.isfinite(parts_of(gaussians)[0].covariances).all()
 
 
-def test_one_colour_is_the_mean_of_what_is_seen_from_around() -> None:
+def test_the_colour_of_a_gaussian_is_the_mean_over_the_viewpoints() -> None:
     gaussians = tiny_gaussians()[:1].clone()
     gaussians.sh = torch.zeros(1, 4, 3)
     gaussians.sh[0, 2] = 0.4  # brighter the more one looks upwards
@@ -60,7 +60,7 @@ def test_one_colour_is_the_mean_of_what_is_seen_from_around() -> None:
     assert parts_of(gaussians)[0].colors[0].tolist() == [128] * 3
 
 
-def test_colours_are_taken_from_around_and_above_the_scene() -> None:
+def test_viewpoints_for_colours_are_around_and_above_the_scene() -> None:
     eyes = around(((-2.0, -1.0, 0.0), (2.0, 3.0, 2.0)))
     assert torch.allclose(eyes.mean(0), torch.tensor([0.0, 1.0, 1.0 + 0.7 * 4.0]), atol=1e-5)
     assert torch.allclose((eyes - torch.tensor([0.0, 1.0, 1.0]))[:, :2].norm(dim=1), torch.tensor(0.8 * 4.0))

@@ -1,4 +1,4 @@
-"""A training that is watched, and a policy at work."""
+"""The viewer shows a training while it runs, and a trained policy."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -46,12 +46,12 @@ def train(room: Path, name: str, watched: bool = False) -> Path:
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The run folder of a training that no one watched."""
+    """The run folder of a training that nobody watched."""
     return train(tmp_path_factory.mktemp("room"), "trained")
 
 
 def equal(a: Any, b: Any) -> bool:
-    """Whether nested values are the same, tensors by their bytes."""
+    """Return whether nested values are equal, tensors in values and dtype."""
     if isinstance(a, torch.Tensor):
         return torch.equal(a, b) and a.dtype == b.dtype
     if isinstance(a, dict):
@@ -61,7 +61,9 @@ def equal(a: Any, b: Any) -> bool:
     return bool(a == b) or (a != a and b != b)
 
 
-def test_a_watched_training_has_the_bytes_of_an_unwatched_one(trained: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_watched_training_has_the_same_checkpoint_as_an_unwatched_one(
+    trained: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(training, "EVERY", 0.0)  # look at every batch
     monkeypatch.setattr(training, "RATE", 200)
     folders = (trained, train(trained.parent, "watched", watched=True))
@@ -94,11 +96,11 @@ def test_a_policy_is_shown_from_start_to_end(rollout: Rollout, monkeypatch: pyte
     assert f"{rollout.successes} of 4 episodes succeeded" in rollout.status.content
     assert torch.equal(torch.random.get_rng_state(), before)
     places = rollout.shown.trail
-    assert rollout.episode(3) is ends[3] and rollout.shown.trail == places  # the same episode again
+    assert rollout.episode(3) is ends[3] and rollout.shown.trail == places  # the same number gives the same episode
     assert rollout.episode(2) is ends[2] and rollout.shown.trail != places
 
 
-def test_a_pause_holds_and_a_stop_ends_it(rollout: Rollout) -> None:
+def test_a_rollout_can_be_paused_continued_and_stopped(rollout: Rollout) -> None:
     rollout.plays.value = False
     rollout.start()
     until(lambda: "step 0" in rollout.status.content, "the start")

@@ -1,4 +1,4 @@
-"""A browser without a picture: it opens the page's websocket, notes what is sent, and answers as a person would."""
+"""A client in place of a browser: it opens the page's websocket, records messages, and answers as a person would."""
 
 import io
 import threading
@@ -18,11 +18,11 @@ from websockets.exceptions import ConnectionClosed  # noqa: E402
 from websockets.sync.client import ClientConnection, connect  # noqa: E402
 
 PATIENCE = 20.0
-"""Seconds until something that is waited for is missing."""
+"""Seconds to wait for something before it counts as missing."""
 
 
 def until(holds: Callable[[], Any], what: str, patience: float = PATIENCE) -> Any:
-    """What is given, once it is true."""
+    """Wait for a result that is true, and return it."""
     end = time.monotonic() + patience
     while not (found := holds()):
         assert time.monotonic() < end, f"never came: {what}"
@@ -34,8 +34,8 @@ class Visitor:
     """A client of a page.
 
     Args:
-        address: of the page.
-        origin: of the asking page; None is no browser.
+        address: the page's address.
+        origin: origin of the page that connects; None for a client that is no browser.
     """
 
     def __init__(self, address: str, origin: str | None = None):
@@ -46,7 +46,7 @@ class Visitor:
         self.bytes = 0
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
-        with suppress(ConnectionClosed):  # it may be shown the door
+        with suppress(ConnectionClosed):  # the server may refuse it
             self._look()
 
     def _look(self) -> None:
@@ -68,11 +68,11 @@ class Visitor:
         self.socket.send(msgspec.msgpack.encode({"type": kind, **fields}))
 
     def find(self, kind: str, fits: Callable[[dict[str, Any]], bool] = lambda message: True) -> dict[str, Any]:
-        """A message of a kind, as soon as it has come."""
+        """Wait for a message of a kind that fits, and return it."""
         return until(lambda: next((m for m in list(self.messages) if m["type"] == kind and fits(m)), None), kind)
 
     def field(self, label: str) -> str:
-        """The identifier of a button, a box or a field by its label."""
+        """Return the identifier of the button, box or field with a label."""
         found = until(lambda: [m for m in list(self.messages) if m.get("props", {}).get("label") == label], label)
         return found[0]["uuid"]
 
@@ -91,13 +91,13 @@ class Visitor:
         self.send("TransformControlsDragEndMessage", name=handle)
 
     def _draw(self, message: dict[str, Any]) -> None:
-        """Answer with a picture."""
+        """Answer a request for a render with a black image."""
         with io.BytesIO() as file:
             Image.new("RGB", (message["width"], message["height"])).save(file, "JPEG")
             self.send("GetRenderResponseMessage", payload=file.getvalue(), render_uuid=message["render_uuid"])
 
     def close(self) -> None:
-        """Leave."""
+        """Disconnect."""
         self.socket.close()
         self._thread.join(timeout=5.0)
 

@@ -12,7 +12,7 @@ from splatrl.training.networks import PoolPixels
 
 
 def linear(image_shape: Sequence[int], action_spec: TensorSpec, pool: int = 4, features: int = 32, memory: int = 0):
-    """One layer over coarse pixels, about as much as a bee might need."""
+    """One linear layer over coarse pixels, with heads for action and value."""
     height, width, channels = image_shape
     inputs = (height // pool) * (width // pool) * channels
     layer = nn.Sequential(nn.Flatten(-3), nn.Linear(inputs, features), nn.ReLU())

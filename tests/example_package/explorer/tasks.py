@@ -9,7 +9,7 @@ from splatrl.motions import PlannedMotion
 
 
 class Explore(TaskModule):
-    """Pays 1 for each cell that is new in the episode, which ends only at its limit of steps."""
+    """Rewards 1 for each cell that is new in the episode, which ends only after ``max_steps``."""
 
     def __init__(self, motion: PlannedMotion, cell: float = 0.5, max_steps: int = 100):
         super().__init__(motion, max_steps)
