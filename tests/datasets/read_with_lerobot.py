@@ -1,4 +1,4 @@
-"""Run by the Python of an environment with lerobot: writes what ``LeRobotDataset`` reads in a folder into an npz file.
+"""Writes what ``LeRobotDataset`` reads from a folder to an npz file; runs in an environment with lerobot.
 
 usage: python read_with_lerobot.py FOLDER OUT.npz
 """
@@ -11,13 +11,13 @@ import torch
 ours = torch.library.Library("torchvision", "DEF")
 ours.define(
     "nms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor"
-)  # torchvision may be built for other torch
+)  # torchvision may be built for another torch
 
 from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402, it imports torchvision
 
 
 def main(folder: str, out: str) -> None:
-    """Read every frame, one by one, as a training would."""
+    """Read every frame, one by one, as training would."""
     dataset = LeRobotDataset("demos", root=folder, video_backend="pyav")
     rows = [dataset[number] for number in range(len(dataset))]
     columns = {key: np.stack([np.asarray(row[key]) for row in rows]) for key in rows[0]}

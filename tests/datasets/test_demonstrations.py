@@ -1,4 +1,4 @@
-"""Demonstrations: recorded on shortest paths, kept as data, and replayed byte for byte."""
+"""Demonstrations are recorded on shortest paths, saved and read back, and replayed byte for byte."""
 
 import json
 import shutil
@@ -58,7 +58,7 @@ def test_the_planner_walks_shortest_paths_to_the_goal(world: World, shown: Demon
     ends = shown.starts + shown.lengths - 1
     assert (shown.frames["next", "outcome"][ends] == Outcome.GOAL).all()
     assert not shown.frames["next", "done"][:-1][shown.frames["frame"][1:] > 0].any()
-    assert len(torch.unique(begun, dim=0)) == EPISODES, "no start comes twice while there are others"
+    assert len(torch.unique(begun, dim=0)) == EPISODES, "no start is repeated while others are left"
     best = world.plan.optimal(shown.frames["state"])
     assert best.gather(1, shown.frames["action"].unsqueeze(1)).all()
     assert torch.equal(shown.frames["optimal"], best)
@@ -71,7 +71,7 @@ def test_the_same_seed_gives_the_same_bytes(world: World, shown: Demonstrations)
     assert not torch.equal(other.frames["state"][:5], shown.frames["state"][:5])
 
 
-def test_what_is_written_is_read_by_us_by_tensordict_and_by_torchrl(shown: Demonstrations, folder: Path) -> None:
+def test_demonstrations_are_read_back_by_splatrl_tensordict_and_torchrl(shown: Demonstrations, folder: Path) -> None:
     found = read_demonstrations(folder)
     assert (found.frames == shown.frames).all() and found.action_names == shown.action_names
     frames = TensorDict.load_memmap(folder / "memmap")
@@ -97,7 +97,7 @@ def test_a_replay_gives_the_same_bytes(world: World, folder: Path) -> None:
         ("pixels", ""),
     ],
 )
-def test_a_replay_finds_what_was_changed(
+def test_a_replay_detects_changed_frames(
     world: World, shown: Demonstrations, key: str | tuple[str, str], line: str
 ) -> None:
     frames = shown.frames.clone()
@@ -124,12 +124,12 @@ def test_other_tasks_are_recorded_and_replayed(task: str, more: list[str], tmp_p
     assert shown.frames["pixels"].shape[1:] == (12, 16, 3)
     write_demonstrations(tmp_path, shown)
     different, views = replay(world, read_demonstrations(tmp_path))
-    assert different == [] and (views == len(shown)) == (more != SHAKEN), "an unsteady hand shakes anew"
+    assert different == [] and (views == len(shown)) == (more != SHAKEN), "pose noise is drawn anew in a replay"
     if more == SENSING:
         assert {"depth", "gps", "compass", "contact", "lidar"} <= set(read_demonstrations(tmp_path).frames.keys())
 
 
-def test_a_stack_is_what_the_env_stacks(tmp_path: Path) -> None:
+def test_stacked_frames_match_those_of_the_env(tmp_path: Path) -> None:
     world = make_world(tmp_path, "grid", "memory=stack")
     shown = planner_episodes(world, 6)
     stacked = shown.stacked(4)
@@ -155,7 +155,7 @@ def test_a_task_without_goal_states_has_no_planner(world: World) -> None:
         planner_episodes(aimless, 1)
 
 
-def test_the_room_asked_for_is_enough_for_every_file(
+def test_the_required_disk_space_is_enough_for_all_files(
     shown: Demonstrations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[int] = []
@@ -166,7 +166,7 @@ def test_the_room_asked_for_is_enough_for_every_file(
 
 
 def edit(name: str, change: Callable[[dict], object]) -> Callable[[Path], None]:
-    """A change of a JSON file of a folder."""
+    """Return a function that changes a JSON file in a folder."""
 
     def done(folder: Path) -> None:
         content = json.loads((folder / name).read_text())

@@ -1,4 +1,4 @@
-"""Imitation by policies that read more than a view: what is sensed is recorded, replayed and learned from."""
+"""Imitation by policies that also read sensors, whose readings are recorded, replayed and learned from."""
 
 from pathlib import Path
 
@@ -46,7 +46,7 @@ def make_ppo(cfg: DictConfig, world: World) -> PPO:
     return PPO(env, build_model(cfg, env), LOSS, OPTIM, 128, 10_000)
 
 
-def test_what_is_sensed_is_recorded_and_replayed(world: World, shown: Demonstrations, tmp_path: Path) -> None:
+def test_sensor_readings_are_recorded_and_replayed(world: World, shown: Demonstrations, tmp_path: Path) -> None:
     write_demonstrations(tmp_path, shown)
     read = read_demonstrations(tmp_path)
     assert {"depth", "gps", "heading"} <= set(read.frames.keys())
@@ -55,15 +55,15 @@ def test_what_is_sensed_is_recorded_and_replayed(world: World, shown: Demonstrat
     assert replay(world, read)[0] == [f"heading: differs in {len(shown):,} frames"]
 
 
-def test_what_is_sensed_is_learned_from(cfg: DictConfig, world: World, shown: Demonstrations) -> None:
+def test_a_policy_learns_from_sensor_readings(cfg: DictConfig, world: World, shown: Demonstrations) -> None:
     ppo = make_ppo(cfg, world)
     cloner = Cloner(ppo.model, CloningSettings(25, 64, 1e-3, 0.5))
     assert cloner.reads == ("pixels", "depth", "gps", "heading")
     losses = [row["loss_cloning"] for row in imitate(ppo, cloner, world, [shown], DaggerSettings(1, 128, 2), 0)]
-    assert losses[0] < 1.0 and len(losses) == 2, "of six actions, untaught: 1.79"
+    assert losses[0] < 1.0 and len(losses) == 2, "an untrained choice among six actions has a loss of 1.79"
 
 
-def test_demonstrations_without_what_a_policy_reads_are_refused(cfg: DictConfig, world: World) -> None:
+def test_demonstrations_without_an_observation_that_the_policy_reads_are_refused(cfg: DictConfig, world: World) -> None:
     ppo = make_ppo(cfg, world)
     plain = build_world(load_config([*cfg_overrides(cfg), "memory=stack"]))
     shown = planner_episodes(plain, 2)
@@ -73,11 +73,11 @@ def test_demonstrations_without_what_a_policy_reads_are_refused(cfg: DictConfig,
 
 
 def cfg_overrides(cfg: DictConfig) -> list[str]:
-    """Overrides of the same room without sensors."""
+    """Return the overrides of the same room without sensors."""
     return tiny_overrides(Path(cfg.scene.path).parent)
 
 
-def test_a_task_that_goes_on_at_its_goals_has_no_planner_to_learn_from(tmp_path: Path) -> None:
+def test_a_task_that_continues_after_its_goals_has_no_planner_to_learn_from(tmp_path: Path) -> None:
     cfg = load_config([*tiny_overrides(tmp_path, "snake"), "demos=2", "dagger.rounds=1"])
     world = build_world(cfg)
     assert world.plan.field is not None and not world.planned

@@ -1,4 +1,4 @@
-"""LeRobot's layout of demonstrations: what is in its tables, its video and its JSON."""
+"""Demonstrations in LeRobot's format: the contents of the tables, the video and the JSON files."""
 
 import json
 from pathlib import Path
@@ -43,12 +43,12 @@ def info(folder: Path) -> dict[str, Any]:
 
 
 def table(folder: Path, pattern: str) -> Any:
-    """The table at a place that ``info.json`` names, or another pattern of LeRobot's."""
+    """Read the table at a path pattern, which ``info.json`` names or LeRobot defines."""
     return parquet.read_table(folder / pattern.format(chunk_index=0, file_index=0))
 
 
 def sensed(shown: Demonstrations) -> dict[str, torch.Tensor]:
-    """What is sensed besides the view."""
+    """Return the sensor readings other than the view."""
     return {key: shown.frames[key] for key in ("depth", "gps", "compass", "contact", "lidar") if key in shown.frames}
 
 
@@ -79,7 +79,7 @@ def test_each_sensor_is_a_feature(shown: Demonstrations, folder: Path) -> None:
         assert (feature["dtype"], feature["shape"]) == (dtype, list(values.shape[1:] or [1]))
 
 
-def test_an_image_that_a_sensor_gives_is_a_video(shown: Demonstrations, tmp_path: Path) -> None:
+def test_images_from_a_sensor_become_a_video(shown: Demonstrations, tmp_path: Path) -> None:
     frames = shown.frames.clone()
     frames["imagegoal"] = frames["pixels"].flip(2)
     write_lerobot(tmp_path, Demonstrations(frames, shown.action_names), "x")
@@ -98,7 +98,7 @@ def test_an_image_that_a_sensor_gives_is_a_video(shown: Demonstrations, tmp_path
         assert episodes[f"videos/observation.images.imagegoal/{name}"] == episodes[f"videos/{KEY}/{name}"]
 
 
-def test_features_say_what_the_columns_are(shown: Demonstrations, folder: Path) -> None:
+def test_features_describe_the_columns(shown: Demonstrations, folder: Path) -> None:
     facts = info(folder)
     assert (facts["codebase_version"], facts["total_episodes"], facts["total_frames"]) == ("v3.0", 9, len(shown))
     found = table(folder, facts["data_path"])
@@ -140,7 +140,7 @@ def test_each_episode_is_found_in_tables_and_video(shown: Demonstrations, folder
             assert -10 * np.log10(error / 255**2) > 25, "the loss of the codec"
 
 
-def test_statistics_are_those_of_the_frames(shown: Demonstrations, folder: Path) -> None:
+def test_statistics_match_the_frames(shown: Demonstrations, folder: Path) -> None:
     found = json.loads((folder / "meta" / "stats.json").read_text())
     state, pixels = shown.frames["state"].double(), shown.frames["pixels"].double() / 255
     for name, value in (("mean", state.mean(0)), ("std", state.std(0, correction=0)), ("max", state.amax(0))):
@@ -152,7 +152,7 @@ def test_statistics_are_those_of_the_frames(shown: Demonstrations, folder: Path)
     assert all(each["count"] == [len(shown)] for each in found.values())
 
 
-def test_each_episode_has_statistics_of_its_own(shown: Demonstrations, folder: Path) -> None:
+def test_each_episode_has_its_own_statistics(shown: Demonstrations, folder: Path) -> None:
     found = table(folder, "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet").to_pylist()
     all_frames = json.loads((folder / "meta" / "stats.json").read_text())
     named = {f"stats/{key}/{name}" for key, each in all_frames.items() for name in each}
@@ -166,7 +166,7 @@ def test_each_episode_has_statistics_of_its_own(shown: Demonstrations, folder: P
         assert row["stats/action/count"] == row[f"stats/{KEY}/count"] == [length]
 
 
-def test_tasks_are_indexed_by_their_words(folder: Path) -> None:
+def test_tasks_are_indexed_by_their_description(folder: Path) -> None:
     found = parquet.read_table(folder / "meta" / "tasks.parquet")
     assert found["task_index"].to_pylist() == [0]
     (index,) = json.loads(found.schema.metadata[b"pandas"])["index_columns"]

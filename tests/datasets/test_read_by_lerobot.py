@@ -1,4 +1,4 @@
-"""lerobot itself, in an environment of its own, reads what is written for it."""
+"""lerobot itself, in its own environment, reads the folders that are written in its format."""
 
 import os
 import subprocess
@@ -19,13 +19,13 @@ from tests.tiny import tiny_overrides
 
 NEEDED = ["datasets>=4,<5", "huggingface-hub<0.36", "jsonlines", "draccus==0.10.0", "deepdiff", "einops"]
 ITSELF = ["lerobot==0.4.4", "torchvision==0.25.0", "accelerate", "safetensors", "psutil"]
-"""Without what they ask for: lerobot would replace torch by an older one, with gigabytes for a GPU."""
+"""Installed without dependencies: lerobot's would replace torch with an older one and gigabytes of GPU libraries."""
 READER = Path(__file__).with_name("read_with_lerobot.py")
 
 
 @pytest.fixture(scope="module")
 def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The Python of a new environment with lerobot, which takes torch, NumPy and PyAV from ours."""
+    """The Python executable of a new environment with lerobot, which shares our torch, NumPy and PyAV."""
     pytest.importorskip("pyarrow", reason="needs the extra lerobot")
     home = tmp_path_factory.mktemp("environment")
     venv.create(home, with_pip=True)
@@ -40,7 +40,7 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("recorded", list(RECORDED))
-def test_lerobot_reads_the_same(python: Path, recorded: str, tmp_path: Path) -> None:
+def test_lerobot_reads_what_was_written(python: Path, recorded: str, tmp_path: Path) -> None:
     task, more = RECORDED[recorded]
     shown = planner_episodes(build_world(load_config([*tiny_overrides(tmp_path, task), *more])), 9)
     write_lerobot(tmp_path / "demos", shown, "Grid in room")

@@ -1,4 +1,4 @@
-"""The contract of every env: derive from ``EnvContract`` and say how to make the env, and its tests run."""
+"""The contract of every env as tests: derive from ``EnvContract`` and implement ``make`` to run them."""
 
 from abc import ABC, abstractmethod
 from copy import copy
@@ -16,7 +16,7 @@ from tests.tiny import CountingRenderer
 
 
 def base_env(env: EnvBase) -> SplatEnv:
-    """The ``SplatEnv`` under any transforms."""
+    """Return the ``SplatEnv`` under any transforms."""
     while isinstance(env, TransformedEnv):
         env = env.base_env
     assert isinstance(env, SplatEnv)
@@ -24,13 +24,13 @@ def base_env(env: EnvBase) -> SplatEnv:
 
 
 def stateful(env: EnvBase) -> list[EnvBase]:
-    """The whole saved state of an env: ``TransformedEnv.state_dict`` holds only the transforms."""
+    """Return the envs that save all state together: ``TransformedEnv.state_dict`` holds only the transforms."""
     base = base_env(env)
     return [base] if base is env else [base, env]
 
 
 def seeded_rollout(env: EnvBase, steps: int, seed: int) -> TensorDictBase:
-    """A rollout of random actions, from a reset that depends only on ``seed``."""
+    """Return a rollout of random actions from a reset that depends only on ``seed``."""
     env.set_seed(seed)
     torch.manual_seed(seed)
     return env.rollout(steps, break_when_any_done=False)
@@ -50,12 +50,12 @@ class EnvContract(ABC):
 
     @abstractmethod
     def make(self, batch_size: tuple[int], seed: int = 0) -> EnvBase:
-        """A new env."""
+        """Make a new env."""
 
     @pytest.fixture(scope="class")
     @classmethod
     def kept(cls) -> list[TensorDictBase]:
-        """What ``rolled`` gave first."""
+        """Cache of the rollout that ``rolled`` makes."""
         return []
 
     @pytest.fixture
@@ -66,7 +66,7 @@ class EnvContract(ABC):
         return kept[0]
 
     @pytest.mark.parametrize("batch", [1, 3])
-    def test_specs_hold(self, batch: int) -> None:
+    def test_outputs_match_the_specs(self, batch: int) -> None:
         check_env_specs(self.make((batch,)), break_when_any_done="both", seed=0)
 
     def test_a_wrong_batch_size_is_refused(self) -> None:
@@ -97,7 +97,7 @@ class EnvContract(ABC):
     def test_a_partial_reset_renders_only_the_rows_that_it_resets(self) -> None:
         env = self.make((6,))
         base = base_env(env)
-        base.drawing = copy(base.drawing)  # others share it
+        base.drawing = copy(base.drawing)  # other envs share it
         base.drawing.renderer = counting = CountingRenderer(base.drawing.renderer)
         td = env.reset()
         assert counting.rendered == 6
@@ -105,7 +105,7 @@ class EnvContract(ABC):
         env.reset(td.set("_reset", mask), set_state=False)
         assert counting.rendered == 6 + 2
 
-    def test_a_step_sees_what_the_last_one_left(self, rolled: TensorDictBase) -> None:
+    def test_each_step_starts_from_the_result_of_the_previous_one(self, rolled: TensorDictBase) -> None:
         batch = rolled
         goes_on = ~batch["next", "done"][:, :-1, 0]
         assert goes_on.any() and not goes_on.all()
@@ -116,7 +116,7 @@ class EnvContract(ABC):
         assert (begins == 0).all()
         assert torch.equal(batch["next", "level"], batch["level"])  # an episode keeps the level at which it began
 
-    def test_a_rollout_goes_on_where_another_stopped(self) -> None:
+    def test_a_rollout_continues_where_another_stopped(self) -> None:
         env = self.make((3,))
         first = env.rollout(2, break_when_any_done=False)
         second = env.rollout(
@@ -129,7 +129,7 @@ class EnvContract(ABC):
     def test_the_same_seed_gives_the_same_bytes(self, rolled: TensorDictBase) -> None:
         assert_same(rolled, seeded_rollout(self.make((3,), 99), self.steps, 7))
 
-    def test_the_seed_of_the_constructor_is_that_of_set_seed(self) -> None:
+    def test_seeding_in_the_constructor_equals_set_seed(self) -> None:
         env = self.make((3,), seed=1)
         env.set_seed(5)
         assert_same(env.reset(), self.make((3,), seed=5).reset())
@@ -141,7 +141,7 @@ class EnvContract(ABC):
         env.set_seed(2)
         assert not torch.equal(first, env.reset()["state"])
 
-    def test_a_reset_that_is_not_to_take_the_state_draws_its_own(self) -> None:
+    def test_a_reset_with_set_state_false_ignores_the_given_state(self) -> None:
         td = self.make((16,)).reset()
         first = td["state"].clone()
         again = self.make((16,), seed=1).reset(td, set_state=False)
@@ -159,7 +159,7 @@ class EnvContract(ABC):
         again = env.reset(TensorDict({"state": given["state"]}, [3]), set_state=True)
         assert torch.equal(again["pixels"], given["pixels"])
 
-    def test_a_loaded_state_dict_goes_on_to_the_byte(self) -> None:
+    def test_an_env_with_a_loaded_state_dict_continues_byte_for_byte(self) -> None:
         env = self.make((3,), seed=3)
         carried = env.rollout(self.steps, break_when_any_done=False)[:, -1]
         other = self.make((3,), seed=4)
@@ -176,7 +176,7 @@ class EnvContract(ABC):
         assert_same(*runs)
         assert_same(env.reset(), other.reset())
 
-    def test_later_steps_do_not_change_what_was_handed_out(self) -> None:
+    def test_later_steps_do_not_change_earlier_results(self) -> None:
         env = self.make((3,))
         torch.manual_seed(0)
         td = env.reset()

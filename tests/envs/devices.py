@@ -1,4 +1,4 @@
-"""Finds what a step on a GPU must not do, without a GPU.
+"""Detects, without a GPU, what a step on a GPU must not do.
 
 ``NoHostReads`` watches every operation on a CPU and refuses those for which the host would wait for a GPU, or whose
 output would have a size that only the device knows. ``NoTransfers`` watches an env on the ``meta`` device, which holds
@@ -35,10 +35,10 @@ READS = {
     aten.multinomial,  # checks that its probabilities are valid
     aten.normal,  # checks its standard deviations
 }
-"""Operations for which the host waits."""
+"""Operations that make the host wait for the device."""
 INDEXED = {aten.index, aten.index_put, aten.index_put_, aten._index_put_impl_}
-"""Operations that synchronise if one of the indices is a mask, because they look up its rows, and if what they put is a
-number, because it comes from the host."""
+"""Operations that synchronise if an index is a mask, because its rows are looked up, or if the value they write is a
+scalar, because it comes from the host."""
 
 
 class HostReadError(AssertionError):
@@ -46,7 +46,7 @@ class HostReadError(AssertionError):
 
 
 class NoHostReads(TorchDispatchMode):
-    """Refuses operations for which the host waits."""
+    """Refuses operations that make the host wait for the device."""
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         packet = func.overloadpacket
@@ -74,7 +74,7 @@ class NoTransfers(TorchDispatchMode):
 
 
 class AnywhereGenerator(torch.Generator):
-    """A CPU generator that claims to belong to any device: ``meta`` has none, and draws nothing."""
+    """A CPU generator that accepts any device, since ``meta`` has no generators and draws nothing."""
 
     def __new__(cls, device: Any = "cpu") -> "AnywhereGenerator":
         return super().__new__(cls, "cpu")
@@ -87,7 +87,7 @@ def pretend_device(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Painter:
-    """Colours each view by its camera's position and direction, without state: a renderer that never synchronises."""
+    """A stateless renderer that never synchronises: it colours each view by its camera's position and direction."""
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         pose = cameras.camera_to_world
@@ -106,7 +106,7 @@ class Painter:
 
 
 class SquareChecker:
-    """Checks collision with a square around the origin by hand, only at the ends of moves."""
+    """Checks collision with a square around the origin, only at the ends of moves."""
 
     def __init__(self, body: Body = BODY, reach: float = 0.35):
         self.body, self.reach = body, reach

@@ -1,4 +1,4 @@
-"""``torch.compile`` takes the steps of an env, and calls of the core by themselves, as they are."""
+"""``torch.compile`` works on env steps and on single calls into the core, and changes no result."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -44,7 +44,7 @@ def test_a_compiled_step_gives_the_same_bytes(task: str, tmp_path: Path) -> None
     assert_same(*runs)
 
 
-def test_the_core_is_called_between_two_graphs(tmp_path: Path) -> None:
+def test_core_calls_between_compiled_graphs_give_the_same_results(tmp_path: Path) -> None:
     world = build_world(load_config(tiny_overrides(tmp_path)))
     states = torch.tensor([[1, 3, 0], [0, 0, 0]])
     poses = tiny_motion().body_to_world(states)

@@ -1,4 +1,4 @@
-"""The contract of tasks off the lattice, built from their configs in the tiny room, with coarse steps."""
+"""The env contract for tasks off the lattice, built from their configs in the tiny room with coarse steps."""
 
 from abc import abstractmethod
 from collections.abc import Iterator
@@ -50,7 +50,7 @@ class TestFps(ConfiguredContract):
     def overrides(cls) -> tuple[str, ...]:
         return ("fps", *WALK)
 
-    def test_it_wears_no_transform(self) -> None:
+    def test_it_has_no_transform(self) -> None:
         assert isinstance(self.make((1,)), SplatEnv)
 
 
@@ -71,7 +71,7 @@ class TestApple(ConfiguredContract):
     def overrides(cls) -> tuple[str, ...]:
         return ("apple", *WALK, "landmarks.object=[-0.75,-1.0,0.5]")  # where nothing else is red
 
-    def test_goals_are_granted_for_what_is_seen(self) -> None:
+    def test_goals_are_reached_only_near_the_apple_and_with_it_in_view(self) -> None:
         env = self.make((64,))
         assert isinstance(env, SplatEnv)
         after = seeded_rollout(env, self.steps, 0)["next"]

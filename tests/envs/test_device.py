@@ -1,4 +1,4 @@
-"""A step, and a reset of robots whose episode ended, never make the host wait for the device."""
+"""Neither a step nor the automatic reset of finished robots makes the host wait for the device."""
 
 from collections.abc import Iterator
 from copy import copy
@@ -52,25 +52,25 @@ WORLDS = {
 
 @cache
 def world(name: str) -> World:
-    """The tiny room with the task of this name."""
+    """Build the tiny room with the task of this name."""
     task, *more = WORLDS[name]
     with TemporaryDirectory() as folder:
         return build_world(load_config([*tiny_overrides(Path(folder), task), *more, "task.max_steps=5"]))
 
 
 def made(name: str, batch: int = 5, device: str = "cpu") -> EnvBase:
-    """An env of a world that does what it does on a GPU, with a renderer and a checker that never synchronise."""
+    """Make an env that works as it does on a GPU, with a renderer and a checker that never synchronise."""
     env = world(name).env(batch, Curriculum(world(name).plan, 2, threshold=0.01, window=10**6), 1, device)
     base = base_env(env)
     base.drawing = copy(base.drawing)  # the world keeps its own
     base.drawing.renderer, base.checker = Painter(), SquareChecker()
-    base.lattice_steps = None  # a GPU looks none up
+    base.lattice_steps = None  # a GPU does not look steps up
     return env
 
 
 @pytest.fixture
 def whole_overlay(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make what works otherwise on a CPU work as on a GPU: on all pixels and rows, and by PyTorch."""
+    """Make code that is special-cased on a CPU work as on a GPU: on all pixels and rows, and in PyTorch."""
     monkeypatch.setattr(billboard, "_points", lambda inside: torch.arange(len(inside), device=inside.device))
     monkeypatch.setattr(episode_look, "_wanted", lambda mask: None)
     for module in (appearance, weather_images):
@@ -79,7 +79,7 @@ def whole_overlay(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def steps(env: EnvBase, count: int, seed: int = 0) -> Iterator[TensorDictBase]:
-    """Random steps with automatic resets: the input and output of each."""
+    """Yield random steps with automatic resets, each with its input and output."""
     torch.manual_seed(seed)
     now = env.reset()
     for _ in range(count):
@@ -89,7 +89,9 @@ def steps(env: EnvBase, count: int, seed: int = 0) -> Iterator[TensorDictBase]:
 
 
 @pytest.mark.parametrize("name", WORLDS)
-def test_nothing_is_left_on_the_cpu_or_fetched_from_there(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_steps_and_resets_leave_nothing_on_the_cpu_and_fetch_nothing_from_it(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pretend_device(monkeypatch)
     env = made(name, device="meta")
     now = env._reset(set_state=False)  # TorchRL's reset synchronises to check whether anything is done
@@ -104,7 +106,7 @@ def test_nothing_is_left_on_the_cpu_or_fetched_from_there(name: str, monkeypatch
 
 @pytest.mark.usefixtures("whole_overlay")
 @pytest.mark.parametrize("name", WORLDS)
-def test_an_automatic_reset_reads_nothing_gives_what_torchrls_gives_and_keeps_the_last_observation(name: str) -> None:
+def test_an_automatic_reset_equals_torchrls_without_host_reads(name: str) -> None:
     mine, theirs = made(name), made(name)
     torch.manual_seed(0)
     now, expected = mine.reset(), theirs.reset()
@@ -128,7 +130,7 @@ def test_an_automatic_reset_reads_nothing_gives_what_torchrls_gives_and_keeps_th
     assert torch.equal(base_env(mine).generator.get_state(), base_env(theirs).generator.get_state())
 
 
-def test_an_automatic_reset_draws_only_what_ended() -> None:
+def test_an_automatic_reset_renders_only_finished_robots() -> None:
     env = transformed((4,))
     base_env(env).drawing.renderer = counting = CountingRenderer(base_env(env).drawing.renderer)
     stepped = env.step(env.rand_action(env.reset()))
@@ -139,7 +141,7 @@ def test_an_automatic_reset_draws_only_what_ended() -> None:
 
 
 @pytest.mark.parametrize("device", ["cpu", "meta"])
-def test_an_env_moves_with_all_that_it_holds(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_moving_an_env_moves_all_its_tensors(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
     pretend_device(monkeypatch)
 
     env = made("shaken sim2real")
@@ -150,7 +152,7 @@ def test_an_env_moves_with_all_that_it_holds(device: str, monkeypatch: pytest.Mo
     assert {value.device.type for value in (*base.buffers(), *env.transform.buffers())} == {device}
 
 
-def test_an_env_that_moves_back_draws_from_its_seed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_moving_an_env_restarts_its_generator_from_the_seed(monkeypatch: pytest.MonkeyPatch) -> None:
     pretend_device(monkeypatch)
     env = tiny_env((4,), seed=3)
     first = env.generator.get_state().clone()
@@ -160,7 +162,7 @@ def test_an_env_that_moves_back_draws_from_its_seed_again(monkeypatch: pytest.Mo
 
 
 class Refusing(Painter):
-    """Marks one row as faulty, as a kernel does."""
+    """Records one row as faulty, as a kernel does."""
 
     def __init__(self) -> None:
         self.fault = FaultFlag("cpu")
@@ -171,14 +173,14 @@ class Refusing(Painter):
             raise ValueError(f"camera_to_world[{row}]: expected finite values")
 
 
-def test_what_a_device_noted_is_raised_when_asked_for_and_only_once() -> None:
+def test_faults_recorded_on_a_device_are_raised_once_when_asked_for() -> None:
     env = tiny_env((3,), renderer=Refusing())
     env.raise_faults()
     env.drawing.renderer.fault.flag.fill_(2)
     with pytest.raises(ValueError, match=r"camera_to_world\[2\]: expected finite values"):
         env.raise_faults()
     env.raise_faults()
-    tiny_env((3,)).raise_faults()  # others record no faults
+    tiny_env((3,)).raise_faults()  # other renderers record no faults
 
 
 @pytest.mark.parametrize(
@@ -195,7 +197,7 @@ def test_what_a_device_noted_is_raised_when_asked_for_and_only_once() -> None:
         lambda x: torch.equal(x, x),
     ],
 )
-def test_a_read_is_found(read: object) -> None:
+def test_a_host_read_is_detected(read: object) -> None:
     with pytest.raises(HostReadError), NoHostReads():
         read(torch.arange(3.0))
 
@@ -203,6 +205,6 @@ def test_a_read_is_found(read: object) -> None:
 @pytest.mark.parametrize(
     "fetch", [lambda x: x + torch.ones(3).to("meta"), lambda x: x[torch.zeros(3).long()], lambda x: x + torch.tensor(2)]
 )
-def test_a_tensor_of_the_cpu_is_found(fetch: object) -> None:
+def test_a_cpu_tensor_is_detected(fetch: object) -> None:
     with pytest.raises(HostReadError), NoTransfers():
         fetch(torch.zeros(3, device="meta"))

@@ -1,4 +1,4 @@
-"""The contract of an env on a GPU, in a world that is built for it."""
+"""The env contract on a GPU, in worlds that are built for it."""
 
 from collections.abc import Iterator
 
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.gpu
 
 
 class OnAGpu(EnvContract):
-    """A contract for a task of the tiny room."""
+    """The contract on a GPU for a task of the tiny room."""
 
     world: World
     task: str
@@ -38,7 +38,7 @@ class OnAGpu(EnvContract):
     def make(self, batch_size: tuple[int], seed: int = 0) -> EnvBase:
         return self.world.env(batch_size[0], Curriculum(self.world.plan, first=3, threshold=0.01, window=5), seed)
 
-    def test_it_is_all_on_the_gpu(self) -> None:
+    def test_everything_is_on_the_gpu(self) -> None:
         env = self.make((3,))
         base = base_env(env)
         renderer = base.drawing.renderer
@@ -50,7 +50,7 @@ class OnAGpu(EnvContract):
 class TestGrid(OnAGpu):
     task = "grid"
 
-    def test_the_checker_is_the_gpus(self) -> None:
+    def test_the_checker_runs_on_the_gpu(self) -> None:
         assert isinstance(base_env(self.make((3,))).checker, CudaChecker)
 
 

@@ -1,4 +1,4 @@
-"""Gymnasium's interface: its own checker and its wrappers."""
+"""The Gymnasium interface, with Gymnasium's own checker and wrappers."""
 
 import math
 import warnings
@@ -33,22 +33,22 @@ def make_tiny(render_mode: str | None = None, **settings: Any) -> GymnasiumEnv:
 
 
 def make_driving(render_mode: str | None = None) -> GymnasiumEnv:
-    """An env with continuous control."""
+    """Make an env with continuous control."""
     return GymnasiumEnv(drive_env(), render_mode=render_mode)
 
 
 def make_painted(render_mode: str | None = None) -> GymnasiumEnv:
-    """An env under a transform that changes reward and outcome."""
+    """Make an env whose reward and outcome depend on what the image shows."""
     return GymnasiumEnv(painted_env(coarse_apple(), 1), render_mode=render_mode)
 
 
 def make_sensing(render_mode: str | None = None) -> GymnasiumEnv:
-    """An env with every kind of sensor: images, vectors and bits."""
+    """Make an env with every kind of sensor: images, vectors and bits."""
     return GymnasiumEnv(sensing_env((1,)), render_mode=render_mode)
 
 
 @pytest.mark.parametrize("make", [make_tiny, make_driving, make_painted, make_sensing])
-def test_gymnasiums_checker_has_nothing_to_say(make: Callable[..., GymnasiumEnv]) -> None:
+def test_gymnasiums_checker_gives_no_warning(make: Callable[..., GymnasiumEnv]) -> None:
     spec = gymnasium.envs.registration.EnvSpec("Tiny-v0", entry_point=make, disable_env_checker=True)
     env = gymnasium.make(spec, render_mode="rgb_array").unwrapped
     with warnings.catch_warnings():
@@ -57,7 +57,7 @@ def test_gymnasiums_checker_has_nothing_to_say(make: Callable[..., GymnasiumEnv]
         check_env(env)
 
 
-def test_a_step_shows_what_the_env_shows() -> None:
+def test_a_gymnasium_env_gives_the_results_of_the_env() -> None:
     view, env = GymnasiumEnv(tiny_env([1])), tiny_env([1])
     observation, info = view.reset(seed=4)
     env.set_seed(4)
@@ -89,7 +89,7 @@ def test_an_episode_begins_at_a_given_state_and_ends_with_its_outcome() -> None:
     assert env.step(np.int64(SPIN))[2:4] == (False, True)
 
 
-def test_a_reset_without_a_seed_goes_on_with_the_generator() -> None:
+def test_a_reset_without_a_seed_continues_the_random_sequence() -> None:
     env = make_tiny()
     runs = []
     for _ in range(2):
@@ -99,7 +99,7 @@ def test_a_reset_without_a_seed_goes_on_with_the_generator() -> None:
     assert len(np.unique(runs[0], axis=0)) > 1
 
 
-def test_what_is_sensed_is_observed_beside_the_pixels() -> None:
+def test_sensor_readings_are_observed_beside_the_pixels() -> None:
     batch, bare = GymnasiumVectorEnv(sensing_env((3,), seed=5)), sensing_env((3,), seed=5)
     keys = {"pixels", *bare.sensors}
     seen, _ = batch.reset()
@@ -116,7 +116,7 @@ def test_what_is_sensed_is_observed_beside_the_pixels() -> None:
     assert ends > 0
 
 
-def test_later_steps_do_not_change_an_observation_that_was_handed_out() -> None:
+def test_later_steps_do_not_change_an_earlier_observation() -> None:
     env = make_tiny()
     observation, _ = env.reset(seed=0)
     kept = observation.copy()
@@ -125,7 +125,7 @@ def test_later_steps_do_not_change_an_observation_that_was_handed_out() -> None:
 
 
 def unbounded_env() -> EnvBase:
-    """An env whose action has no limits."""
+    """Make an env whose action has no limits."""
     env = tiny_env([1])
     env.action_spec = Unbounded((1, 2))
     return env
@@ -173,7 +173,7 @@ def unbounded_env() -> EnvBase:
         ),
     ],
 )
-def test_what_makes_no_sense_is_refused(call: Any, error: type[Exception], message: str) -> None:
+def test_invalid_calls_and_settings_are_refused(call: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         call(make_tiny("rgb_array"))
 
@@ -212,7 +212,7 @@ def test_robots_whose_episode_ends_begin_the_next_in_the_same_step() -> None:
     assert np.array_equal(np.stack(env.render()), seen)
 
 
-def test_a_batch_gives_what_single_robots_give() -> None:
+def test_a_batch_gives_the_results_of_single_robots() -> None:
     batch, singles = vector(tiny_env([2])), [make_tiny(), make_tiny()]
     starts = np.array([[0, 1, 5], [4, 0, 2]])
     batch.reset(options={"state": starts})
@@ -231,7 +231,7 @@ def test_the_same_seed_gives_the_same_batch() -> None:
     assert np.array_equal(first, second) and not np.array_equal(first, third)
 
 
-def test_gymnasiums_wrappers_count_the_episodes() -> None:
+def test_gymnasiums_statistics_wrapper_counts_the_episodes() -> None:
     env = RecordEpisodeStatistics(vector(max_steps=6))
     env.reset(seed=0)
     env.action_space.seed(0)
@@ -246,7 +246,7 @@ def test_gymnasiums_wrappers_count_the_episodes() -> None:
     assert len(lengths) > 10 and max(lengths) == 6 and sum(lengths) <= 40 * 3
 
 
-def test_each_robot_of_a_list_of_seeds_has_a_start_of_its_own() -> None:
+def test_a_list_of_seeds_gives_each_robot_the_start_of_its_own_seed() -> None:
     env = vector(tiny_env([4]))
     _, first = env.reset(seed=[5, 6, 5, 9])
     alone = [make_tiny().reset(seed=seed)[1]["state"] for seed in (5, 6, 5, 9)]
@@ -262,7 +262,7 @@ def test_each_robot_of_a_list_of_seeds_has_a_start_of_its_own() -> None:
     assert np.array_equal(runs[0], runs[1]) and not np.array_equal(runs[0], runs[2])
 
 
-def test_a_robot_without_a_seed_goes_on_with_the_generator() -> None:
+def test_a_robot_without_a_seed_continues_the_random_sequence() -> None:
     env, same = vector(), vector()
     for one in (env, same):
         one.reset(seed=1)
@@ -272,7 +272,7 @@ def test_a_robot_without_a_seed_goes_on_with_the_generator() -> None:
     assert np.array_equal(state[1], make_tiny().reset(seed=7)[1]["state"])
 
 
-def test_a_list_of_seeds_leaves_the_curriculum_counting() -> None:
+def test_the_curriculum_still_counts_episodes_after_a_list_of_seeds() -> None:
     env = tiny_env([2], first=1, window=1000)
     batch = vector(env)
     batch.reset(seed=[1, 2])
@@ -307,7 +307,7 @@ def test_robots_whose_episode_ends_begin_the_next_in_the_next_step() -> None:
     assert np.array_equal(info["state"][[0, 2]], (begun + np.array([0, 0, 1])) % [5, 7, 8]) and (reward != 0).all()
 
 
-def test_an_episode_that_ended_counts_once_for_the_curriculum() -> None:
+def test_the_curriculum_counts_a_finished_episode_once_in_each_autoreset_mode() -> None:
     counted = []
     for mode in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP):
         env = tiny_env([1], first=1, window=1000)
@@ -331,7 +331,7 @@ def test_a_reset_forgets_which_episodes_had_ended() -> None:
 
 
 @pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP])
-def test_statistics_are_right_in_each_mode(mode: AutoresetMode) -> None:
+def test_episode_statistics_are_right_in_each_autoreset_mode(mode: AutoresetMode) -> None:
     env = RecordEpisodeStatistics(GymnasiumVectorEnv(tiny_env([3], max_steps=6), mode))
     env.reset(seed=0)
     lengths: list[int] = []
@@ -341,7 +341,7 @@ def test_statistics_are_right_in_each_mode(mode: AutoresetMode) -> None:
     assert len(lengths) > 10 and max(lengths) == 6 and set(lengths) <= set(range(1, 7))
 
 
-def test_wrappers_that_ask_for_the_next_step_take_it() -> None:
+def test_wrappers_that_need_next_step_autoreset_accept_it() -> None:
     with pytest.raises(ValueError, match="NEXT_STEP"):
         NormalizeObservation(vector())
     env = NormalizeObservation(next_step(max_steps=4))
@@ -351,7 +351,7 @@ def test_wrappers_that_ask_for_the_next_step_take_it() -> None:
     assert seen.shape == (3, 12, 16, 3) and np.isfinite(seen).all() and abs(float(seen.mean())) < 1
 
 
-def test_the_next_step_works_under_transforms() -> None:
+def test_next_step_autoreset_works_under_transforms() -> None:
     env = next_step(transformed((3,), 0, ("PoseNoise",), sprite=False))
     env.reset(seed=0)
     env.action_space.seed(0)
@@ -364,7 +364,7 @@ def test_the_next_step_works_under_transforms() -> None:
     assert info["state"].shape == (3, 3)
 
 
-def test_transforms_show_through() -> None:
+def test_transforms_take_effect_through_the_gymnasium_interface() -> None:
     env = vector(TransformedEnv(tiny_env([3]), RewardScaling(0.0, 0.5)))
     env.reset(seed=0, options={"state": [[1, 5, 0], [0, 0, 0], [1, 3, 0]]})
     _, reward, *_ = env.step(np.array([FORWARD_X, SPIN, FORWARD_X]))
@@ -381,7 +381,7 @@ def test_transforms_show_through() -> None:
         ((0.0, 0.5), 0.125, math.pi / 2),
     ],
 )
-def test_a_continuous_action_goes_from_the_lowest_to_the_highest(
+def test_a_continuous_action_spans_the_range_from_lowest_to_highest(
     action: tuple[float, float], linear: float, angular: float
 ) -> None:
     view, env = make_driving(), drive_env()
@@ -425,7 +425,7 @@ def test_a_batch_drives_as_single_robots_do() -> None:
             assert np.array_equal(seen[row], shown) and np.array_equal(info["state"][row], told["state"])
 
 
-def test_a_goal_that_a_transform_grants_is_what_a_client_is_told() -> None:
+def test_a_goal_that_depends_on_the_image_is_reported_to_the_client() -> None:
     env, batch = make_painted(), vector(painted_env(coarse_apple(), 2))
     before_apple, far = [0.25, 1.0, 0.0], [-0.75, 1.0, 0.0]
     env.reset(options={"state": np.array(before_apple)})

@@ -1,4 +1,4 @@
-"""An env that uses the GPU's kernels: emulated on the CPU, and on a GPU if there is one."""
+"""Envs that use the GPU kernels, emulated on the CPU and, if there is one, on a GPU."""
 
 from collections.abc import Callable
 from functools import cache
@@ -28,12 +28,12 @@ Make = Callable[[str], SplatEnv]
 
 @cache
 def occupancy() -> Occupancy:
-    """What is solid in the room."""
+    """Return the occupancy of the room."""
     return Occupancy.from_gaussians(tiny_gaussians(), resolution=0.1)
 
 
 def task_of(name: str) -> Task:
-    """The two ways to move: on a lattice and off it."""
+    """Make a task with one of the two kinds of motion, on a lattice or off it."""
     if name == "grid":
         return Grid(tiny_motion(), goal=(0.5, 1.0, 0.0), max_steps=7)
     motion = ForwardMotion(HEIGHT, 0.25, 30.0, (-1.0, -1.5), (1.0, 1.5))
@@ -41,7 +41,7 @@ def task_of(name: str) -> Task:
 
 
 def env_of(name: str, device: torch.device | str, renderer: object, checker: object) -> SplatEnv:
-    """Robots in the room, the same on both devices."""
+    """Make an env of robots in the room, the same on both devices."""
     task, box = task_of(name), Box(BODY.size)
     found = plan(task.motion, NativeChecker(occupancy(), box), task.reached)
     robot = Robot(box, HEIGHT, image_width=16, image_height=12)
@@ -50,13 +50,13 @@ def env_of(name: str, device: torch.device | str, renderer: object, checker: obj
 
 
 def on_cpu(name: str) -> SplatEnv:
-    """An env with the CPU's renderer and checker."""
+    """Make an env with the CPU's renderer and checker."""
     return env_of(name, "cpu", NativeRenderer(tiny_gaussians()), NativeChecker(occupancy(), Box(BODY.size)))
 
 
 @pytest.fixture(params=["emulated", pytest.param("gpu", marks=pytest.mark.gpu)])
 def make(request: pytest.FixtureRequest) -> Make:
-    """Makes envs with the GPU's renderer and checker."""
+    """Return a function that makes envs with the GPU's renderer and checker."""
     body = Box(BODY.size)
     if request.param == "gpu":
         device = request.getfixturevalue("cuda_device")
@@ -69,7 +69,7 @@ def make(request: pytest.FixtureRequest) -> Make:
 
 
 def walked(env: SplatEnv, steps: int) -> list[TensorDictBase]:
-    """Steps with automatic resets from given starts, with actions that do not depend on the device."""
+    """Take steps with automatic resets, with starts and actions that do not depend on the device."""
     g = torch.Generator().manual_seed(3)
     states = env.task.motion.states()
     first = states[torch.randint(len(states), (ROBOTS,), generator=g).to(states.device)]
@@ -81,17 +81,17 @@ def walked(env: SplatEnv, steps: int) -> list[TensorDictBase]:
         found.append(stepped["next"].cpu())
         now = restart(env, stepped["next"])
         start = states[torch.randint(len(states), (ROBOTS,), generator=g).to(states.device)]
-        now["state"] = torch.where(stepped["next", "done"], start, now["state"])  # generators differ
+        now["state"] = torch.where(stepped["next", "done"], start, now["state"])  # the devices' generators differ
     return found
 
 
 @pytest.mark.parametrize("name", ["grid", "fps"])
-def test_robots_go_where_they_go_on_a_cpu(make: Make, name: str) -> None:
+def test_robots_move_as_they_do_on_a_cpu(make: Make, name: str) -> None:
     env = make(name)
     here, there = walked(on_cpu(name), 24), walked(env, 24)
     env.raise_faults()
     outcomes = torch.stack([step["outcome"] for step in here])
-    assert len(outcomes.unique()) >= 4  # of five
+    assert len(outcomes.unique()) >= 4  # of five outcomes
     for ours, theirs in zip(here, there, strict=True):
         for key in ("outcome", "reward", "done", "terminated", "truncated", "step_count"):
             assert torch.equal(ours[key], theirs[key]), key
@@ -100,7 +100,7 @@ def test_robots_go_where_they_go_on_a_cpu(make: Make, name: str) -> None:
         assert ((ours["pixels"].int() - theirs["pixels"].int()).abs() <= 1).float().mean() > 0.999
 
 
-def test_nothing_is_read_by_the_host(make: Make) -> None:
+def test_steps_and_resets_read_nothing_on_the_host(make: Make) -> None:
     env = make("grid")
     now = env.reset()
     action = torch.zeros(ROBOTS, dtype=torch.int64, device=env.device)
@@ -112,13 +112,13 @@ def test_nothing_is_read_by_the_host(make: Make) -> None:
     env.raise_faults()
 
 
-def test_a_pose_that_is_not_finite_is_told_of_when_asked_for(make: Make) -> None:
+def test_a_non_finite_pose_is_reported_when_faults_are_raised(make: Make) -> None:
     env = make("fps")
     now = env.reset()
     now["state"][4, 0] = torch.nan
     env.step(now.set("action", torch.zeros(ROBOTS, dtype=torch.int64, device=env.device)))
     with pytest.raises(ValueError, match="4"):
         env.raise_faults()
-    with pytest.raises(ValueError, match="4"):  # the renderer's, and then the checker's
+    with pytest.raises(ValueError, match="4"):  # the renderer's fault, and then the checker's
         env.raise_faults()
     env.raise_faults()

@@ -1,4 +1,4 @@
-"""Steps that are looked up are those that motion, checker and task make, and nothing else is looked up."""
+"""Looked-up steps equal those computed by motion, checker and task, and only steps on the lattice are looked up."""
 
 from collections.abc import Callable
 from functools import cache
@@ -29,14 +29,14 @@ from tests.tiny import tiny_env, tiny_motion, tiny_overrides
 
 @cache
 def world(task: str) -> World:
-    """The tiny room."""
+    """Build the tiny room with a task."""
     coarse = ["task.motion.angle_step_deg=30"] if task == "hemisphere" else []  # a ninth of its states
     with TemporaryDirectory() as folder:
         return build_world(load_config([*tiny_overrides(Path(folder), task), "task.max_steps=6", *coarse]))
 
 
 def pair(task: str, batch: int, **curriculum: Any) -> tuple[SplatEnv, SplatEnv]:
-    """An env that looks its steps up, and one that takes each of them, with painted views."""
+    """Make an env that looks its steps up and one that computes them, both with painted views."""
     envs = []
     for _ in range(2):
         env = base_env(world(task).env(batch, Curriculum(world(task).plan, **curriculum)))
@@ -48,7 +48,7 @@ def pair(task: str, batch: int, **curriculum: Any) -> tuple[SplatEnv, SplatEnv]:
 
 @pytest.mark.parametrize("shaken", [False, True])
 @pytest.mark.parametrize("task", ["grid", "circle", "polar_plane", "hemisphere"])
-def test_every_step_that_is_looked_up_is_what_motion_and_task_make_of_it(task: str, shaken: bool) -> None:
+def test_every_looked_up_step_equals_the_computed_one(task: str, shaken: bool) -> None:
     motion = world(task).task.motion
     states, actions = motion.states(), motion.actions()
     count, generator = len(states) * len(actions), torch.Generator().manual_seed(0)
@@ -68,11 +68,11 @@ def test_every_step_that_is_looked_up_is_what_motion_and_task_make_of_it(task: s
     assert torch.equal(looks_up.curriculum.progress, takes.curriculum.progress)
     assert all(looks_up.curriculum.progress[1:] > 0)
     met = {Outcome.RUNNING, Outcome.GOAL, Outcome.COLLISION, Outcome.TIMEOUT}
-    met |= {Outcome.OUT_OF_BOUNDS} if task in ("polar_plane", "hemisphere") else set()  # walls end the others first
+    met |= {Outcome.OUT_OF_BOUNDS} if task in ("polar_plane", "hemisphere") else set()  # elsewhere walls end episodes
     assert set(after["outcome"].unique().tolist()) == met
 
 
-def test_steps_and_episodes_of_a_column_of_a_rollout_are_those_of_its_copy() -> None:
+def test_a_non_contiguous_column_of_a_rollout_is_stepped_and_restarted_like_its_copy() -> None:
     looks_up, takes = pair("grid", 6)
     column = takes.rollout(3, break_when_any_done=False)[:, 1]
     assert not column["state"].is_contiguous()
@@ -86,7 +86,7 @@ def test_steps_and_episodes_of_a_column_of_a_rollout_are_those_of_its_copy() -> 
     assert_same(TensorDict(looks_up.restarted(after, rows), [6]), TensorDict(takes.restarted(copied, rows), [6]))
 
 
-def test_episodes_that_begin_are_those_of_a_reset() -> None:
+def test_looked_up_starts_equal_those_of_a_reset() -> None:
     envs = pair("grid", 6, first=1)
     torch.manual_seed(0)
     stepped = envs[0].step(envs[0].rand_action(envs[0].reset()))
@@ -100,7 +100,7 @@ def test_episodes_that_begin_are_those_of_a_reset() -> None:
         assert torch.equal(*(env.generator.get_state() for env in envs))
 
 
-def test_entries_of_other_kinds_begin_as_in_a_reset() -> None:
+def test_starts_are_not_looked_up_for_entries_of_another_dtype() -> None:
     env = pair("grid", 3)[0]
     after, rows = env.reset(), torch.tensor([1])
     before = env.generator.get_state()
@@ -111,7 +111,7 @@ def test_entries_of_other_kinds_begin_as_in_a_reset() -> None:
 
 
 @pytest.mark.parametrize("batch", [1, 5])
-def test_episodes_that_are_looked_up_are_those_that_are_taken(batch: int) -> None:
+def test_looked_up_rollouts_equal_computed_ones(batch: int) -> None:
     rollouts, envs = [], pair("grid", batch, first=1, threshold=0.1, window=4)
     for env in envs:
         torch.manual_seed(0)
@@ -133,7 +133,7 @@ def test_episodes_that_are_looked_up_are_those_that_are_taken(batch: int) -> Non
         {"goals": torch.zeros(2, 3, dtype=torch.int64)},
     ],
 )
-def test_what_is_not_of_the_lattice_is_not_looked_up_and_changes_nothing(changed: dict[str, Tensor]) -> None:
+def test_inputs_off_the_lattice_are_not_looked_up_and_change_nothing(changed: dict[str, Tensor]) -> None:
     env = tiny_env((2,), window=1)
     td = env.rand_action(env.reset())
     before = env.curriculum.progress.clone()
@@ -142,7 +142,7 @@ def test_what_is_not_of_the_lattice_is_not_looked_up_and_changes_nothing(changed
     assert env.lattice_steps.step(td) is not None
 
 
-def test_what_was_taken_is_left_as_it_was_and_needs_no_contiguous_memory() -> None:
+def test_a_looked_up_step_leaves_its_input_unchanged_and_accepts_strided_memory() -> None:
     env = tiny_env((3,))
     td = env.rand_action(env.reset())
     wide = TensorDict({key: torch.stack([value, value], 1) for key, value in td.items()}, [3, 2])[:, 0]
@@ -153,28 +153,28 @@ def test_what_was_taken_is_left_as_it_was_and_needs_no_contiguous_memory() -> No
 
 
 class ByPicture(Grid):
-    """A grid task that looks at the picture."""
+    """A grid task whose verdict may depend on the image."""
 
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
         return super().judge(step, anywhere)
 
 
 class Elsewhere(Grid):
-    """A grid task that has a say in where episodes begin."""
+    """A grid task that changes where episodes begin."""
 
     def start(self, state: Tensor, anywhere: Anywhere) -> Tensor:
         return state.flip(0)
 
 
 class Slipping(LatticeMotion):
-    """A motion that does not always do what it is told."""
+    """A motion that does not always carry out the given action."""
 
     def move(self, state: Tensor, action: Tensor, checker: Checker) -> Move:
         return super().move(state, action.roll(1), checker)
 
 
 class Deaf(Curriculum):
-    """A curriculum that hears of no episode."""
+    """A curriculum that records no episode."""
 
     def record(self, level: Tensor, finished: Tensor, success: Tensor) -> None:
         pass
@@ -187,10 +187,10 @@ class Deaf(Curriculum):
         (lambda: ByPicture(tiny_motion(), (0.5, 1.0, 0.0)), False),
         (lambda: Elsewhere(tiny_motion(), (0.5, 1.0, 0.0)), False),
         (lambda: Grid(Slipping(0.5, 0.5, 45.0), (0.5, 1.0, 0.0)), False),
-        (lambda: Grid(LatticeMotion(0.5, 0.01, 1.0), (0.5, 1.0, 0.0)), False),  # too many
+        (lambda: Grid(LatticeMotion(0.5, 0.01, 1.0), (0.5, 1.0, 0.0)), False),  # too many states
     ],
 )
-def test_only_steps_that_depend_on_state_and_action_are_looked_up(
+def test_only_steps_that_depend_on_state_and_action_alone_are_looked_up(
     make_task: Callable[[], Grid], looked_up: bool
 ) -> None:
     env = tiny_env((2,))

@@ -1,4 +1,4 @@
-"""Navigation and sensors with several scenes in one batch: each row is what it would be in its scene alone."""
+"""Navigation and sensors with several scenes in one batch: each row equals the same row in its scene alone."""
 
 import gzip
 import json
@@ -71,7 +71,7 @@ def test_episodes_are_drawn_in_each_scene_written_and_read_back(both: World | Wo
     assert set(one.of(1).measures) == set(one.measures) and len(one.of(1).measures["collisions"]) == 3
 
 
-def test_scenes_of_one_name_keep_their_episodes_apart(tmp_path: Path) -> None:
+def test_scenes_with_the_same_name_keep_their_episodes_apart(tmp_path: Path) -> None:
     words = [*in_both(tmp_path, "pointnav"), *FEW]
     for place in ("west", "east"):
         with (tmp_path / place / "scene.yaml").open("a") as stream:

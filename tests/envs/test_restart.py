@@ -1,4 +1,4 @@
-"""Automatic resets are those of TorchRL."""
+"""Automatic resets equal those of TorchRL."""
 
 import pytest
 import torch
@@ -26,7 +26,7 @@ def test_rows_that_are_done_begin_as_in_torchrl_and_the_others_go_on(name: str) 
             kept = after.clone()
             td = reset(env, after)
             seen.append((kept, td.clone()))
-            assert reset is EnvBase.maybe_reset or torch.equal(after["pixels"], kept["pixels"])  # history stays
+            assert reset is EnvBase.maybe_reset or torch.equal(after["pixels"], kept["pixels"])  # keeps its input
         ends.append(seen)
     ended = 0
     for (kept, mine), (_, theirs) in zip(*ends, strict=True):
@@ -39,7 +39,7 @@ def test_rows_that_are_done_begin_as_in_torchrl_and_the_others_go_on(name: str) 
     assert ended > 0  # else this shows nothing
 
 
-def test_what_begins_anew_is_all_that_is_drawn_for_it() -> None:
+def test_a_restart_renders_only_the_rows_that_begin_anew() -> None:
     counting = CountingRenderer(tiny_renderer())
     env = tiny_env([6], renderer=counting)
     torch.manual_seed(0)
@@ -54,7 +54,7 @@ def test_what_begins_anew_is_all_that_is_drawn_for_it() -> None:
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.bool, torch.int64, torch.float32, torch.bfloat16])
 @pytest.mark.parametrize("shape", [(), (1,), (2, 3)])
-def test_rows_go_to_their_places_and_the_others_stay(dtype: torch.dtype, shape: tuple[int, ...]) -> None:
+def test_new_rows_replace_the_given_ones_and_the_others_stay(dtype: torch.dtype, shape: tuple[int, ...]) -> None:
     generator = torch.Generator().manual_seed(0)
     old, fresh = ((100 * torch.rand(count, *shape, generator=generator)).to(dtype) for count in (7, 3))
     rows, before = torch.tensor([5, 0, 3]), old.clone()
@@ -68,12 +68,12 @@ def test_rows_go_to_their_places_and_the_others_stay(dtype: torch.dtype, shape: 
 
 
 @pytest.mark.parametrize("row", [-1, 7])
-def test_a_row_that_there_is_not_is_refused(row: int) -> None:
+def test_a_row_index_out_of_range_is_refused(row: int) -> None:
     with pytest.raises(ValueError, match="rows: expected row indices of the batch"):
         with_rows([torch.zeros(7, 2)], torch.tensor([0, row]), [torch.ones(2, 2)])
 
 
-def test_gradients_reach_the_rows() -> None:
+def test_gradients_flow_to_the_new_rows() -> None:
     old, fresh = torch.zeros(3, 2), torch.ones(1, 2, requires_grad=True)
     with_rows([old], torch.tensor([1]), [fresh])[0].sum().backward()
     assert torch.equal(fresh.grad, torch.ones(1, 2))

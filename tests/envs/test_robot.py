@@ -14,7 +14,7 @@ ROOT = math.sqrt(0.5)
 
 
 def body_at(yaw: float) -> Tensor:
-    """A ``body_to_world`` [1, 4, 4] away from the origin."""
+    """Return a ``body_to_world`` [1, 4, 4] away from the origin."""
     return rigid(axis_rotations(2, torch.tensor([yaw])), torch.tensor([[1.0, 2.0, 0.7]]))
 
 
@@ -23,7 +23,7 @@ def robot(pitch_deg: float = 0.0) -> Robot:
 
 
 def axes(camera_to_world: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The camera's right, down and forward in the world."""
+    """Return the camera's right, down and forward directions in the world."""
     right, down, forward = camera_to_world[0, :3, :3].unbind(1)
     return right, down, forward
 
@@ -44,7 +44,7 @@ def test_pitch_looks_down_and_keeps_the_horizon_level() -> None:
     torch.testing.assert_close(down, torch.tensor([0.0, -ROOT, -ROOT]))
 
 
-def test_the_field_of_view_is_the_images_width() -> None:
+def test_the_field_of_view_spans_the_width_of_the_image() -> None:
     cameras = robot().cameras(body_at(0.0))
     assert (cameras.width, cameras.height) == (20, 10)
     focal = 10 / math.tan(math.radians(30))

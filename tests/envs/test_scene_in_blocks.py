@@ -1,4 +1,4 @@
-"""Robots in a scene that is cut into blocks do what they do in the whole one."""
+"""Robots in a scene that is cut into blocks behave as in the whole scene."""
 
 from pathlib import Path
 
@@ -33,7 +33,7 @@ def world_in(folder: Path, *words: str) -> World:
     return world
 
 
-def test_voxels_paths_and_episodes_are_those_of_the_whole(folders: tuple[Path, Path]) -> None:
+def test_voxels_paths_and_episodes_equal_those_of_the_whole_scene(folders: tuple[Path, Path]) -> None:
     whole, cut = (world_in(folder, "renderer.tolerance=0") for folder in folders)
     assert isinstance(cut.drawing.renderer, BlockRenderer)
     assert np.array_equal(whole.occupancy.keys(), cut.occupancy.keys())
@@ -53,12 +53,12 @@ def test_voxels_paths_and_episodes_are_those_of_the_whole(folders: tuple[Path, P
 
 
 @pytest.mark.parametrize("budget", [1e3, 0, "much"])
-def test_a_budget_without_room_is_refused_by_its_key(folders: tuple[Path, Path], budget: object) -> None:
+def test_an_invalid_budget_is_refused_by_its_key(folders: tuple[Path, Path], budget: object) -> None:
     with pytest.raises(ValueError, match=r"renderer.budget: expected"):
         world_in(folders[1], f"renderer.budget={budget}")
 
 
-def test_a_folder_of_blocks_is_drawn_in_blocks_unless_another_renderer_is_typed(folders: tuple[Path, Path]) -> None:
+def test_a_folder_of_blocks_is_drawn_in_blocks_unless_another_renderer_is_chosen(folders: tuple[Path, Path]) -> None:
     whole, cut = folders
     words = [
         ([f"scene={cut}"], "BlockRenderer"),
@@ -96,7 +96,7 @@ def test_scenes_in_blocks_and_others_share_a_batch(folders: tuple[Path, Path]) -
 
 
 @pytest.mark.parametrize("many", [False, True])
-def test_robots_in_blocks_see_the_same_on_a_gpu(folders: tuple[Path, Path], many: bool) -> None:
+def test_robots_in_blocks_see_the_same_with_the_gpu_renderer(folders: tuple[Path, Path], many: bool) -> None:
     whole, cut = folders
     scene = ["scene=many", f"scene.paths=[{cut},{whole}]"] if many else [f"scene={cut}"]
     cfg = load_config([*overrides(), *scene, "renderer.cache=null", "allow_targets=[tests]"])

@@ -1,4 +1,4 @@
-"""Many scenes in one batch: each row is what it would be in its scene alone."""
+"""Several scenes in one batch: each row equals the same row in its scene alone."""
 
 import pickle
 
@@ -30,7 +30,7 @@ def alone(task: str, tmp_path_factory: pytest.TempPathFactory) -> list[EnvBase]:
     return [splatrl.make_env([*overrides(task), f"scene={room}"], batch_size=[12], seed=3) for room in rooms]
 
 
-def test_it_follows_torchrl(both: EnvBase) -> None:
+def test_outputs_match_the_specs(both: EnvBase) -> None:
     check_env_specs(both)
 
 
@@ -64,7 +64,7 @@ def test_the_same_seed_gives_the_same_scenes(both: EnvBase) -> None:
     assert not torch.equal(first["state"], both.reset()["state"])
 
 
-def test_a_row_with_a_seed_of_its_own_has_scene_and_start_from_it(both: EnvBase) -> None:
+def test_a_row_with_its_own_seed_draws_scene_and_start_from_it(both: EnvBase) -> None:
     seeds = [None] * 5 + [11] + [None] * 6
     first, again = both.reset(seeds=seeds), both.reset(seeds=[11] * 12)
     for key in ("scene", "state"):

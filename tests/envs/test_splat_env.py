@@ -1,4 +1,4 @@
-"""The env: its contract, and what is specific to it."""
+"""``SplatEnv``: its contract, and tests specific to it."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -42,7 +42,7 @@ class TestContract(EnvContract):
 
 
 class TestContractOfAConfiguredWorld(EnvContract):
-    """The same room built from a config: files, the native renderer, its cache and FCL."""
+    """The same room built from a config: files, the native renderer, its cache and the native checker."""
 
     world: World
 
@@ -57,7 +57,7 @@ class TestContractOfAConfiguredWorld(EnvContract):
         curriculum = Curriculum(self.world.plan, first=3, threshold=0.01, window=5)
         return self.world.env(batch_size[0], curriculum, seed)
 
-    def test_its_plan_is_that_of_the_room_by_hand(self) -> None:
+    def test_its_plan_equals_that_of_the_hand_made_room(self) -> None:
         assert torch.equal(successors(self.world.plan), successors(tiny_plan()))
         assert torch.equal(self.world.plan.distance, tiny_plan().distance)
 
@@ -69,13 +69,13 @@ class TestContractOfAConfiguredWorld(EnvContract):
 
 
 def step_from(states: list[list[int]], actions: list[int], max_steps: int = 20) -> TensorDictBase:
-    """One step of robots placed by hand."""
+    """Take one step with robots placed by hand."""
     env = tiny_env([len(states)], max_steps=max_steps)
     td = env.reset(TensorDict({"state": torch.tensor(states)}, [len(states)]), set_state=True)
     return env.step(td.set("action", torch.tensor(actions)))["next"]
 
 
-def test_a_blocked_robot_stays_where_it_was_and_tells_how_far_it_was_free() -> None:
+def test_a_blocked_robot_stays_where_it_was_and_reports_how_far_it_was_free() -> None:
     after = step_from([[1, 3, 0], [4, 0, 5], [1, 1, 7]], [FORWARD_X, FORWARD_X, SPIN])
     assert after["state"].tolist() == [[1, 3, 0], [4, 0, 5], [1, 1, 0]]
     assert after["outcome"].flatten().tolist() == [Outcome.COLLISION, Outcome.OUT_OF_BOUNDS, Outcome.RUNNING]
@@ -118,7 +118,7 @@ def test_a_last_step_that_terminates_is_not_truncated() -> None:
     assert after["outcome"].flatten().tolist() == expected
 
 
-def test_the_curriculum_hears_of_each_end_once_and_of_no_episode_placed_by_hand() -> None:
+def test_the_curriculum_counts_each_end_once_and_no_episode_placed_by_hand() -> None:
     env = tiny_env([2], first=1, window=3, threshold=1.0)
     home = torch.tensor([[1, 5, 0], [1, 4, 1]])  # one step to the goal
     td = env.reset(TensorDict({"state": home}, [2]), set_state=True)
@@ -133,14 +133,14 @@ def test_the_curriculum_hears_of_each_end_once_and_of_no_episode_placed_by_hand(
 
 
 WHAT_STEPS = {
-    "looked up": ["grid"],
-    "of many heights and turns": ["drive"],
-    "with sensors and goals": ["pointnav", "sensors=[rgb,depth,gps,compass,lidar,pointgoal]"],
+    "lookup table": ["grid"],
+    "continuous motion": ["drive"],
+    "sensors and goals": ["pointnav", "sensors=[rgb,depth,gps,compass,lidar,pointgoal]"],
 }
 
 
 @pytest.mark.parametrize("name", WHAT_STEPS)
-def test_where_some_robots_step_the_others_stay_as_they_are_and_are_not_drawn(name: str, tmp_path: Path) -> None:
+def test_robots_that_do_not_step_stay_unchanged_and_are_not_rendered(name: str, tmp_path: Path) -> None:
     task, *more = WHAT_STEPS[name]
     env = make_env([*tiny_overrides(tmp_path, task), *more, "renderer.cache=null"], batch_size=[6], seed=1)
     torch.manual_seed(0)
@@ -202,7 +202,7 @@ def test_a_batch_that_is_not_one_positive_number_is_refused(batch_size: list[int
         tiny_env(batch_size)
 
 
-def test_a_memory_that_takes_the_envs_own_keys_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_memory_that_uses_the_envs_own_keys_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     taken = {"level": Unbounded(shape=(1,)), "mine": Unbounded(shape=(1,)), "pixels": Unbounded(shape=(1,))}
     monkeypatch.setattr(Grid, "memory_spec", taken)
     with pytest.raises(
@@ -216,7 +216,7 @@ def test_envs_without_a_seed_differ() -> None:
     assert not torch.equal(first, second)
 
 
-def test_the_checker_of_these_tests_is_right_by_hand() -> None:
+def test_the_block_checker_of_these_tests_matches_hand_calculation() -> None:
     checker, motion = BlockChecker(), tiny_motion()
     start = motion.body_to_world(torch.tensor([[1, 3, 0], [3, 3, 0], [2, 1, 0], [2, 4, 0], [1, 1, 0], [2, 3, 0]]))
     end = motion.body_to_world(torch.tensor([[2, 3, 0], [2, 3, 0], [2, 2, 0], [2, 3, 0], [2, 1, 0], [2, 3, 1]]))
@@ -226,7 +226,7 @@ def test_the_checker_of_these_tests_is_right_by_hand() -> None:
     assert checker.collides(end).tolist() == [True, True, False, True, False, True]
 
 
-def test_two_processes_step_envs_of_their_own() -> None:
+def test_two_processes_step_their_own_envs() -> None:
     env = ParallelEnv(2, [partial(tiny_env, (3,), seed) for seed in (1, 2)], mp_start_method="fork")
     batch = env.rollout(5, break_when_any_done=False)
     env.close()
@@ -237,7 +237,7 @@ def test_two_processes_step_envs_of_their_own() -> None:
 
 @pytest.fixture
 def forks() -> Iterator[None]:
-    """Lets TorchRL's collectors fork their workers, which need not import PyTorch anew."""
+    """Lets TorchRL's collectors fork their workers, so that these need not import PyTorch anew."""
     torch.multiprocessing.set_start_method("fork", force=True)
     yield
     torch.multiprocessing.set_start_method(None, force=True)

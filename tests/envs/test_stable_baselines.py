@@ -31,7 +31,7 @@ def batch(count: int = 3, **settings: int) -> StableBaselinesVecEnv:
     return StableBaselinesVecEnv(tiny_env([count], **settings))
 
 
-def test_a_batch_shows_what_the_vector_env_shows() -> None:
+def test_a_batch_gives_the_results_of_the_vector_env() -> None:
     env, other = batch(), GymnasiumVectorEnv(tiny_env([3]))
     assert env.observation_space == other.single_observation_space and env.action_space == other.single_action_space
     assert env.seed(4) == [4, 5, 6]
@@ -63,7 +63,7 @@ def test_an_episode_ends_with_its_last_view_and_its_outcome() -> None:
     assert not np.array_equal(seen[0], infos[0]["terminal_observation"])
 
 
-def test_what_robots_share_is_told_for_each() -> None:
+def test_shared_attributes_are_reported_for_each_robot() -> None:
     env = batch()
     assert env.get_attr("render_mode") == ["rgb_array"] * 3 and env.get_attr("num_envs", [1]) == [3]
     assert env.env_is_wrapped(Monitor) == [False] * 3
@@ -81,7 +81,7 @@ def test_what_robots_share_is_told_for_each() -> None:
     env.close()
 
 
-def test_its_own_wrappers_go_around_it() -> None:
+def test_stable_baselines_wrappers_work_around_a_batch() -> None:
     env = VecMonitor(VecFrameStack(batch(4, max_steps=6), 2))
     assert env.reset().shape == (4, 12, 16, 6)
     lengths = []
@@ -106,7 +106,7 @@ def test_a_batch_with_wheels_learns_too() -> None:
 
 
 class Flattened(BaseFeaturesExtractor):
-    """All that is observed, in one row."""
+    """Concatenates all observations into one vector."""
 
     def __init__(self, space: Dict):
         super().__init__(space, sum(int(np.prod(one.shape)) for one in space.values()))
@@ -122,7 +122,7 @@ def test_a_batch_with_sensors_learns_too() -> None:
     assert model.learn(64).num_timesteps == 64
 
 
-def test_processes_take_single_robots(tmp_path: Path) -> None:
+def test_subprocesses_run_single_robots(tmp_path: Path) -> None:
     makers = env_makers(2, tiny_overrides(tmp_path), (1,))
     processes = SubprocVecEnv([lambda make=make: GymnasiumEnv(make()) for make in makers], start_method="fork")
     here = DummyVecEnv([lambda make=make: GymnasiumEnv(make()) for make in makers])
@@ -132,13 +132,13 @@ def test_processes_take_single_robots(tmp_path: Path) -> None:
     processes.close()
 
 
-def test_without_it_one_line_says_what_to_install() -> None:
+def test_without_stable_baselines_one_line_says_what_to_install() -> None:
     program = "import sys; sys.modules['stable_baselines3'] = None\nimport splatrl.envs.stable_baselines"
     said, _ = start("-c", program).communicate(timeout=60)
     assert "ImportError: stable_baselines3 is missing: pip install 'splatrl[sb3]'" in said
 
 
-def test_stable_baselines_drives_with_it() -> None:
+def test_stable_baselines_trains_a_single_driving_robot() -> None:
     env = GymnasiumEnv(drive_env())
     model = PPO("MlpPolicy", env, n_steps=32, batch_size=32, n_epochs=1, seed=0, device="cpu").learn(64)
     observation, _ = env.reset(seed=0)
@@ -146,7 +146,7 @@ def test_stable_baselines_drives_with_it() -> None:
     assert env.action_space.contains(action) and model.num_timesteps == 64
 
 
-def test_stable_baselines_learns_with_it() -> None:
+def test_stable_baselines_learns_with_a_single_robot() -> None:
     torch.manual_seed(0)
     env = Monitor(GymnasiumEnv(tiny_env([1], max_steps=12, first=1)))
     options = {"n_steps": 128, "batch_size": 64, "n_epochs": 8, "gamma": 0.9, "ent_coef": 0.01}

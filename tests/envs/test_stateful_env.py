@@ -21,7 +21,7 @@ from tests.tiny import tiny_env, tiny_overrides
 
 
 class FirstAction(torch.nn.Module):
-    """Takes action 0."""
+    """A policy that always takes action 0."""
 
     def forward(self, step_count: torch.Tensor) -> torch.Tensor:
         return torch.zeros_like(step_count[..., 0])
@@ -36,7 +36,7 @@ def shaky(folder: Path) -> StatefulEnv:
     return env
 
 
-def test_a_restored_env_goes_on_as_the_other_one(tmp_path: Path) -> None:
+def test_a_restored_env_continues_like_the_saved_one(tmp_path: Path) -> None:
     env, other = shaky(tmp_path), shaky(tmp_path)
     torch.manual_seed(0)
     env.rollout(7, break_when_any_done=False)
@@ -67,7 +67,7 @@ def test_a_collector_restores_the_env_and_its_transforms(shakes: bool, tmp_path:
 
 
 @pytest.mark.parametrize("kind", ["bare", "plain", "shaky", "wrapped"])
-def test_a_pickled_env_and_a_copied_one_go_on_as_the_other_one(kind: str, tmp_path: Path) -> None:
+def test_pickled_and_copied_envs_continue_like_the_original(kind: str, tmp_path: Path) -> None:
     makers: dict[str, Callable[[], EnvBase]] = {
         "bare": lambda: tiny_env((3,), first=1, window=1, threshold=0.01),
         "plain": lambda: make_env([*tiny_overrides(tmp_path), "curriculum.window=1"], [3]),
@@ -102,7 +102,7 @@ def test_a_pickle_holds_paths_and_no_scene(tmp_path: Path, monkeypatch: pytest.M
     assert len(read) == 1
 
 
-def test_torchrls_frame_skip_is_refused_where_it_can_be_seen(tmp_path: Path) -> None:
+def test_torchrls_frame_skip_is_refused_wherever_it_can_be_detected(tmp_path: Path) -> None:
     theirs = FrameSkipTransform(3)
     refused = pytest.raises(ValueError, match=r"FrameSkipTransform: expected splatrl\.envs\.transforms\.FrameSkip")
     with refused:
@@ -120,7 +120,7 @@ def test_torchrls_frame_skip_is_refused_where_it_can_be_seen(tmp_path: Path) -> 
         make_env([*tiny_overrides(tmp_path), *node, "transforms.order=[theirs]"])
 
 
-def test_transforms_of_the_action_go_around_it(tmp_path: Path) -> None:
+def test_action_transforms_work_around_it(tmp_path: Path) -> None:
     env = make_env(tiny_overrides(tmp_path, "drive"), batch_size=[3])
     around = TransformedEnv(env, ActionDiscretizer(3, out_action_key="choice"))
     rollout = around.rollout(4, break_when_any_done=False)
@@ -128,7 +128,7 @@ def test_transforms_of_the_action_go_around_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("size", [[2, 4], [], [0], [-1], 4])
-def test_a_shape_that_cannot_be_kept_is_refused(size: list[int], tmp_path: Path) -> None:
+def test_an_invalid_batch_size_is_refused(size: list[int], tmp_path: Path) -> None:
     with pytest.raises(
         ValueError, match=r"batch_size: expected a list with one whole number of at least 1, or None, got"
     ):

@@ -1,4 +1,4 @@
-"""Workers begin in different states, and each knows its own curriculum."""
+"""Workers begin in different states, and each has its own curriculum."""
 
 import subprocess
 import sys
@@ -19,7 +19,7 @@ SNIPPETS = [block.split("```")[0] for block in PAGE.split("```python\n")[1:]]
 
 
 def begun(env: EnvBase) -> list[list[Any]]:
-    """Where the robots of each worker begin."""
+    """Reset an env and return where the robots of each worker begin."""
     return env.reset()["state"].tolist()
 
 
@@ -36,7 +36,7 @@ def test_workers_without_a_seed_begin_in_different_states(tmp_path: Path) -> Non
     assert begun(make()) == begun(make()) == begun(make_env(tiny_overrides(tmp_path), (5,), 0))  # the main process
 
 
-def test_a_worker_that_is_given_a_seed_keeps_it(tmp_path: Path) -> None:
+def test_workers_that_are_given_a_seed_use_it(tmp_path: Path) -> None:
     make = partial(make_env, tiny_overrides(tmp_path), (5,), 3)
     env = in_processes(make)
     states = begun(env)
@@ -44,7 +44,7 @@ def test_a_worker_that_is_given_a_seed_keeps_it(tmp_path: Path) -> None:
     assert states == [begun(make())] * 2
 
 
-def test_makers_give_the_same_workers_anywhere(tmp_path: Path) -> None:
+def test_env_makers_give_the_same_workers_in_parallel_and_in_series(tmp_path: Path) -> None:
     makers = env_makers(2, tiny_overrides(tmp_path), (5,), seed=4)
     parallel, serial = in_processes(makers), SerialEnv(2, makers)
     states = begun(parallel)
@@ -54,14 +54,14 @@ def test_makers_give_the_same_workers_anywhere(tmp_path: Path) -> None:
     assert states[0] != begun(env_makers(2, tiny_overrides(tmp_path), (5,), seed=5)[0]())
 
 
-def test_seeds_of_workers_differ_and_fit() -> None:
+def test_worker_seeds_differ_and_fit_into_63_bits() -> None:
     seeds = [worker_seed(seed, *worker) for seed in range(20) for worker in ((), (0,), (1,), (2,), (1, 1), (1, 2))]
     assert len(set(seeds)) == len(seeds) and all(0 <= seed < 2**63 for seed in seeds)
     assert worker_seed(0, 1) == worker_seed(0, 1)
 
 
 @pytest.mark.parametrize(("workers", "seed", "key"), [(0, 0, "workers"), (2, -1, "seed"), (2, 0.5, "seed")])
-def test_what_makes_no_workers_is_refused(workers: int, seed: int, key: str) -> None:
+def test_an_invalid_number_of_workers_or_seed_is_refused(workers: int, seed: int, key: str) -> None:
     with pytest.raises(ValueError, match=f"{key}: expected a whole number of at least"):
         env_makers(workers, seed=seed)
 
@@ -80,7 +80,7 @@ def test_each_worker_has_a_curriculum_of_its_own(tmp_path: Path) -> None:
     assert [int(layers(one)[0].curriculum.level) for one in other._envs] == [1, 0]
 
 
-WITH_WORKERS = [pytest.mark.slow]  # each imports all libraries anew
+WITH_WORKERS = [pytest.mark.slow]  # each worker imports all libraries anew
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ WITH_WORKERS = [pytest.mark.slow]  # each imports all libraries anew
         for number, snippet in enumerate(SNIPPETS)
     ],
 )
-def test_a_snippet_of_the_page_runs(snippet: str, tmp_path: Path) -> None:
+def test_a_snippet_of_the_clients_page_runs(snippet: str, tmp_path: Path) -> None:
     if "__main__" not in snippet:
         exec(compile(snippet, "clients.md", "exec"), {})
         return

@@ -1,4 +1,4 @@
-"""The policy of a run as a gait."""
+"""Policies exported as gaits."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from splatrl.training.networks import actor_critic
 from tests.tiny import tiny_overrides
 
 
-def test_a_gait_does_what_the_policy_would_most_probably_do(tmp_path: Path) -> None:
+def test_a_gait_takes_the_policys_most_probable_action(tmp_path: Path) -> None:
     cfg = load_config(tiny_overrides(tmp_path, "strides"))
     env = build_one_world(cfg).env(4)
     torch.manual_seed(0)
@@ -33,7 +33,7 @@ def test_a_gait_does_what_the_policy_would_most_probably_do(tmp_path: Path) -> N
     assert torch.allclose(found, expected, atol=1e-5) and found.abs().max() > 0.05
 
 
-def test_a_policy_that_sees_or_moves_something_else_is_no_gait() -> None:
+def test_a_policy_with_other_inputs_or_outputs_is_refused_as_a_gait() -> None:
     spec = Bounded(-torch.ones(2), torch.ones(2))
     with pytest.raises(ValueError, match="gait: expected a policy that reads only vectors and has no memory"):
         gait_of(actor_critic((8, 12, 3), spec, 1, (4, 4), 16))

@@ -1,4 +1,4 @@
-"""A policy as an ONNX file: onnxruntime does what PyTorch does, and the file says what it is for."""
+"""Policies exported to ONNX: onnxruntime computes what PyTorch does, and the file describes itself."""
 
 import json
 from collections.abc import Callable
@@ -46,7 +46,7 @@ REMEMBERED = {"drive": ["recurrent_state"], "sensors": ["frames", "recurrent_sta
 
 
 def trained(folder: Path, *overrides: str) -> tuple[World, ActorValueOperator]:
-    """A world, and a policy of random weights that are large enough for its actions to differ."""
+    """Build a world, and a policy whose random weights are large enough for its actions to differ."""
     task = overrides[0].partition("=")[2]
     cfg = load_config([*tiny_overrides(folder, task), *overrides])
     world = build_world(cfg)
@@ -59,12 +59,12 @@ def trained(folder: Path, *overrides: str) -> tuple[World, ActorValueOperator]:
 
 
 Exported = tuple[World, ActorValueOperator, Path, float]
-"""A world, a policy, the folder where it was written, and what was found to differ."""
+"""A world, a policy, the folder it was written to, and the largest difference that was found."""
 
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Exported]:
-    """Exports the policy of a kind, once."""
+    """Return a function that exports the policy of a kind, once."""
 
     @cache
     def export(kind: str) -> Exported:
@@ -77,7 +77,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Export
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_onnxruntime_does_what_pytorch_does(kind: str, exported: Callable[[str], Exported]) -> None:
+def test_onnxruntime_computes_what_pytorch_does(kind: str, exported: Callable[[str], Exported]) -> None:
     world, _, folder, found = exported(kind)
     assert found <= 1e-5
     assert {path.name for path in folder.iterdir()} == {"policy.onnx", "run_policy.py"}
@@ -120,7 +120,7 @@ def test_actions_depend_on_what_is_seen_and_remembered(exported: Callable[[str],
         assert np.abs(acted(begin=later, **{name: other}) - acted(begin=later)).max() > 1e-3
 
 
-def test_a_policy_that_differs_is_not_written(
+def test_a_policy_whose_export_differs_is_not_written(
     tmp_path: Path, exported: Callable[[str], Exported], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     world, model, folder, _ = exported("sensors")
@@ -137,7 +137,7 @@ def test_a_policy_that_differs_is_not_written(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_transform_that_only_simulates_nothing_cannot_be_left_out(tmp_path: Path) -> None:
+def test_a_transform_that_is_not_only_part_of_the_simulation_cannot_be_left_out(tmp_path: Path) -> None:
     world, model = trained(tmp_path, "task=grid")
 
     def transforms() -> list[Transform]:

@@ -1,4 +1,4 @@
-"""A differential drive."""
+"""The motion of a differential drive."""
 
 import math
 from typing import Any
@@ -14,12 +14,12 @@ from tests.tiny import HEIGHT
 
 
 def drive(motion: DriveMotion, state: list[float], linear: float, angular: float) -> Tensor:
-    """Where one action leads: [3]."""
+    """Return the state that one action leads to: [3]."""
     return motion.advance(torch.tensor([state]), torch.tensor([[linear, angular]]))[0]
 
 
 def euler(state: list[float], linear: float, angular: float, seconds: float, parts: int = 20000) -> Tensor:
-    """The same, by many small straight moves in double precision: [3]."""
+    """Return the same state by integrating many small straight moves in double precision: [3]."""
     yaw = state[2] + angular * seconds / parts * (torch.arange(parts, dtype=torch.float64) + 0.5)
     length = linear * seconds / parts
     x, y = state[0] + length * yaw.cos().sum(), state[1] + length * yaw.sin().sum()
@@ -27,7 +27,7 @@ def euler(state: list[float], linear: float, angular: float, seconds: float, par
 
 
 @given(st.floats(-0.25, 0.5), st.floats(-1.5, 1.5), st.floats(0, 6.2), st.sampled_from([0.2, 1.0]))
-def test_the_way_is_the_exact_arc(linear: float, angular: float, yaw: float, seconds: float) -> None:
+def test_the_path_is_the_exact_arc(linear: float, angular: float, yaw: float, seconds: float) -> None:
     state = [0.3, -0.2, yaw]
     found = drive(DriveMotion(HEIGHT, seconds), state, linear, angular)
     expected = euler(state, linear, angular, seconds)
@@ -46,7 +46,7 @@ def test_a_quarter_circle_ends_beside_its_centre() -> None:
     torch.testing.assert_close(astern, torch.tensor([0.1 + radius / 2, 0.2 - radius / 2, math.pi]), atol=1e-6, rtol=0)
 
 
-def test_without_turning_the_way_is_straight() -> None:
+def test_without_turning_the_path_is_straight() -> None:
     found = drive(DriveMotion(HEIGHT), [0.3, -0.2, math.pi / 6], 0.5, 0.0)
     expected = [0.3 + 0.1 * math.cos(math.pi / 6), -0.2 + 0.05, math.pi / 6]
     torch.testing.assert_close(found, torch.tensor(expected), atol=1e-6, rtol=0)
@@ -61,7 +61,7 @@ def test_without_driving_it_turns_on_the_spot() -> None:
     ("asked", "given_"),
     [((3.0, 0.0), (0.5, 0.0)), ((-3.0, 0.1), (-0.25, 0.1)), ((0.2, 9.0), (0.2, 1.5708)), ((0.2, -9.0), (0.2, -1.5708))],
 )
-def test_velocities_beyond_the_limits_are_the_limits(asked: tuple[float, float], given_: tuple[float, float]) -> None:
+def test_velocities_beyond_the_limits_are_clamped(asked: tuple[float, float], given_: tuple[float, float]) -> None:
     motion, state = DriveMotion(HEIGHT), [0.3, -0.2, 0.7]
     torch.testing.assert_close(drive(motion, state, *asked), drive(motion, state, *given_), atol=1e-5, rtol=0)
 
@@ -76,7 +76,9 @@ def test_an_action_is_a_linear_and_an_angular_velocity() -> None:
 
 
 @pytest.mark.parametrize(("linear", "count"), [((-0.25, 0.5), 8), ((0.0, 0.5), 5)])
-def test_paths_are_made_of_full_speed_and_of_nothing_that_stands_still(linear: tuple[float, float], count: int) -> None:
+def test_planned_actions_are_distinct_within_the_limits_and_never_stand_still(
+    linear: tuple[float, float], count: int
+) -> None:
     motion = DriveMotion(HEIGHT, linear=linear)
     actions = motion.actions()
     assert len(actions.unique(dim=0)) == len(actions) == count
@@ -103,6 +105,6 @@ def test_episodes_begin_on_a_lattice_of_places_and_headings() -> None:
         ({"lower": (1.0, -1.0)}, r"task\.motion: expected lower < upper"),
     ],
 )
-def test_a_drive_without_sense_is_refused(change: dict[str, Any], message: str) -> None:
+def test_invalid_settings_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         DriveMotion(HEIGHT, **change)

@@ -1,4 +1,4 @@
-"""Steps along the heading and turns on the spot."""
+"""Motion by steps along the heading and turns on the spot."""
 
 import math
 from typing import Any
@@ -17,7 +17,7 @@ SMALL: dict[str, Any] = {"step": 0.5, "angle_step_deg": 90.0, "lower": (-1.0, -1
 
 
 def walk(motion: ForwardMotion, state: list[float], *actions: int) -> Tensor:
-    """Where a sequence of actions leads: [3]."""
+    """Return the state that a sequence of actions leads to: [3]."""
     at = torch.tensor([state])
     for action in actions:
         at = motion.advance(at, torch.tensor([action]))
@@ -25,7 +25,7 @@ def walk(motion: ForwardMotion, state: list[float], *actions: int) -> Tensor:
 
 
 def assert_pose(state: Tensor, expected: list[float]) -> None:
-    """Assert equal places, and headings that are equal up to whole turns."""
+    """Assert equal positions, and headings that are equal up to whole turns."""
     torch.testing.assert_close(state[:2], torch.tensor(expected[:2]), atol=1e-5, rtol=0)
     turn = float(state[2]) - expected[2]
     assert abs(math.remainder(turn, math.tau)) < 1e-5, (state, expected)
@@ -54,7 +54,7 @@ def test_left_is_counter_clockwise_and_right_clockwise() -> None:
     assert_pose(walk(motion, [0.0, 0.0, 0.0], *[LEFT] * 9, FORWARD), [0.0, 0.1, math.tau / 4])
 
 
-def test_thirty_six_turns_either_way_come_round() -> None:
+def test_thirty_six_turns_either_way_make_a_full_circle() -> None:
     motion = ForwardMotion(HEIGHT)
     for turn in (LEFT, RIGHT):
         for count in range(1, 36):
@@ -70,7 +70,7 @@ def test_every_walk_can_be_walked_back(actions: list[int], yaw: float) -> None:
     assert_pose(walk(motion, there.tolist(), *(action ^ 1 for action in reversed(actions))), [0.1, 0.2, yaw])
 
 
-def test_the_bounds_are_inclusive_also_for_what_rounding_adds() -> None:
+def test_the_bounds_are_inclusive_within_rounding() -> None:
     motion = ForwardMotion(HEIGHT, **SMALL)
     edge = torch.tensor([[1.0, 1.5, 0.0], [-1.0, -1.5, 2.0], [1.000001, 0.0, 0.0], [0.0, -1.500001, 0.0]])
     assert motion.inside(edge).all()
@@ -93,7 +93,7 @@ def test_episodes_begin_on_a_lattice_of_places_and_headings() -> None:
     assert spec.expand(len(states), *spec.shape).is_in(states)
 
 
-def test_starts_stand_as_far_apart_as_asked() -> None:
+def test_starts_have_the_requested_spacing() -> None:
     motion = ForwardMotion(HEIGHT, **SMALL, spacing=0.8)
     torch.testing.assert_close(motion.states()[:, 0].unique(), torch.tensor([-1.0, -0.2, 0.6]))
     assert len(ForwardMotion(HEIGHT).states()) == 21 * 21 * 36
@@ -120,6 +120,6 @@ def test_the_body_faces_its_heading_at_its_height() -> None:
         ({"spacing": math.nan}, r"task\.motion: expected spacing > 0"),
     ],
 )
-def test_a_motion_without_sense_is_refused(change: dict[str, Any], message: str) -> None:
+def test_invalid_settings_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         ForwardMotion(HEIGHT, **{**SMALL, **change})

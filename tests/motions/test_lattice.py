@@ -1,4 +1,4 @@
-"""Lattice motion."""
+"""Motion on a lattice."""
 
 import math
 from typing import Any
@@ -22,7 +22,7 @@ def test_the_actions_are_steps_along_the_worlds_axes_and_turns() -> None:
     assert tiny_motion().action_spec.n == 6
 
 
-def test_headings_go_round_and_positions_do_not() -> None:
+def test_headings_wrap_around_and_positions_do_not() -> None:
     motion = tiny_motion()
     assert motion.advance(torch.tensor([[1, 1, 7], [1, 1, 0]]), torch.tensor([4, 5])).tolist() == [[1, 1, 0], [1, 1, 7]]
     assert motion.advance(STATES[1:], torch.tensor([1, 2])).tolist() == [[-1, 0, 7], [4, 7, 0]]
@@ -56,7 +56,7 @@ def test_every_walk_can_be_walked_back(actions: list[int]) -> None:
     for action in actions:
         state = motion.advance(state, torch.tensor([action]))
     for action in reversed(actions):
-        state = motion.advance(state, torch.tensor([action ^ 1]))  # its opposite stands beside it
+        state = motion.advance(state, torch.tensor([action ^ 1]))  # its opposite is next to it
     assert torch.equal(state, STATES[:1])
 
 
@@ -71,7 +71,7 @@ def test_the_body_faces_its_heading() -> None:
     assert body_to_world.dtype == torch.float32
 
 
-def test_equal_states_have_poses_of_equal_bytes_in_any_batch() -> None:
+def test_a_state_has_the_same_pose_bytes_in_any_batch() -> None:
     motion = tiny_motion()
     together = motion.body_to_world(motion.states())
     for row in (0, 77, 279):

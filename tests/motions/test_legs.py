@@ -1,4 +1,4 @@
-"""Legs: what they are told, what they feel, and that a step is a function of the state."""
+"""Legged motions: their commands, what they sense, and that a step is a function of the state."""
 
 import math
 from functools import cache
@@ -25,18 +25,18 @@ def walking(threads: int = 1, **settings: Any) -> WalkMotion:
 
 @cache
 def usual() -> WalkMotion:
-    """One that no test changes."""
+    """A walking motion that no test changes."""
     return walking()
 
 
 @cache
 def strides() -> StridesMotion:
-    """Likewise."""
+    """A motion by strides that no test changes."""
     return StridesMotion(path="quadruped", camera="eye", threads=1)
 
 
 def walked(motion: WalkMotion, command: tuple[float, float], steps: int) -> torch.Tensor:
-    """Where a robot that began at the origin stands after a while, and how it moved in between: [steps + 1, 3]."""
+    """Return the poses of a robot that follows a command from the origin, which must not fall: [steps + 1, 3]."""
     state, poses = motion.placed(torch.zeros(1, 3)), [torch.zeros(3).double()]
     for _ in range(steps):
         state = motion.move(state, torch.tensor([command]), NOTHING).state
@@ -45,7 +45,7 @@ def walked(motion: WalkMotion, command: tuple[float, float], steps: int) -> torc
     return torch.stack(poses)
 
 
-def test_the_gait_follows_commands_and_a_trot_alone_less_well() -> None:
+def test_the_gait_follows_commands_better_than_the_trot_alone() -> None:
     poses = walked(usual(), (0.6, 0.0), 20)
     gone = float((poses[-1] - poses[5])[0]) / 3.0
     trotted = walked(walking(gait=None), (0.6, 0.0), 20)
@@ -55,7 +55,7 @@ def test_the_gait_follows_commands_and_a_trot_alone_less_well() -> None:
     assert float((turned[15] - turned[5]) % math.tau) == pytest.approx(1.2, abs=0.25)
 
 
-def test_a_step_has_the_same_bytes_in_any_batch_order_and_number_of_threads() -> None:
+def test_a_step_has_the_same_bytes_in_any_batch_and_order_and_with_any_number_of_threads() -> None:
     motion, draw = usual(), torch.Generator().manual_seed(0)
     state = motion.placed(torch.randn(7, 3, generator=draw).double())
     command = torch.rand(7, 2, generator=draw)
@@ -70,7 +70,7 @@ def test_a_step_has_the_same_bytes_in_any_batch_order_and_number_of_threads() ->
         assert torch.equal(alone.body_to_world, whole.body_to_world[row : row + 1])
 
 
-def test_a_walk_is_strides_with_the_departures_of_the_gait() -> None:
+def test_a_walk_equals_strides_with_the_departures_of_the_gait() -> None:
     walk, other = usual(), strides()
     state = walk.placed(torch.tensor([[0.1, 0.2, 0.3]]))
     command = torch.tensor([[0.5, -0.2]])
@@ -82,7 +82,7 @@ def test_a_walk_is_strides_with_the_departures_of_the_gait() -> None:
     assert torch.equal(state, after)
 
 
-def test_joints_are_told_the_trot_and_departures_within_their_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_joint_commands_are_the_trot_plus_clamped_departures(monkeypatch: pytest.MonkeyPatch) -> None:
     motion = strides()
     state = motion.commanded(motion.placed(torch.zeros(1, 3)), torch.tensor([[0.4, 0.1]]))
     departure = torch.linspace(-2.0, 1.0, JOINTS).unsqueeze(0)
@@ -96,7 +96,7 @@ def test_joints_are_told_the_trot_and_departures_within_their_limits(monkeypatch
     assert torch.equal(motion.command(after), motion.command(state))
 
 
-def test_what_is_felt_is_the_bodys_own() -> None:
+def test_sensed_values_are_in_the_body_frame() -> None:
     motion = strides()
     standing = motion.placed(torch.tensor([[0.0, 0.0, 2.0]]))
     felt = motion.felt(standing)
@@ -114,10 +114,10 @@ def test_what_is_felt_is_the_bodys_own() -> None:
     assert felt[3].item() == pytest.approx(0.5) and felt[6 + 2].item() == pytest.approx(0.1)
     assert felt[18 + 2].item() == pytest.approx(-0.15)
     moved = motion.placed(torch.tensor([[5.0, -3.0, 0.7]]))
-    assert torch.allclose(motion.felt(moved), motion.felt(standing), atol=1e-6)  # wherever it is
+    assert torch.allclose(motion.felt(moved), motion.felt(standing), atol=1e-6)  # at any position
 
 
-def test_a_robot_that_lies_has_fallen_and_one_on_a_hill_has_not() -> None:
+def test_a_lying_robot_has_fallen_and_one_that_stands_on_high_ground_has_not() -> None:
     motion = walking()
     motion.settle(Terrain(torch.tensor([0.0, 0.0, 1.0, 2.0]).double(), torch.zeros(0, 6).double()))
     state = motion.placed(torch.zeros(1, 3))
@@ -136,7 +136,7 @@ def test_a_robot_that_lies_has_fallen_and_one_on_a_hill_has_not() -> None:
         ({"ground": "moon"}, r"task\.motion\.ground: expected scene or level, got 'moon'"),
     ],
 )
-def test_other_settings_are_refused(settings: dict[str, Any], message: str) -> None:
+def test_invalid_settings_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         walking(**settings)
 

@@ -1,4 +1,4 @@
-"""Steps around an object and towards it."""
+"""Motion by steps around an object and towards it."""
 
 import math
 from typing import Any
@@ -16,7 +16,7 @@ PLUS_AZIMUTH, MINUS_AZIMUTH, PLUS_ELEVATION, MINUS_ELEVATION, PLUS_DISTANCE, MIN
 
 
 def hemisphere() -> OrbitMotion:
-    """A motion with 12 azimuths, 5 distances and 4 elevations."""
+    """Make a motion with 12 azimuths, 5 distances and 4 elevations."""
     return OrbitMotion(ORIGIN, 30.0, 0.25, (0.5, 1.5), (0.0, 90.0))
 
 
@@ -58,7 +58,7 @@ def test_the_image_is_upright() -> None:
         ((5, 2, 3), (0.75, 1.0, 1.5), (0.0, 0.0, -1.0)),  # straight down
     ],
 )
-def test_places_by_hand(
+def test_poses_match_those_worked_out_by_hand(
     state: tuple[int, int, int], place: tuple[float, float, float], forward: tuple[float, float, float]
 ) -> None:
     pose = hemisphere().body_to_world(state_at(*state))[0]
@@ -77,7 +77,7 @@ def test_planar_is_the_pose_seen_from_above() -> None:
     torch.testing.assert_close(heading, torch.nn.functional.normalize(pose[level, :2, 0]), atol=1e-5, rtol=0)
 
 
-def test_azimuths_go_round_and_distances_and_elevations_do_not() -> None:
+def test_azimuths_wrap_around_and_distances_and_elevations_do_not() -> None:
     motion, corner = hemisphere(), state_at(11, 4, 3)
     assert motion.advance(corner, torch.tensor([PLUS_AZIMUTH])).tolist() == [[0, 4, 3]]
     assert motion.advance(state_at(0, 0, 0), torch.tensor([MINUS_AZIMUTH])).tolist() == [[11, 0, 0]]
@@ -105,7 +105,7 @@ def test_azimuths_go_round_and_distances_and_elevations_do_not() -> None:
         ),
     ],
 )
-def test_there_is_an_action_for_what_varies(
+def test_exactly_the_coordinates_that_vary_have_actions(
     distance: tuple[float, float], elevation_deg: tuple[float, float], names: tuple[str, ...], shape: tuple[int, ...]
 ) -> None:
     motion = OrbitMotion(ORIGIN, 30.0, 0.25, distance, elevation_deg)
@@ -140,6 +140,6 @@ def test_states_lists_each_state_once_and_index_finds_it() -> None:
         ({"elevation_deg": (0.0, 85.0)}, r"task\.motion\.elevation_deg: expected a whole number of steps"),
     ],
 )
-def test_an_orbit_without_sense_is_refused(change: dict[str, Any], message: str) -> None:
+def test_invalid_settings_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         OrbitMotion(**{"origin": ORIGIN, "angle_step_deg": 30.0, "distance_step": 0.25, **change})

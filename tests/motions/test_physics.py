@@ -1,4 +1,4 @@
-"""A robot with physics as a motion."""
+"""The motion of a robot with physics."""
 
 import math
 from pathlib import Path
@@ -21,19 +21,19 @@ NOTHING: Any = NoChecker.__new__(NoChecker)
 
 
 def wheels(**settings: Any) -> PhysicsMotion:
-    """A robot on wheels with a ball that it may push."""
+    """Make the motion of a robot on wheels with a ball that it may push."""
     return PhysicsMotion("wheels", "eye", **{"things": {"ball": "ball"}, "pushed": ["ball"], "threads": 1, **settings})
 
 
 def driven(motion: PhysicsMotion, state: torch.Tensor, action: tuple[float, float], steps: int) -> torch.Tensor:
-    """States after an action was repeated."""
+    """Return the states after repeating an action."""
     for _ in range(steps):
         state = motion.move(state, torch.tensor([action]).expand(len(state), 2), NOTHING).state
     return state
 
 
 @pytest.mark.parametrize("action", [(0.4, 0.0), (0.3, 0.8), (-0.2, 0.0), (0.0, 1.2)])
-def test_wheels_go_as_they_are_told(action: tuple[float, float]) -> None:
+def test_wheels_follow_the_commanded_velocities(action: tuple[float, float]) -> None:
     motion = wheels(things=None, pushed=())
     state = driven(motion, motion.placed(torch.tensor([[0.2, -0.1, 0.5]])), action, 5)
     before = motion.planar(state)
@@ -43,7 +43,7 @@ def test_wheels_go_as_they_are_told(action: tuple[float, float]) -> None:
     assert abs((after - ideal)[0, 2].sin()) < 0.06
 
 
-def test_a_placed_robot_stands_still_on_the_ground_also_on_a_slope() -> None:
+def test_a_placed_robot_stands_still_on_the_ground_even_on_a_slope() -> None:
     normal = torch.tensor([math.sin(0.05), 0.0, math.cos(0.05)], dtype=torch.float64)
     for plane in (LEVEL, torch.cat([normal, torch.tensor([0.1], dtype=torch.float64)])):
         motion = wheels(things=None, pushed=())
@@ -58,7 +58,7 @@ def test_a_placed_robot_stands_still_on_the_ground_also_on_a_slope() -> None:
         torch.testing.assert_close(up, plane[:3].float().expand(3, 3), atol=1e-6, rtol=0)
 
 
-def test_the_free_share_ends_where_a_wall_is_first_touched() -> None:
+def test_the_free_fraction_ends_where_a_wall_is_first_touched() -> None:
     motion = wheels()
     motion.settle(Terrain(LEVEL, WALL))
     start = motion.placed(torch.tensor([[0.2, 0.5, 0.0], [-0.5, 0.5, 0.0], [0.28, -0.6, 0.0]]))
@@ -79,7 +79,7 @@ def test_the_free_share_ends_where_a_wall_is_first_touched() -> None:
     assert motion.clear(inside).tolist() == [False]
 
 
-def test_what_may_be_pushed_is_no_obstacle_and_other_things_are() -> None:
+def test_pushable_things_are_not_obstacles_and_other_things_are() -> None:
     for pushed, free in ((["ball"], True), ([], False)):
         motion = wheels(pushed=pushed)
         state = motion.placed(torch.tensor([[0.0, 0.0, 0.0]]))
@@ -94,7 +94,7 @@ def test_what_may_be_pushed_is_no_obstacle_and_other_things_are() -> None:
         assert (min(fractions) == 1.0) is free
 
 
-def test_a_batch_moves_as_its_rows_do() -> None:
+def test_rows_of_a_batch_move_as_they_do_alone() -> None:
     motion = wheels()
     state = motion.placed(torch.rand(5, 3, generator=torch.Generator().manual_seed(0)))
     action = torch.rand(5, 2, generator=torch.Generator().manual_seed(1))
@@ -105,7 +105,7 @@ def test_a_batch_moves_as_its_rows_do() -> None:
             assert torch.equal(one[0], all_rows[row])
 
 
-def test_actions_are_clamped_to_what_the_actuators_take() -> None:
+def test_actions_are_clamped_to_the_range_of_the_actuators() -> None:
     motion = wheels()
     state = motion.placed(torch.zeros(1, 3))
     assert motion.action_spec.space.high.tolist() == pytest.approx([0.5, 1.5708])
@@ -113,7 +113,7 @@ def test_actions_are_clamped_to_what_the_actuators_take() -> None:
     assert torch.equal(wild, most)
 
 
-def test_paths_are_those_of_a_twin_with_the_robots_speeds() -> None:
+def test_paths_are_planned_as_for_a_drive_with_the_robots_speeds() -> None:
     motion = wheels(spacing=0.5, headings=4, time_step=0.2)
     twin = DriveMotion(0.27, 0.2, (-0.25, 0.5), math.degrees(1.5708), spacing=0.5, headings=4)
     states = motion.states()
@@ -125,7 +125,7 @@ def test_paths_are_those_of_a_twin_with_the_robots_speeds() -> None:
     assert motion.inside(states).all() and motion.step == pytest.approx(0.1)
 
 
-def test_an_episode_obeys_one_of_the_models() -> None:
+def test_each_episode_uses_one_of_the_varied_models() -> None:
     motion = wheels(variation=Variation(4, friction=(0.5, 2.0)))
     state = motion.placed(torch.zeros(64, 3))
     drawn = motion.varied(state, torch.Generator().manual_seed(0))
@@ -134,7 +134,7 @@ def test_an_episode_obeys_one_of_the_models() -> None:
     assert motion.state_spec.is_in(drawn[0]) and not motion.state_spec.is_in(drawn[0] * math.nan)
 
 
-def test_links_and_things_are_parts_where_the_state_has_them() -> None:
+def test_links_and_things_are_drawn_where_the_state_puts_them() -> None:
     motion = wheels()
     state = motion.placed(torch.tensor([[0.3, 0.2, 0.0], [0.0, 0.0, 1.0]]))
     parts = motion.parts(state)
@@ -144,7 +144,7 @@ def test_links_and_things_are_parts_where_the_state_has_them() -> None:
     assert torch.equal(parts.model_to_world[:, 4, :3, 3], state[:, motion.thing("ball")][:, :3].float())
 
 
-def test_a_thing_looks_as_a_splat_does_where_the_state_has_it(tmp_path: Path) -> None:
+def test_a_thing_can_look_like_a_given_splat_and_moves_with_the_state(tmp_path: Path) -> None:
     look = tiny_gaussians()[:7]
     write_gaussians(tmp_path / "ball.ply", look)
     plain, other = wheels(), wheels(looks={"ball": tmp_path / "ball.ply"})
@@ -194,7 +194,7 @@ MOTOR = '<actuator><general site="s" ctrlrange="-1 1" name="push"/></actuator>'
         (BODY, MOTOR, {"pushed": ["egg"]}, "pushed: expected names from task.motion.things, got egg"),
     ],
 )
-def test_what_a_robot_lacks_is_said_in_one_line(
+def test_what_a_robot_lacks_is_reported_in_one_line(
     tmp_path: Path, body: str, rest: str, settings: dict[str, Any], message: str
 ) -> None:
     path = tmp_path / "robot.xml"
@@ -204,7 +204,7 @@ def test_what_a_robot_lacks_is_said_in_one_line(
     assert "\n" not in str(caught.value)
 
 
-def test_a_robot_of_ones_own_moves_by_its_actuators(tmp_path: Path) -> None:
+def test_a_custom_robot_moves_by_its_actuators(tmp_path: Path) -> None:
     path = tmp_path / "robot.xml"
     path.write_text(f'<mujoco><worldbody><body pos="0 0 0.1"><site name="s"/>{BODY}</body></worldbody>{MOTOR}</mujoco>')
     motion = PhysicsMotion(path, "eye", linear=(-0.2, 0.4), angular_deg=45.0, threads=1)

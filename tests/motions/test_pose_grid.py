@@ -1,4 +1,4 @@
-"""Nodes on a plane, and interpolation between them."""
+"""Nodes of a grid of planar poses, and interpolation between them."""
 
 import math
 
@@ -20,4 +20,4 @@ def test_taps_are_the_nodes_around_a_pose() -> None:
     mean = (nodes[taps.node][:, :, :2] * taps.weight.unsqueeze(2)).sum(1)
     torch.testing.assert_close(mean, pose[:, :2], atol=2e-3, rtol=0)
     headings = nodes[taps.node[1]][:, 2].unique()
-    torch.testing.assert_close(headings, torch.tensor([0.0, 1.5 * math.pi]))  # round the end of the turn
+    torch.testing.assert_close(headings, torch.tensor([0.0, 1.5 * math.pi]))  # wraps around at a full turn

@@ -16,7 +16,7 @@ Surface = Callable[[Tensor, Tensor], Tensor]
 
 
 class ReliefRenderer:
-    """Draws the depth of a surface z = f(x, y), seen from above, exactly; with some noise where asked."""
+    """Renders the exact depth of a surface z = f(x, y) seen from above, optionally with noise."""
 
     def __init__(self, surface: Surface, noise: float = 0.0):
         self.surface, self.noise = surface, noise
@@ -40,7 +40,7 @@ class ReliefRenderer:
 
 
 def relief_voxels(surface: Surface, half: tuple[float, float] = (1.6, 1.2), edge: float = 0.05) -> Occupancy:
-    """The voxels that a surface meets and five below, in a grid of ±``half`` around the origin."""
+    """Return the voxels that a surface passes through and five below each, within ±``half`` of the origin."""
     x, y = (np.arange(-round(side / edge), round(side / edge)) for side in half)
     at = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
     place = torch.from_numpy((at + 0.5) * edge)

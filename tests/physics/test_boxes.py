@@ -1,4 +1,4 @@
-"""Boxes for physics: exactly the voxels that bodies can meet, and few of them."""
+"""Boxes for physics: a few that cover exactly the voxels which bodies can meet."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def level(height: float = 0.0, slope: float = 0.0) -> Ground:
 
 
 def filled(boxes: np.ndarray, voxels: Voxels) -> np.ndarray:
-    """The voxels of a grid whose centres lie in boxes; the boxes' faces lie on its faces."""
+    """Return which voxels of a grid the boxes fill, and assert that the boxes' faces lie on voxel faces."""
     low, high = boxes[:, :3] - boxes[:, 3:], boxes[:, :3] + boxes[:, 3:]
     for corner in (low, high):
         np.testing.assert_allclose(corner / EDGE, np.round(corner / EDGE), atol=1e-9)
@@ -34,14 +34,14 @@ def filled(boxes: np.ndarray, voxels: Voxels) -> np.ndarray:
 
 @settings(deadline=None, max_examples=60)
 @given(arrays(bool, array_shapes(min_dims=3, max_dims=3, max_side=7)), st.tuples(*[st.integers(-9, 9)] * 3))
-def test_the_union_of_the_boxes_is_what_is_solid(occupied: np.ndarray, origin: tuple[int, int, int]) -> None:
+def test_the_union_of_the_boxes_equals_the_solid_voxels(occupied: np.ndarray, origin: tuple[int, int, int]) -> None:
     voxels = Voxels(occupied, origin, EDGE)
     boxes = merged_boxes(voxels)
     assert boxes.shape == (len(boxes), 6) and boxes.dtype == np.float64
     np.testing.assert_array_equal(filled(boxes, voxels), occupied)
 
 
-def test_a_room_becomes_one_box_a_wall() -> None:
+def test_a_room_becomes_one_box_per_wall() -> None:
     occupied = np.zeros((20, 14, 8), bool)
     occupied[[0, -1]] = True
     occupied[:, [0, -1]] = True
@@ -51,7 +51,7 @@ def test_a_room_becomes_one_box_a_wall() -> None:
 
 
 def column(*layers: int, count: int = 20) -> Voxels:
-    """One column whose solid layers these are, the lowest being −2."""
+    """Make a single column with the given solid layers; the lowest layer of the grid is −2."""
     occupied = np.zeros((1, 1, count), bool)
     occupied[0, 0, np.array(layers, np.int64) + 2] = True
     return Voxels(occupied, (0, 0, -2), EDGE)
@@ -62,26 +62,26 @@ def column(*layers: int, count: int = 20) -> Voxels:
     [
         ([-2, -1, 0], []),  # ground: its voxels lie up to 10 cm above the plane
         ([-1, 0, 1], []),
-        ([-1, 0, 1, 2], [0, 1, 2]),  # a thing that stands on it, down to the plane
-        ([-1, 3], [3]),  # a thing above it, and the ground below
+        ([-1, 0, 1, 2], [0, 1, 2]),  # an object that stands on it, kept down to the plane
+        ([-1, 3], [3]),  # an object above it, and the ground below
         ([0, 2, 3], [2, 3]),  # with a gap between the two
         ([-1, 11, 12, 13], [11]),  # up to 0.6 m
         ([], []),
     ],
 )
-def test_ground_is_carved_and_what_stands_on_it_is_kept(layers: list[int], kept: list[int]) -> None:
+def test_ground_is_removed_and_what_stands_on_it_is_kept(layers: list[int], kept: list[int]) -> None:
     found = solid_above(column(*layers), level(), *FAR, top=0.6)
     assert (np.flatnonzero(found.occupied[0, 0]) - 2).tolist() == kept
 
 
-def test_heights_are_above_the_plane_where_a_column_is() -> None:
+def test_heights_are_measured_from_the_plane_at_each_column() -> None:
     occupied = np.ones((80, 1, 3), bool)  # up to 0.15 m, in front of a plane that rises to 0.4 m
     found = solid_above(Voxels(occupied, (0, 0, 0), EDGE), level(0.0, slope=0.1), *FAR, top=0.6)
     kept = found.occupied.any((1, 2))
     assert kept.tolist() == [0.15 - 0.1 * (x + 0.5) * EDGE > 0.1 for x in range(80)]
 
 
-def test_what_no_body_reaches_is_left_out() -> None:
+def test_voxels_that_no_body_reaches_are_left_out() -> None:
     occupied = np.ones((10, 8, 4), bool)
     found = solid_above(Voxels(occupied, (0, 0, 0), EDGE), level(), (0.1, 0.12), (0.3, 0.28), top=0.6)
     kept = found.occupied
@@ -89,6 +89,6 @@ def test_what_no_body_reaches_is_left_out() -> None:
     assert np.flatnonzero(kept.any((0, 2))).tolist() == [2, 3, 4, 5]
 
 
-def test_bodies_are_higher_than_turf() -> None:
+def test_a_top_below_the_turf_is_refused() -> None:
     with pytest.raises(ValueError, match=r"top: expected a height above turf \(0\.1 m\), got 0\.05"):
         solid_above(column(0), level(), *FAR, top=0.05)

@@ -16,7 +16,7 @@ def layers(*sizes: int) -> list[tuple[Tensor, Tensor]]:
     return [(torch.randn(b, a, generator=draw) / a**0.5, torch.randn(b, generator=draw)) for a, b in pairwise(sizes)]
 
 
-def test_it_is_what_pytorch_computes() -> None:
+def test_it_computes_what_pytorch_does() -> None:
     given = layers(7, 12, 5, 3)
     values = torch.randn(9, 7, generator=torch.Generator().manual_seed(1))
     expected = values
@@ -37,12 +37,12 @@ def test_a_row_has_the_same_bytes_in_any_batch_and_order() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 46])
-def test_sums_are_sums(count: int) -> None:
+def test_pairwise_sums_equal_plain_sums(count: int) -> None:
     values = torch.arange(3 * count * 2, dtype=torch.float64).reshape(3, count, 2)
     assert torch.equal(pairwise_sum(values), values.sum(1))
 
 
-def test_weights_come_back_from_their_file_which_has_the_same_bytes_each_time(tmp_path: Path) -> None:
+def test_weights_round_trip_through_a_file_that_has_the_same_bytes_each_time(tmp_path: Path) -> None:
     net = Dense(layers(4, 6, 2))
     net.save(tmp_path / "a.npz")
     net.save(tmp_path / "b.npz")
@@ -65,7 +65,7 @@ def test_weights_come_back_from_their_file_which_has_the_same_bytes_each_time(tm
         {},
     ],
 )
-def test_other_files_are_refused_in_one_line(arrays: dict[str, np.ndarray], tmp_path: Path) -> None:
+def test_invalid_weight_files_are_refused_in_one_line(arrays: dict[str, np.ndarray], tmp_path: Path) -> None:
     path = tmp_path / "bad.npz"
     np.savez(path, **arrays)
     with pytest.raises(ValueError, match=r"bad\.npz: expected weights of dense layers") as error:

@@ -1,4 +1,4 @@
-"""Gaussians look like the geoms that they are made of."""
+"""Gaussians look like the geoms that they are made from."""
 
 import math
 
@@ -19,13 +19,13 @@ EYE = (0.6, -0.5, 0.62)
 
 
 def body(geoms: str, head: str = "") -> mujoco.MjModel:
-    """A model of one body with some geoms."""
+    """Make a model of one body with the given geoms."""
     text = f'<mujoco>{head}<worldbody><body name="b"><freejoint/>{geoms}</body></worldbody></mujoco>'
     return mujoco.MjModel.from_xml_string(text)
 
 
 def seen(gaussians: Gaussians) -> tuple[torch.Tensor, torch.Tensor]:
-    """Alpha [SIDE, SIDE] and colour of a body at the origin, from above and beside."""
+    """Render alpha [SIDE, SIDE] and colour of a body at the origin, seen obliquely from above."""
     camera = look_at(list(EYE), [0.0, 0.0, 0.0])
     cameras = Cameras(camera[None], intrinsics(math.radians(40), SIDE, SIDE), SIDE, SIDE)
     rgb, _, alpha = NativeRenderer(gaussians, tolerance=0.0).render(cameras)
@@ -33,7 +33,7 @@ def seen(gaussians: Gaussians) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def silhouette(model: mujoco.MjModel) -> torch.Tensor:
-    """Which rays from the eye meet a geom, by MuJoCo's own ray casting: [SIDE, SIDE] bool."""
+    """Return which rays from the eye hit a geom, by MuJoCo's own ray casting: [SIDE, SIDE] bool."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     camera, K = look_at(list(EYE), [0.0, 0.0, 0.0]).double(), intrinsics(math.radians(40), SIDE, SIDE).double()
@@ -57,7 +57,7 @@ def silhouette(model: mujoco.MjModel) -> torch.Tensor:
         '<geom type="sphere" size="0.08" pos="0.1 0.05 0"/><geom type="box" size="0.05 0.05 0.1" pos="-0.1 0 0"/>',
     ],
 )
-def test_the_silhouette_of_a_geom_is_that_of_its_rays(geom: str) -> None:
+def test_the_silhouette_of_a_geom_matches_mujocos_ray_casting(geom: str) -> None:
     model = body(geom)
     ((name, gaussians),) = gaussians_from_mjcf(model)
     assert name == "b"
@@ -68,7 +68,7 @@ def test_the_silhouette_of_a_geom_is_that_of_its_rays(geom: str) -> None:
     assert seen(gaussians)[0][inner > 0].min() > 0.8, "there are no holes"
 
 
-def test_a_mesh_is_sampled_where_it_is() -> None:
+def test_a_mesh_is_sampled_on_its_surface() -> None:
     points = "0 0 0  0.2 0 0  0 0.2 0  0 0 0.2"
     head = f'<asset><mesh name="m" vertex="{points}"/></asset>'
     model = body('<geom type="mesh" mesh="m" rgba="0 0 1 1"/>', head)
@@ -79,7 +79,7 @@ def test_a_mesh_is_sampled_where_it_is() -> None:
     assert (seen(gaussians)[0] > 0.5).eq(silhouette(model)).float().mean() > 0.98
 
 
-def test_colours_are_those_of_geom_material_and_texture() -> None:
+def test_colours_come_from_geom_material_and_texture() -> None:
     assets = (
         '<asset><material name="red" rgba="1 0 0 1"/>'
         '<texture name="t" type="cube" builtin="flat" rgb1="0 1 0" rgb2="0 0 1" width="8" height="48"/>'
@@ -97,7 +97,7 @@ def test_colours_are_those_of_geom_material_and_texture() -> None:
     assert (gaussians.means.abs() <= torch.tensor([2.11, 0.11, 0.11])).all(), "what is hidden is left out"
 
 
-def test_links_without_joints_belong_to_what_carries_them_and_prefixes_choose() -> None:
+def test_links_without_joints_join_their_parent_and_prefixes_select_bodies() -> None:
     text = (
         '<mujoco><worldbody><body name="a/top"><freejoint/><geom size="0.1"/>'
         '<body name="a/head" pos="0 0 0.5"><geom size="0.1"/></body>'

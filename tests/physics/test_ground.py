@@ -1,4 +1,4 @@
-"""The plane of a ground: found where it is known, and said where there is none."""
+"""Fitting a plane to the ground, and reporting where the ground is not a plane."""
 
 import math
 from pathlib import Path
@@ -44,7 +44,7 @@ def test_a_tilt_within_the_error_of_depth_is_made_level() -> None:
     assert ground.spread == pytest.approx(0.005, abs=0.002)
 
 
-def test_things_that_lie_around_and_grass_do_not_lift_the_plane() -> None:
+def test_objects_and_grass_do_not_lift_the_plane() -> None:
     def surface(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
         thing = 0.25 * ((x - 0.5).abs() < 0.3) * (y.abs() < 0.25)
         blades = 0.06 * ((x * 37).sin() * (y * 41).cos() > 0.8)
@@ -64,14 +64,14 @@ def test_things_that_lie_around_and_grass_do_not_lift_the_plane() -> None:
     ],
     ids=["steps", "hills", "pit"],
 )
-def test_a_ground_that_is_not_one_plane_says_so(surface: Surface, said: str) -> None:
+def test_a_ground_that_is_not_one_plane_is_reported(surface: Surface, said: str) -> None:
     ground = found(surface)
     assert not ground.is_plane
     assert ground.trouble is not None and said in ground.trouble
     assert ground.trouble in str(ground)
 
 
-def test_no_ground_to_see_is_refused() -> None:
+def test_a_scene_without_visible_ground_is_refused() -> None:
     renderer = ReliefRenderer(lambda x, y: 0.0 * x)
     with pytest.raises(
         ValueError, match=r"ground: expected at least 6 places .* got 0; bodies need ground to stand on"
@@ -81,23 +81,23 @@ def test_no_ground_to_see_is_refused() -> None:
         fit_ground(renderer, Occupancy.empty(0.05), (0.0, 0.0), (0.0, 1.0))
 
 
-def test_one_stands_on_the_lowest_top_with_free_space_above_it() -> None:
+def test_the_standing_height_is_the_lowest_top_with_free_space_above_it() -> None:
     solid = np.zeros((3, 2, 12), bool)
     solid[0, 0, 0] = True  # a floor
     solid[1, 0, [0, 4]] = True  # a floor below something too low to stand under
-    solid[2, 0, [0, 9]] = True  # and one with room
+    solid[2, 0, [0, 9]] = True  # and a floor with room above it
     heights = standing_heights(Occupancy(solid, (0, 0, -1), 0.05), (0.0, 0.0), (1.0, 1.0))[1]
     np.testing.assert_allclose(heights, [[0.0, np.nan], [0.2, np.nan], [0.0, np.nan]], atol=1e-9)
 
 
-def test_what_hangs_together_is_the_largest_part_without_high_steps() -> None:
+def test_the_widest_part_is_the_largest_component_without_high_steps() -> None:
     heights = np.array([[0.0, 0.05, 0.1, np.nan], [0.0, 0.8, 0.2, 0.4], [0.9, 0.8, 0.85, 0.85]])
     assert widest_part(heights).tolist() == [[True, True, True, False], [True, False, True, False], [False] * 4]
     assert not widest_part(np.full((2, 3), np.nan)).any()
 
 
 def check_level(scene: Scene, half: float, within: float) -> None:
-    """Hold the ground that is found within ±``half`` against z = 0."""
+    """Assert that the ground that is found within ±``half`` is the plane z = 0."""
     lower, upper = (-half, -half), (half, half)
     ground = fit_ground(NativeRenderer(scene.gaussians), Occupancy.from_scene(scene), lower, upper)
     corners = np.array([[x, y] for x in (-half, half) for y in (-half, half)])

@@ -28,7 +28,7 @@ NAMES = ["hand", "lower", "rail", "base", "fixed", "still", "upper"]
 
 
 def states(count: int) -> tuple[Physics, torch.Tensor]:
-    """States with every joint somewhere."""
+    """Return the physics, and states with every joint at a random position."""
     physics = Physics(mujoco.MjModel.from_xml_string(ARM), 1, 1)
     state = physics.state_of().repeat(count, 1)
     columns = slice(BANK + 1, BANK + 1 + physics.model.nq)
@@ -36,7 +36,7 @@ def states(count: int) -> tuple[Physics, torch.Tensor]:
     return physics, state
 
 
-def test_every_kind_of_joint_leads_where_mujoco_says() -> None:
+def test_poses_match_mujocos_for_every_kind_of_joint() -> None:
     physics, state = states(20)
     place, turn = Kinematics(physics.model, NAMES)(state)
     poses = Kinematics(physics.model, NAMES).poses(state)
@@ -52,7 +52,7 @@ def test_every_kind_of_joint_leads_where_mujoco_says() -> None:
             np.testing.assert_allclose(poses[row, number, :3, :3], body.xmat.reshape(3, 3), atol=1e-6)
 
 
-def test_the_bits_do_not_depend_on_the_batch() -> None:
+def test_the_bits_of_a_pose_do_not_depend_on_the_batch() -> None:
     physics, state = states(37)
     kinematics = Kinematics(physics.model, NAMES)
     together = kinematics.poses(state)
@@ -62,6 +62,6 @@ def test_the_bits_do_not_depend_on_the_batch() -> None:
         assert torch.equal(kinematics.poses(state[:count]), together[:count])
 
 
-def test_a_body_that_is_not_there_is_named() -> None:
+def test_a_missing_body_is_named() -> None:
     with pytest.raises(ValueError, match=r"body: expected one of base, upper, .* got 'leg'"):
         Kinematics(states(1)[0].model, ["leg"])

@@ -1,4 +1,4 @@
-"""MJCF from strangers: read as data, refused in one line."""
+"""MJCF files from untrusted sources are read as data, and refused in one line."""
 
 import struct
 from pathlib import Path
@@ -17,7 +17,7 @@ TRIANGLES.append(((1, 0, 0), (0, 1, 0), (0, 0, 1)))
 
 
 def written(folder: Path, body: str = BALL, head: str = "") -> Path:
-    """A file of MJCF in a folder of its own."""
+    """Write an MJCF file in its own folder, and return its path."""
     path = folder / "robot" / "robot.xml"
     path.parent.mkdir(exist_ok=True)
     path.write_text(f"<mujoco>{head}<worldbody>{body}</worldbody></mujoco>")
@@ -25,14 +25,14 @@ def written(folder: Path, body: str = BALL, head: str = "") -> Path:
 
 
 def write_mesh(path: Path) -> None:
-    """A tetrahedron as binary STL."""
+    """Write a tetrahedron as binary STL."""
     path.parent.mkdir(parents=True, exist_ok=True)
     numbers = [[number for corner in each for number in corner] for each in TRIANGLES]
     rows = [struct.pack("<12fH", 0, 0, 0, *row, 0) for row in numbers]
     path.write_bytes(bytes(80) + struct.pack("<I", len(rows)) + b"".join(rows))
 
 
-def test_our_own_robots_are_read() -> None:
+def test_the_built_in_robots_are_read() -> None:
     for path in sorted(FOLDER.glob("*.xml")):
         assert read_mjcf(path).compile().nbody > 1, path
     assert mjcf_path("wheels") == FOLDER / "wheels.xml"
@@ -40,7 +40,7 @@ def test_our_own_robots_are_read() -> None:
         mjcf_path("nothing")
 
 
-def test_meshes_and_included_files_of_its_folder_are_found(tmp_path: Path) -> None:
+def test_meshes_and_included_files_in_its_folder_are_found(tmp_path: Path) -> None:
     write_mesh(tmp_path / "robot" / "meshes" / "shell.stl")
     (tmp_path / "robot" / "assets.xml").write_text('<mujoco><asset><mesh name="m" file="shell.stl"/></asset></mujoco>')
     head = '<compiler meshdir="meshes"/><include file="assets.xml"/>'
@@ -91,7 +91,7 @@ OUTSIDE = "expected a path inside the MJCF file's folder"
         ('<size nuserdata="900000000"/>', BALL, r"nuserdata: expected at most"),
     ],
 )
-def test_what_is_wrong_or_dangerous_is_refused_in_one_line(
+def test_invalid_or_dangerous_files_are_refused_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, head: str, body: str, message: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -126,13 +126,13 @@ def test_entities_and_large_files_are_refused(tmp_path: Path, monkeypatch: pytes
         read_mjcf(tmp_path / "none.xml")
 
 
-def test_a_robot_without_mujoco_is_refused_with_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_mujoco_an_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
     with pytest.raises(ImportError, match=r"mujoco is missing: pip install 'splatrl\[physics\]'"):
         read_mjcf(FOLDER / "ball.xml")
 
 
-def test_a_robot_has_one_body_at_the_top_and_brings_no_ground(tmp_path: Path) -> None:
+def test_a_robot_must_have_one_top_level_body_and_no_ground(tmp_path: Path) -> None:
     floor = '<geom name="floor" type="plane" size="1 1 1"/>'
     with pytest.raises(
         ValueError,
@@ -143,7 +143,7 @@ def test_a_robot_has_one_body_at_the_top_and_brings_no_ground(tmp_path: Path) ->
         compose(read_mjcf(written(tmp_path, BALL + BALL.replace("ball", "other"))), level_ground())
 
 
-def test_options_are_the_robots_and_the_ground_is_where_the_terrain_says(tmp_path: Path) -> None:
+def test_options_come_from_the_robot_and_the_ground_from_the_terrain(tmp_path: Path) -> None:
     plane = torch.tensor([0.6, 0.0, 0.8, 0.5], dtype=torch.float64)
     path = written(tmp_path, BALL, '<option timestep="0.004" gravity="0 0 -3"/>')
     model = compose(read_mjcf(path), Terrain(plane, torch.zeros(0, 6, dtype=torch.float64))).model

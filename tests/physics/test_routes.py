@@ -1,4 +1,4 @@
-"""Routes of waypoints: drawn by a seed, where there is room."""
+"""Routes of waypoints, drawn from a seed where there is room."""
 
 import math
 from itertools import pairwise
@@ -18,14 +18,14 @@ def drawn(count: int, seed: int = 0) -> np.ndarray:
     return draw_courses(Terrain(PLANE, POSTS), LOWER, UPPER, RouteSettings(waypoints=4), count, seed)
 
 
-def test_a_route_depends_on_the_seed_and_its_number_alone() -> None:
+def test_a_route_depends_only_on_the_seed_and_its_number() -> None:
     five = drawn(5)
     assert five.shape == (5, 5, 4)
     assert drawn(3).tobytes() == five[:3].tobytes()
     assert not np.array_equal(drawn(1, seed=1), five[:1])
 
 
-def test_ways_are_free_and_turn_no_further_than_asked() -> None:
+def test_routes_are_free_and_turn_no_further_than_requested() -> None:
     for route in drawn(12):
         assert route[0, 3] == route[1, 3], "the start heads for the first waypoint"
         for number, (last, waypoint) in enumerate(pairwise(route)):
@@ -41,7 +41,7 @@ def test_ways_are_free_and_turn_no_further_than_asked() -> None:
                 assert (at >= LOWER).all() and (at <= UPPER).all()
 
 
-def test_a_place_without_room_is_refused() -> None:
+def test_an_area_without_room_is_refused() -> None:
     with pytest.raises(ValueError, match=r"task\.course: expected room for 4 waypoints, found none"):
         draw_courses(Terrain(PLANE, POSTS), (-0.5, -0.5), (0.5, 0.5), RouteSettings(waypoints=4), 1, 0)
 
@@ -54,6 +54,6 @@ def test_a_place_without_room_is_refused() -> None:
         ({"turn_deg": 130.0}, r"task\.course\.turn_deg"),
     ],
 )
-def test_settings_that_make_no_sense_are_refused(wrong: dict[str, object], said: str) -> None:
+def test_invalid_settings_are_refused(wrong: dict[str, object], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         RouteSettings(**wrong)  # type: ignore[arg-type]

@@ -16,27 +16,27 @@ BOXES = torch.tensor([[0.6, 0.1, 0.1, 0.1, 0.2, 0.1]], dtype=torch.float64)
 
 
 def model() -> mujoco.MjModel:
-    """A robot on wheels in front of a ball and a box."""
+    """Compose the model of a robot on wheels in front of a ball and a box."""
     terrain = Terrain(torch.tensor([0.0, 0.0, 1.0, 0.0], dtype=torch.float64), BOXES)
     return compose(read_mjcf(mjcf_path("wheels")), terrain, {"ball": read_mjcf(mjcf_path("ball"))}).model
 
 
 def scattered(physics: Physics, count: int) -> torch.Tensor:
-    """States in which the ball lies at different distances ahead."""
+    """Return states in which the ball lies at different distances ahead."""
     state = physics.state_of().repeat(count, 1)
     state[:, BANK + 1 + 9] = torch.linspace(0.28, 0.4, count)
     return state
 
 
 def run(physics: Physics, state: torch.Tensor, steps: int = 8) -> torch.Tensor:
-    """States after driving ahead."""
+    """Return the states after driving ahead."""
     for _ in range(steps):
         state, _, sound = physics.step(state, torch.tensor([[0.5, 0.3]]).expand(len(state), 2))
         assert sound.all()
     return state
 
 
-def test_no_rows_step_to_no_rows() -> None:
+def test_an_empty_batch_steps_to_an_empty_batch() -> None:
     physics = Physics(model(), 3, 1)
     after, sensed, sound = physics.step(physics.state_of().repeat(4, 1)[:0], torch.zeros(0, 2))
     assert after.shape == (0, physics.size) and sound.shape == (0,) and sound.dtype == torch.bool
@@ -55,7 +55,7 @@ def test_a_row_has_the_same_bytes_alone_in_any_order_with_any_threads_and_in_par
     assert torch.equal(run(physics, run(physics, start, 3), 5), together)
 
 
-def test_halving_the_substeps_of_a_step_changes_only_where_solvers_begin() -> None:
+def test_twice_as_many_steps_of_half_the_substeps_give_nearly_the_same_states() -> None:
     whole, half = Physics(model(), 10, 1), Physics(model(), 5, 1)
     start = scattered(whole, 3)
     torch.testing.assert_close(run(half, start, 4), run(whole, start, 2), atol=1e-4, rtol=0)
@@ -68,7 +68,7 @@ def test_it_can_be_copied_and_pickled() -> None:
         assert torch.equal(run(other, start, 2), run(physics, start, 2))
 
 
-def test_each_row_obeys_its_own_model() -> None:
+def test_each_row_is_stepped_by_its_own_model() -> None:
     variation = Variation(3, friction=(0.5, 2.0), mass=(0.5, 2.0), motor=(0.5, 2.0), seed=1)
     physics = Physics(bank(model(), variation), 10, 1)
     start = scattered(physics, 1).repeat(4, 1)
@@ -83,7 +83,7 @@ def test_each_row_obeys_its_own_model() -> None:
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_a_row_that_loses_its_numbers_stays_and_says_so(
+def test_an_unstable_row_keeps_its_state_and_is_reported(
     threads: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""Terrain of whole scenes: kept in the cache, and said where the ground is none."""
+"""The terrain of whole scenes: cached, and with a warning if the ground is not a plane."""
 
 import warnings
 from pathlib import Path
@@ -42,11 +42,11 @@ def test_the_tiny_room_is_a_floor_and_a_block(room: Scene, tmp_path: Path, monke
     again = survey_terrain(room, occupancy, LOWER, UPPER, reach=0.1, top=0.6)
     assert torch.equal(again.terrain.boxes, terrain.boxes) and torch.equal(again.terrain.plane, terrain.plane)
     assert str(again.ground) == str(found.ground)
-    with pytest.raises(TypeError):  # and another body is another survey
+    with pytest.raises(TypeError):  # another body needs another survey
         survey_terrain(room, occupancy, LOWER, UPPER, reach=0.1, top=0.7)
 
 
-def test_a_ground_that_is_none_is_told_by_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_ground_that_is_not_a_plane_gives_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path))
     gaussians = tiny_gaussians()
     gaussians.means[:, 2] += 0.2 * (2 * gaussians.means[:, 1]).sin()

@@ -1,4 +1,4 @@
-"""Tracks of gates: drawn by a seed, where there is room."""
+"""Tracks of gates, drawn from a seed where there is room."""
 
 import math
 from itertools import pairwise
@@ -19,7 +19,7 @@ def drawn(count: int, seed: int = 0, settings: TrackSettings = TRACK) -> np.ndar
     return draw_courses(Terrain(PLANE, POSTS), LOWER, UPPER, settings, count, seed, CEILING)
 
 
-def test_a_track_depends_on_the_seed_and_its_number_alone() -> None:
+def test_a_track_depends_only_on_the_seed_and_its_number() -> None:
     five = drawn(5)
     assert five.shape == (5, 4, 4)
     assert drawn(3).tobytes() == five[:3].tobytes()
@@ -27,7 +27,7 @@ def test_a_track_depends_on_the_seed_and_its_number_alone() -> None:
     assert len({track.tobytes() for track in five}) == 5
 
 
-def test_gates_and_the_ways_between_them_are_free() -> None:
+def test_gates_and_the_paths_between_them_are_free() -> None:
     for track in drawn(12):
         for before, gate in pairwise(track):
             ahead = np.array([math.cos(gate[3]), math.sin(gate[3]), 0.0])
@@ -47,7 +47,7 @@ def test_gates_and_the_ways_between_them_are_free() -> None:
         assert min(apart) > 0.7
 
 
-def test_a_gate_is_met_from_its_front() -> None:
+def test_a_gate_is_approached_from_its_front() -> None:
     for track in drawn(12):
         for before, gate in pairwise(track):
             way = np.arctan2(*(gate[:2] - before[:2])[::-1])
@@ -56,7 +56,7 @@ def test_a_gate_is_met_from_its_front() -> None:
         assert track[0][3] == pytest.approx(math.atan2(*(track[1][:2] - track[0][:2])[::-1]))
 
 
-def test_a_place_without_room_is_refused() -> None:
+def test_an_area_without_room_is_refused() -> None:
     with pytest.raises(ValueError, match=r"task\.course: expected room for 3 gates, found none"):
         draw_courses(Terrain(PLANE, POSTS), (-0.6, -0.6), (0.6, 0.6), TRACK, 1, 0, CEILING)
 
@@ -72,6 +72,6 @@ def test_a_place_without_room_is_refused() -> None:
         ({"turn_deg": 130.0}, "task.course.turn_deg"),
     ],
 )
-def test_settings_that_make_no_sense_are_refused(wrong: dict[str, object], said: str) -> None:
+def test_invalid_settings_are_refused(wrong: dict[str, object], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         TrackSettings(**wrong)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""The trot: where feet are, and the joints that put them there."""
+"""The trot: the positions of the feet, and the joint angles that reach them."""
 
 import pytest
 import torch
@@ -9,7 +9,7 @@ from splatrl.physics.stepping import BANK, Physics
 from splatrl.physics.trot import DEPTH, FREQUENCY, LIFT, OFFSET, SIDES, feet, leg_angles, trot
 
 
-def test_joints_put_feet_where_they_are_to_be_as_mujoco_has_it() -> None:
+def test_joint_angles_put_the_feet_at_their_targets_by_mujocos_kinematics() -> None:
     world = compose(read_mjcf(mjcf_path("quadruped")), level_ground())
     physics = Physics(world.model, 1, 1)
     time, command = torch.tensor([0.0, 0.1, 0.2, 0.31]).double(), torch.tensor([[0.8, 0.5]] * 4).double()
@@ -35,14 +35,14 @@ def test_one_diagonal_pair_stands_while_the_other_swings() -> None:
     assert highest == pytest.approx(LIFT - DEPTH, abs=1e-3)
 
 
-def test_standing_feet_go_back_as_fast_as_the_robot_is_to_go_ahead_and_turn_it() -> None:
+def test_standing_feet_move_back_with_the_commanded_speed_and_turn() -> None:
     time, command = torch.tensor([0.02, 0.12]).double(), torch.tensor([[0.6, 0.7]] * 2).double()
     foot = feet(time, command)[0]  # front left, which stands then
     velocity = (foot[1] - foot[0]) / 0.1
     assert velocity.tolist() == pytest.approx([-(0.6 - 0.7 * (0.05 + OFFSET)), -0.7 * 0.19, 0.0], abs=1e-6)
 
 
-def test_a_foot_out_of_reach_is_stretched_towards() -> None:
+def test_a_leg_stretches_towards_a_foot_position_out_of_reach() -> None:
     for side in SIDES[:2]:
         angles = leg_angles(torch.tensor([[0.0, side * OFFSET, -3.0]]).double(), side)
         assert angles.isfinite().all() and -0.1 < float(angles[0, 2]) < 0.0

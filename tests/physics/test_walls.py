@@ -1,4 +1,4 @@
-"""What a robot does to the boxes of a scene, and they to it."""
+"""Contact between a robot and the boxes of a scene."""
 
 import mujoco
 import pytest
@@ -19,7 +19,7 @@ def facing(wall: torch.Tensor) -> Physics:
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.6])
-def test_five_seconds_into_a_wall_leave_a_robot_outside_it(angle: float) -> None:
+def test_a_robot_that_keeps_driving_into_a_wall_stays_outside_it(angle: float) -> None:
     physics = facing(WALL)
     model, state = physics.model, physics.state_of()[None]
     qpos = slice(BANK + 1, BANK + 1 + model.nq)
@@ -39,7 +39,7 @@ def test_five_seconds_into_a_wall_leave_a_robot_outside_it(angle: float) -> None
     assert depths[-1] < 0.002, "as it leans against it"
 
 
-def test_contact_with_boxes_is_told_from_contact_with_the_ground() -> None:
+def test_contact_with_boxes_is_distinguished_from_contact_with_the_ground() -> None:
     physics = facing(WALL)
     state, sensed, _ = physics.step(physics.state_of()[None], AHEAD)
     assert not (sensed[..., physics.sensor(f"touch/{SCENE}")] > 0).any()

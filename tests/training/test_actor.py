@@ -1,4 +1,4 @@
-"""Acting on plain tensors is acting through TensorDicts."""
+"""An ``Actor``, which works on plain tensors, acts as its model does through TensorDicts."""
 
 import pytest
 import torch
@@ -9,14 +9,14 @@ from splatrl.training import Actor, actor_critic
 from tests.tiny import tiny_env
 from tests.training.toys import Match
 
-ENVS = {"choices": lambda: tiny_env([5]), "numbers": lambda: Match(5)}
+ENVS = {"discrete": lambda: tiny_env([5]), "continuous": lambda: Match(5)}
 KINDS = (ExplorationType.RANDOM, ExplorationType.DETERMINISTIC)
 
 
 @pytest.mark.parametrize("judges", [True, False])
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [*((name, kind) for name in ENVS for kind in KINDS), ("choices", ExplorationType.MODE)],
+    [*((name, kind) for name in ENVS for kind in KINDS), ("discrete", ExplorationType.MODE)],
 )
 def test_an_actor_writes_what_its_model_writes(name: str, kind: ExplorationType, judges: bool) -> None:
     env: EnvBase = ENVS[name]()

@@ -1,4 +1,4 @@
-"""A critic that is told more than the actor."""
+"""Asymmetric actor-critic: the critic receives more observations than the actor."""
 
 from collections.abc import Mapping
 
@@ -32,7 +32,7 @@ def seen(count: int = 5) -> TensorDict:
 
 
 @pytest.mark.parametrize("inputs", [None, {"felt": Input("plain", (4,))}])
-def test_the_critic_depends_on_what_it_is_told_and_the_actor_does_not(inputs: Mapping[str, Input] | None) -> None:
+def test_the_critic_depends_on_its_extra_inputs_and_the_actor_does_not(inputs: Mapping[str, Input] | None) -> None:
     net, td = model(inputs), seen()
     for layer in net.get_value_head().parameters():
         layer.data.normal_(generator=torch.Generator().manual_seed(1))
@@ -41,10 +41,10 @@ def test_the_critic_depends_on_what_it_is_told_and_the_actor_does_not(inputs: Ma
     assert torch.equal(first["loc"], second["loc"]) and torch.equal(first["scale"], second["scale"])
     assert not torch.allclose(first["state_value"], second["state_value"])
     turned = net(td.clone().set("yaw", td["yaw"] + 6.283185307))
-    assert torch.allclose(turned["state_value"], first["state_value"], atol=1e-4)  # an angle is an angle
+    assert torch.allclose(turned["state_value"], first["state_value"], atol=1e-4)  # a full turn changes nothing
 
 
-def test_without_the_critic_the_actor_acts_alike_and_reads_less() -> None:
+def test_without_the_critic_the_actor_acts_the_same_and_reads_fewer_inputs() -> None:
     net, td = model(), seen()
     trunk = actors_trunk(net)
     assert list(trunk.in_keys) == ["pixels"]
@@ -54,14 +54,14 @@ def test_without_the_critic_the_actor_acts_alike_and_reads_less() -> None:
     assert actors_trunk(plain) is plain.module[0]
 
 
-def test_an_actor_without_the_critic_keeps_the_first_weights_of_one_with_it() -> None:
+def test_critic_inputs_do_not_change_the_initial_weights_of_the_actor() -> None:
     torch.manual_seed(0)
     plain = actor_critic((8, 12, 3), SPEC, 1, (4, 4), 16)
     for own, other in zip(plain.module[0].parameters(), actors_trunk(model()).parameters(), strict=True):
         assert torch.equal(own, other)
 
 
-def test_it_acts_and_learns_on_plain_tensors() -> None:
+def test_an_asymmetric_policy_acts_and_learns_on_plain_tensors() -> None:
     net = model()
     loss = LossSettings(0.9, 0.9, 0.2, 1, 8, 0.5, 0.0, False, 1.0)
     learner = Learner(net, loss, OptimSettings(1e-2, 1e-5, 1.0, False))
@@ -82,11 +82,11 @@ def test_it_acts_and_learns_on_plain_tensors() -> None:
         ({"ball": Input("plain", (3,))}, 8, "critic_inputs: expected none for a policy with memory, got ball"),
     ],
 )
-def test_what_a_critic_cannot_be_told_is_refused(told: Mapping[str, Input], memory: int, message: str) -> None:
+def test_invalid_critic_inputs_are_refused(told: Mapping[str, Input], memory: int, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         actor_critic((8, 12, 3), SPEC, 1, (4, 4), 16, memory, critic_inputs=told)
 
 
-def test_discrete_actions_may_have_such_a_critic_too() -> None:
+def test_discrete_actions_work_with_critic_inputs_too() -> None:
     net = actor_critic((8, 12, 3), Categorical(5), 1, (4, 4), 16, critic_inputs=TOLD)
     assert net(seen())["logits"].shape == (5, 5)

@@ -23,7 +23,7 @@ def saved(value: Any = STATE) -> bytes:
     return buffer.getvalue()
 
 
-def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
+def test_a_saved_checkpoint_is_loaded_unchanged(tmp_path: Path) -> None:
     path = tmp_path / "last.pt"
     save_checkpoint(path, STATE)
     loaded = load_checkpoint(path)
@@ -33,7 +33,7 @@ def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("room", [0, 10, 1000, 30_000])
-def test_a_disk_that_fills_up_leaves_the_old_checkpoint_and_is_named(tmp_path: Path, room: int) -> None:
+def test_a_full_disk_leaves_the_old_checkpoint_and_the_error_names_the_path(tmp_path: Path, room: int) -> None:
     path = tmp_path / "last.pt"
     save_checkpoint(path, {"frames": 1})
     with limited_files(room), pytest.raises(OSError, match=r"cannot write: File too large: .*last\.pt"):
@@ -44,7 +44,7 @@ def test_a_disk_that_fills_up_leaves_the_old_checkpoint_and_is_named(tmp_path: P
 
 @contextmanager
 def limited_files(size: int) -> Iterator[None]:
-    """A block in which no file grows beyond so many bytes, as on a disk that fills up."""
+    """Limit the size of files within a block, bytes, as on a disk that fills up."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
@@ -53,7 +53,7 @@ def limited_files(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def test_the_new_checkpoint_takes_the_old_ones_place_only_when_it_is_on_the_disk(
+def test_a_new_checkpoint_replaces_the_old_one_only_after_it_is_synced_to_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "last.pt"
@@ -72,14 +72,14 @@ def test_the_new_checkpoint_takes_the_old_ones_place_only_when_it_is_on_the_disk
     [b"", b"garbage", b"PK\x03\x04", saved()[: len(saved()) // 2], saved({"run": os.system}), saved([1, 2])],
     ids=["empty", "garbage", "signature", "half", "code", "list"],
 )
-def test_a_file_that_is_no_checkpoint_is_refused_by_name(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_checkpoint_is_refused_by_name(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "last.pt"
     path.write_bytes(content)
     with pytest.raises(ValueError, match=rf"{path}: expected a"):
         load_checkpoint(path)
 
 
-def test_damage_to_a_number_is_refused(tmp_path: Path) -> None:
+def test_a_flipped_bit_in_a_tensor_is_detected(tmp_path: Path) -> None:
     path = tmp_path / "last.pt"
     content = bytearray(saved())
     place = content.index(torch.tensor([4.0, 5.0]).numpy().tobytes())
@@ -89,7 +89,7 @@ def test_damage_to_a_number_is_refused(tmp_path: Path) -> None:
         load_checkpoint(path)
 
 
-def test_a_checkpoint_cut_at_any_place_is_refused(tmp_path: Path) -> None:
+def test_a_checkpoint_truncated_at_any_length_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "last.pt"
     content = saved()
     for length in range(0, len(content), 7):
@@ -99,12 +99,12 @@ def test_a_checkpoint_cut_at_any_place_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["nothing.pt", "."])
-def test_a_checkpoint_that_is_not_there_is_told(tmp_path: Path, name: str) -> None:
+def test_a_missing_checkpoint_is_reported(tmp_path: Path, name: str) -> None:
     with pytest.raises(FileNotFoundError, match="expected a checkpoint, found none"):
         load_checkpoint(tmp_path / name)
 
 
-def test_entries_that_unpack_are_refused(tmp_path: Path) -> None:
+def test_compressed_entries_are_refused(tmp_path: Path) -> None:
     with zipfile.ZipFile(io.BytesIO(saved({"a": torch.zeros(1 << 20)}))) as plain:
         entries = {name: plain.read(name) for name in plain.namelist()}
     path = tmp_path / "last.pt"
@@ -117,7 +117,7 @@ def test_entries_that_unpack_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("value", [bytearray(8), {1, 2}, 1j, torch.nn.Parameter(torch.ones(1)), torch.float32])
-def test_only_tensors_and_plain_values_are_made(value: Any, tmp_path: Path) -> None:
+def test_only_tensors_and_plain_values_are_loaded(value: Any, tmp_path: Path) -> None:
     (tmp_path / "last.pt").write_bytes(saved({"a": value}))
     with pytest.raises(ValueError, match=r"last\.pt: .*expected tensors and plain values, got"):
         load_checkpoint(tmp_path / "last.pt")

@@ -1,4 +1,4 @@
-"""Behaviour cloning: policies learn to act as they are shown, with and without memory."""
+"""Behaviour cloning: policies learn to act as demonstrated, with and without memory."""
 
 import math
 from pathlib import Path
@@ -21,7 +21,7 @@ SETTINGS = CloningSettings(epochs=30, mini_batch_size=64, lr=1e-3, critic_coeff=
 
 
 @pytest.mark.parametrize("memory", ["none", "gru", "stack"])
-def test_a_cloned_policy_goes_where_it_was_shown_to_go(memory: str, tmp_path: Path) -> None:
+def test_a_cloned_policy_reaches_the_goal_as_demonstrated(memory: str, tmp_path: Path) -> None:
     cfg = load_config([*tiny_overrides(tmp_path), f"memory={memory}"])
     world = build_world(cfg)
     shown = planner_episodes(world, 100)
@@ -47,7 +47,7 @@ def test_a_cloned_policy_goes_where_it_was_shown_to_go(memory: str, tmp_path: Pa
     assert torch.corrcoef(torch.stack([seen["state_value"].squeeze(1).detach(), told]))[0, 1] > 0.6
 
 
-def test_with_memory_episodes_are_apart(tmp_path: Path) -> None:
+def test_memory_does_not_carry_over_between_episodes(tmp_path: Path) -> None:
     cfg = load_config([*tiny_overrides(tmp_path), "memory=gru"])
     env = build_world(cfg).env(1)
     torch.manual_seed(0)
@@ -59,7 +59,7 @@ def test_with_memory_episodes_are_apart(tmp_path: Path) -> None:
     torch.testing.assert_close(together, torch.cat(apart))
 
 
-def test_every_frame_is_learned_from_once_in_a_pass(tmp_path: Path) -> None:
+def test_every_frame_is_learned_from_once_per_epoch(tmp_path: Path) -> None:
     for memory in ("none", "gru"):
         cfg = load_config([*tiny_overrides(tmp_path), f"memory={memory}"])
         cloner = Cloner(build_model(cfg, build_world(cfg).env(1)), CloningSettings(1, 4, 1e-3, 0.5))
@@ -70,7 +70,7 @@ def test_every_frame_is_learned_from_once_in_a_pass(tmp_path: Path) -> None:
         assert memory == "none" or all(some["frame"][0] == 0 for some in batches)
 
 
-def test_the_distance_of_actions() -> None:
+def test_the_imitation_loss_matches_values_worked_out_by_hand() -> None:
     logits = torch.tensor([[2.0, 0.0], [0.0, 3.0]])
     expected = -logits.log_softmax(1)[torch.arange(2), torch.tensor([0, 0])].mean()
     first = torch.tensor([[1.0, 0.0], [1.0, 0.0]])
@@ -90,7 +90,7 @@ def test_the_distance_of_actions() -> None:
 
 
 @pytest.mark.parametrize(("power", "learned"), [(2.0, -0.2), (1.0, -1.0)])
-def test_of_views_that_look_alike_the_mean_or_the_median_is_learned(power: float, learned: float) -> None:
+def test_the_power_decides_whether_the_mean_or_the_median_action_is_learned(power: float, learned: float) -> None:
     low, high = torch.tensor([-1.0]), torch.tensor([1.0])
     target = torch.tensor([[-1.0], [-1.0], [-1.0], [1.0], [1.0]])
     loc = torch.zeros(1, requires_grad=True)
@@ -103,7 +103,7 @@ def test_of_views_that_look_alike_the_mean_or_the_median_is_learned(power: float
     assert policy.deterministic_sample[0].item() == pytest.approx(learned, abs=0.02)
 
 
-def test_frames_without_a_right_action_teach_nothing() -> None:
+def test_frames_without_a_target_action_give_no_gradient() -> None:
     logits = torch.tensor([[2.0, 0.0], [0.0, 3.0]], requires_grad=True)
     target = torch.tensor([[1.0, 0.0], [math.nan, math.nan]])
     loss = imitation(Choice(logits), target)
@@ -121,12 +121,12 @@ def test_settings_out_of_range_are_named(name: str) -> None:
 
 
 @pytest.mark.parametrize("power", [0.5, 3.0])
-def test_a_power_that_learns_neither_mean_nor_median_is_refused(power: float) -> None:
+def test_a_power_that_is_not_between_1_and_2_is_refused(power: float) -> None:
     with pytest.raises(ValueError, match=r"cloning\.power: expected a number from 1\.0 to 2\.0, got"):
         CloningSettings(1, 1, 1e-3, 0.5, power)
 
 
-def test_the_width_of_actions_learns_how_far_the_mode_is_off() -> None:
+def test_the_width_of_the_policy_learns_the_error_of_its_mode() -> None:
     low, high = torch.tensor([0.0, -2.0]), torch.tensor([1.0, 2.0])
     loc = torch.zeros(3, 2, requires_grad=True)
     raw = torch.full((3, 2), 0.5, requires_grad=True)
@@ -142,7 +142,7 @@ def test_the_width_of_actions_learns_how_far_the_mode_is_off() -> None:
     assert width(Choice(torch.zeros(2, 3)), torch.ones(2, 3) / 3.0) == 0.0
 
 
-def test_the_learning_rate_falls_to_zero_where_asked(tmp_path: Path) -> None:
+def test_the_learning_rate_decays_linearly_if_asked(tmp_path: Path) -> None:
     cfg = load_config(tiny_overrides(tmp_path))
     world = build_world(cfg)
     shown = planner_episodes(world, 2)

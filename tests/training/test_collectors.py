@@ -32,7 +32,7 @@ ROBOTS = 7
 
 
 def network(env: EnvBase, remembers: bool) -> ActorValueOperator:
-    """A small model that evaluates its memory step by step, as on a GPU."""
+    """Make a small model that evaluates its memory step by step, as on a GPU."""
     torch.manual_seed(1)
     shape = env.observation_spec["pixels"].shape[1:]
     model = actor_critic(shape, env.action_spec, 1, (4, 4), FEATURES, FEATURES if remembers else 0)
@@ -43,8 +43,8 @@ def network(env: EnvBase, remembers: bool) -> ActorValueOperator:
 
 
 def pair(name: str) -> tuple[EnvBase, ActorValueOperator]:
-    """An env of a world, and a model for it."""
-    if name == "remembering fps":  # the world's own memory is larger than a test needs
+    """Make an env of a world, and a model for it."""
+    if name == "remembering fps":  # the model's memory must be as large as the world's
         env = made("remembering fps", ROBOTS)
         memory = env.observation_spec["recurrent_state"].shape[-1]
         torch.manual_seed(1)
@@ -79,11 +79,11 @@ def assert_same_frames(batch: TensorDictBase, expected: TensorDictBase) -> None:
 def two_batches(
     name: str, make: Callable[[EnvBase, ActorValueOperator], HostCollector | DeviceCollector], watch: bool = False
 ) -> tuple[list[TensorDictBase], Tensor, Tensor]:
-    """Batches of a collector, whose model learns in between; the curriculum's progress and the generator after them."""
+    """Collect two batches, with learning in between; also return curriculum progress and generator state."""
     env, model = pair(name)
     torch.manual_seed(3)
     collector = make(env, model)
-    if isinstance(collector, DeviceCollector):  # it resets after each step, the other one before
+    if isinstance(collector, DeviceCollector):  # it resets after each step, ``HostCollector`` before
         collector.carried = restart(env, collector.carried)
     batches = []
     for weight in (1.0, 1.1):  # learning changes weights in place, and the curriculum advances
@@ -97,7 +97,7 @@ def two_batches(
 
 @pytest.mark.usefixtures("whole_overlay")
 @pytest.mark.parametrize("name", WORLDS)
-def test_a_rollout_is_torchrls_row_for_row_asks_the_host_nothing_and_can_be_replayed(
+def test_a_rollout_equals_torchrls_without_host_reads_and_can_be_replayed(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reset_in_every_step(monkeypatch)
@@ -129,14 +129,14 @@ def test_a_rollout_fetches_nothing_from_the_cpu(name: str, monkeypatch: pytest.M
 
 
 def settled(on_device: bool = True, seed: int = 0, **options: object) -> PPO:
-    """PPO on the tiny room, on a CPU but with the code path of a GPU."""
+    """Make PPO in the tiny room, on a CPU but with the code path of a GPU."""
     env = tiny_env([6], seed, max_steps=4, first=1, threshold=0.01, window=5)
     torch.manual_seed(seed)
     model = actor_critic(env.observation_spec["pixels"].shape[1:], env.action_spec, 1, (8, 16), 32)
     return PPO(env, model, LOSS, OPTIM, 6 * 13, 10**6, on_device=on_device, **options)
 
 
-def test_advantages_are_those_of_torchrls_rollout(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_advantages_match_those_of_torchrls_rollout(monkeypatch: pytest.MonkeyPatch) -> None:
     reset_in_every_step(monkeypatch)
     found = []
     for on_device in (False, True):
@@ -166,7 +166,7 @@ def test_minibatches_hold_images_pooled_as_in_collection() -> None:
         assert all(torch.equal(part[key], expected[key]) for key in part)
 
 
-def test_a_gradient_step_asks_the_host_nothing() -> None:
+def test_a_gradient_step_reads_nothing_on_the_host() -> None:
     ppo = settled()
     batch = ppo.collect()
     batch["advantage"], batch["value_target"] = ppo.learner.advantages(batch)
@@ -175,7 +175,7 @@ def test_a_gradient_step_asks_the_host_nothing() -> None:
             ppo.learner.step(frames)
 
 
-def test_a_resumed_training_is_the_same_to_the_byte(tmp_path: object) -> None:
+def test_a_resumed_training_is_byte_for_byte_the_same(tmp_path: object) -> None:
     whole = settled()
     for _ in range(2):
         whole.iterate()
@@ -188,13 +188,13 @@ def test_a_resumed_training_is_the_same_to_the_byte(tmp_path: object) -> None:
     assert torch.equal(parameters(resumed), parameters(whole))
 
 
-def test_a_checkpoint_of_another_device_is_refused() -> None:
+def test_a_checkpoint_from_another_device_is_refused() -> None:
     state = settled().state_dict() | {"device": "cuda"}
     with pytest.raises(ValueError, match="device: expected cuda, on which the checkpoint was made, got cpu"):
         settled().load_state_dict(state)
 
 
-def test_it_learns_on_the_device_as_well() -> None:
+def test_ppo_learns_with_the_device_collector() -> None:
     env = tiny_env([64], max_steps=20, first=2, threshold=1.0, window=10**6)
     torch.manual_seed(0)
     model = actor_critic(env.observation_spec["pixels"].shape[1:], env.action_spec, 1, (8, 16), 32)
@@ -224,7 +224,7 @@ def test_faults_of_a_rollout_are_raised_after_it() -> None:
         ppo.collect()
 
 
-def test_a_graph_is_refused_where_there_can_be_none_and_left_out_where_none_is_asked_for() -> None:
+def test_a_cuda_graph_is_refused_without_cuda_and_left_out_unless_required() -> None:
     env = made("grid", 3)
     with pytest.raises(ValueError, match=r"collector\.cuda_graph: expected an env on a CUDA device .* got Painter and"):
         device_collector(env, network(env, False), 4, True)

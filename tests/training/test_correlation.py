@@ -1,4 +1,4 @@
-"""A trunk that compares two images place by place."""
+"""``CorrelationTrunk``, which compares two images cell by cell."""
 
 import pytest
 import torch
@@ -12,7 +12,7 @@ TWO = {"pixels": Input("image", (16, 24, 3)), "imagegoal": Input("image", (16, 2
 
 
 def counting() -> tuple[CorrelationTrunk, int]:
-    """A trunk whose one feature is the sum of how alike each cell of an image is to the same cell of the other."""
+    """Make a trunk whose one feature sums the similarity of each cell of an image to the same cell of the other."""
     torch.manual_seed(0)
     trunk = CorrelationTrunk(16, 24, 6, (4, 8), 1)
     cells = 3 * 5
@@ -22,7 +22,7 @@ def counting() -> tuple[CorrelationTrunk, int]:
     return trunk, cells
 
 
-def test_cells_of_an_image_are_like_themselves_alone() -> None:
+def test_cells_of_an_image_are_fully_similar_only_to_themselves() -> None:
     trunk, cells = counting()
     image, other = torch.rand(2, 1, 16, 24, 3) - 0.5
     same, another = trunk(torch.cat([image, image], -1)), trunk(torch.cat([image, other], -1))
@@ -30,15 +30,15 @@ def test_cells_of_an_image_are_like_themselves_alone() -> None:
     assert another.item() < 0.7 * cells
 
 
-def test_light_that_falls_on_all_of_an_image_is_left_out_of_the_comparison() -> None:
+def test_a_uniform_change_of_brightness_does_not_affect_the_comparison() -> None:
     trunk, cells = counting()
-    torch.nn.init.uniform_(trunk.convolutions[0].bias, 2.0, 3.0)  # so that no ReLU is met, and all is linear
+    torch.nn.init.uniform_(trunk.convolutions[0].bias, 2.0, 3.0)  # so that no ReLU clips anything and all is linear
     image, other = 0.1 * torch.rand(2, 1, 16, 24, 3)
     assert trunk(torch.cat([image, image + 0.1], -1)).item() == pytest.approx(cells, rel=1e-3)
     assert trunk(torch.cat([image, other], -1)).item() < 0.7 * cells
 
 
-def test_it_reads_batches_of_any_shape_and_both_images_besides() -> None:
+def test_it_reads_batches_of_any_shape_and_serves_as_the_trunk_of_a_policy() -> None:
     torch.manual_seed(0)
     trunk = CorrelationTrunk(16, 24, 6, (4, 8), 7)
     images = torch.rand(2, 3, 16, 24, 6)
@@ -58,7 +58,7 @@ def test_it_reads_batches_of_any_shape_and_both_images_besides() -> None:
         ({**TWO, "imagegoal": Input("image", (16, 24, 1))}, "correlation", "got correlation for 2"),
     ],
 )
-def test_what_cannot_be_compared_is_refused(inputs, fusion: str, match: str) -> None:
+def test_inputs_that_cannot_be_compared_are_refused(inputs, fusion: str, match: str) -> None:
     with pytest.raises(ValueError, match=rf"network\.fusion: .*{match}"):
         actor_critic((16, 24, 3), ACTIONS, 1, inputs=inputs, fusion=fusion)
 

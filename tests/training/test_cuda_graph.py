@@ -1,4 +1,4 @@
-"""When a function is warmed up, captured and replayed, with a fake CUDA."""
+"""Warm-up, capture and replay of a function, with a fake CUDA."""
 
 from contextlib import contextmanager, nullcontext
 
@@ -10,7 +10,7 @@ from tests.training.tape import Tape
 
 
 class PretendedGraph:
-    """A graph that is a tape."""
+    """A CUDA graph that records on a tape."""
 
     def __init__(self) -> None:
         self.tape, self.generators = Tape(), []
@@ -23,7 +23,7 @@ class PretendedGraph:
 
 
 class PretendedStream:
-    """Waits for nothing."""
+    """A stream that never waits."""
 
     def wait_stream(self, stream: "PretendedStream") -> None:
         pass
@@ -36,7 +36,7 @@ def pretended_cuda(monkeypatch: pytest.MonkeyPatch) -> None:
         before = total.clone()
         with graph.tape:
             yield
-        total.copy_(before)  # a capture does nothing yet
+        total.copy_(before)  # a capture does not execute anything
 
     monkeypatch.setattr(torch.cuda, "CUDAGraph", PretendedGraph)
     monkeypatch.setattr(torch.cuda, "Stream", PretendedStream)
@@ -65,7 +65,7 @@ def test_each_call_does_the_work_once_and_python_runs_until_the_capture() -> Non
     assert call.graph is not None and call.graph.generators == [generator]
 
 
-def test_what_cannot_be_captured_says_how_to_go_without() -> None:
+def test_a_failed_capture_says_how_to_train_without_a_graph() -> None:
     def work() -> None:
         if len(ran) == WARM_UP:
             raise RuntimeError("operation not permitted when stream is capturing")

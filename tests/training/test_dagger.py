@@ -33,7 +33,7 @@ def make_ppo(cfg: DictConfig, world: World | Worlds, total: int = 10_000) -> PPO
     return PPO(env, build_model(cfg, env), LOSS, OPTIM, 128, total)
 
 
-def test_what_the_policy_visits_is_labelled_by_the_planner(made: tuple[DictConfig, World]) -> None:
+def test_states_that_the_policy_visits_are_labelled_by_the_planner(made: tuple[DictConfig, World]) -> None:
     cfg, world = made
     ppo = make_ppo(cfg, world)
     torch.manual_seed(1)
@@ -67,7 +67,7 @@ def test_a_policy_learns_from_its_own_mistakes(made: tuple[DictConfig, World]) -
     assert reached[-1] > max(0.65, reached[0] + 0.3)
 
 
-def test_in_several_scenes_each_frame_is_labelled_by_the_planner_of_its_own(tmp_path: Path) -> None:
+def test_in_several_scenes_each_frame_is_labelled_by_its_own_scenes_planner(tmp_path: Path) -> None:
     settings = ["demos=3", "cloning.epochs=1", "dagger.rounds=1", "dagger.epochs=1", "collector.frames_per_batch=128"]
     cfg = load_config([*in_both(tmp_path), *settings, "collector.total_frames=256", "logger.num_test_episodes=2"])
     world = build_world(cfg)
@@ -84,7 +84,7 @@ def test_in_several_scenes_each_frame_is_labelled_by_the_planner_of_its_own(tmp_
     assert torch.equal(found[~here], west.optimal(rows["state"][~here]))
 
 
-def test_the_teacher_of_a_task_with_discrete_actions_labels_them(tmp_path: Path) -> None:
+def test_a_teacher_labels_discrete_actions(tmp_path: Path) -> None:
     cfg = load_config([*in_both(tmp_path, "pointnav"), "task.goals=8", "task.test_goals=3"])
     world = build_world(cfg)
     ppo = make_ppo(cfg, world)
@@ -95,11 +95,11 @@ def test_the_teacher_of_a_task_with_discrete_actions_labels_them(tmp_path: Path)
     assert ((found["target"] == 0) | (found["target"] == 1)).all() and (found["target"].sum(1) == 1).all()
     ends = (found["frame"] == 0).nonzero().squeeze(1)[1:] - 1
     stops = found["target"][ends, 0] == 1
-    assert stops.sum() >= 8  # episodes of the teacher end as it stops, but for those that the batch cuts off
+    assert stops.sum() >= 8  # the teacher's episodes end with a stop, except those that the batch cuts off
     assert not (found["target"][found["frame"] == 0][:, 0] == 1).any()  # goals are further away than that
 
 
-def test_it_may_begin_with_a_policy_that_knows_nothing(made: tuple[DictConfig, World]) -> None:
+def test_dagger_may_begin_with_an_untrained_policy(made: tuple[DictConfig, World]) -> None:
     cfg, world = made
     ppo = make_ppo(cfg, world)
     (row,) = imitate(ppo, Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5)), world, [], DaggerSettings(1, 64, 2), 0)
@@ -107,7 +107,7 @@ def test_it_may_begin_with_a_policy_that_knows_nothing(made: tuple[DictConfig, W
 
 
 @pytest.mark.parametrize("guided", [1.0, 0.5])
-def test_the_teacher_drives_a_share_of_the_robots(
+def test_the_teacher_controls_a_fraction_of_the_robots(
     made: tuple[DictConfig, World], guided: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cfg, world = made
@@ -123,7 +123,7 @@ def test_the_teacher_drives_a_share_of_the_robots(
     assert drives.all() if guided == 1.0 else 3 < drives.sum() < 14 and by_robot[~drives].mean() < 0.7
 
 
-def test_after_the_last_round_it_learns_once_more(made: tuple[DictConfig, World]) -> None:
+def test_the_policy_is_fitted_once_more_after_the_last_round(made: tuple[DictConfig, World]) -> None:
     cfg, world = made
     ppo = make_ppo(cfg, world)
     cloner, fits = Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5)), []
@@ -139,14 +139,14 @@ def test_after_the_last_round_it_learns_once_more(made: tuple[DictConfig, World]
     assert fits == [(64, (1,), {}), (128, (1,), {}), (128, (3,), {"anneal": True})]
 
 
-def test_equal_shares_of_all_right_actions() -> None:
+def test_targets_are_divided_equally_among_all_optimal_actions() -> None:
     optimal = torch.tensor([[True, False, True], [False, True, False], [False, False, False]])
     found = targets(optimal, torch.tensor([3, 0, 1]), Categorical(4))
     assert found[:2].tolist() == [[0.0, 0.5, 0.0, 0.5], [1.0, 0.0, 0.0, 0.0]]
     assert found[2].isnan().all()
 
 
-def test_of_continuous_actions_one_is_drawn() -> None:
+def test_the_target_is_drawn_from_the_optimal_continuous_actions() -> None:
     actions = torch.tensor([[1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     optimal = torch.tensor([[True, False, True]]).repeat(200, 1)
     optimal[7] = False
@@ -173,7 +173,7 @@ def test_a_policy_with_continuous_actions_learns_what_the_planner_would_do(tmp_p
     assert drawn.all(2).any(1).all(), "each is one of the planner's"
 
 
-def test_what_does_not_fit_is_refused(made: tuple[DictConfig, World]) -> None:
+def test_frame_counts_that_do_not_fit_are_refused(made: tuple[DictConfig, World]) -> None:
     cfg, world = made
     ppo = make_ppo(cfg, world, total=256)
     cloner = Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5))

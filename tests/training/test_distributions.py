@@ -1,4 +1,4 @@
-"""Distributions that never synchronise draw the samples and give the values of PyTorch's and TorchRL's."""
+"""Distributions that never synchronise give the same samples and values as PyTorch's and TorchRL's."""
 
 import pytest
 import torch
@@ -13,7 +13,7 @@ LOW, HIGH = torch.tensor([-0.25, -1.5]), torch.tensor([0.5, 1.5])
 
 @pytest.mark.parametrize("shape", [(7, 6), (1, 4), (3, 5, 2)])
 @pytest.mark.parametrize("sample_shape", [(), (4,)])
-def test_a_choice_is_the_one_of_pytorch_and_leaves_the_generator_alike(
+def test_a_choice_equals_pytorchs_and_leaves_the_generator_in_the_same_state(
     shape: tuple[int, ...], sample_shape: tuple[int, ...]
 ) -> None:
     logits = 3 * torch.randn(shape, generator=torch.Generator().manual_seed(0))
@@ -24,13 +24,13 @@ def test_a_choice_is_the_one_of_pytorch_and_leaves_the_generator_alike(
     assert torch.equal(drawn[0][0], drawn[1][0]) and torch.equal(drawn[0][1], drawn[1][1])
 
 
-def test_a_choice_is_drawn_as_often_as_it_is_probable() -> None:
+def test_choices_are_drawn_with_their_probabilities() -> None:
     torch.manual_seed(0)
     counts = Choice(torch.tensor([0.1, 0.2, 0.7]).log().expand(20000, 3)).sample().bincount(minlength=3)
     torch.testing.assert_close(counts / 20000, torch.tensor([0.1, 0.2, 0.7]), atol=0.01, rtol=0)
 
 
-def test_squashed_actions_are_those_of_torchrl_to_the_byte() -> None:
+def test_squashed_actions_equal_torchrls_byte_for_byte() -> None:
     g = torch.Generator().manual_seed(1)
     loc, scale = torch.randn(9, 2, generator=g), torch.rand(9, 2, generator=g) + 0.1
     ours, theirs = Squashed(loc, scale, LOW, HIGH), TanhNormal(loc, scale, low=LOW, high=HIGH)
@@ -43,7 +43,7 @@ def test_squashed_actions_are_those_of_torchrl_to_the_byte() -> None:
     assert ((said[0][0] > LOW) & (said[0][0] < HIGH)).all()
 
 
-def test_they_ask_the_host_nothing_and_the_others_do() -> None:
+def test_these_distributions_never_read_on_the_host_and_the_originals_do() -> None:
     logits, loc, scale = torch.randn(5, 4), torch.randn(5, 2), torch.rand(5, 2) + 0.1
     with NoHostReads():
         choice, squashed = Choice(logits), Squashed(loc, scale, LOW, HIGH)

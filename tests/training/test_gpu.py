@@ -1,4 +1,4 @@
-"""Training on a GPU: rollouts that never wait, their graph, checkpoints, and the commands."""
+"""Training on a GPU: rollouts that never synchronise, their CUDA graph, checkpoints and the commands."""
 
 import json
 import math
@@ -38,7 +38,7 @@ def overrides(folder: Path, name: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def worlds(tmp_path_factory: pytest.TempPathFactory, cuda_device: torch.device) -> dict[str, World]:
-    """All worlds, with the GPU's renderer and checker."""
+    """Build all worlds, with the GPU's renderer and checker."""
     folder = tmp_path_factory.mktemp("room")
     return {name: build_world(load_config(overrides(folder, name))) for name in WORLDS}
 
@@ -56,7 +56,7 @@ def memory_of(name: str) -> int:
 
 
 @pytest.mark.parametrize("name", WORLDS)
-def test_a_rollout_and_its_gradient_steps_never_wait(worlds: dict[str, World], name: str) -> None:
+def test_a_rollout_and_its_gradient_steps_never_synchronise(worlds: dict[str, World], name: str) -> None:
     ppo = learner(worlds[name], memory_of(name), cuda_graph=False)
     ppo.iterate()  # one-off setup is done
     torch.cuda.set_sync_debug_mode("error")
@@ -70,7 +70,7 @@ def test_a_rollout_and_its_gradient_steps_never_wait(worlds: dict[str, World], n
 
 
 @pytest.mark.parametrize("name", WORLDS)
-def test_a_rollout_by_graph_is_the_rollout_without(worlds: dict[str, World], name: str) -> None:
+def test_a_rollout_by_cuda_graph_equals_one_without(worlds: dict[str, World], name: str) -> None:
     batches = []
     for cuda_graph in (False, None):
         ppo = learner(worlds[name], memory_of(name), cuda_graph=cuda_graph)
@@ -85,7 +85,9 @@ def test_a_rollout_by_graph_is_the_rollout_without(worlds: dict[str, World], nam
 
 
 @pytest.mark.parametrize("name", WORLDS)
-def test_a_few_hundred_frames_teach_something(worlds: dict[str, World], name: str) -> None:
+def test_a_few_hundred_frames_change_the_weights_and_advance_the_curriculum(
+    worlds: dict[str, World], name: str
+) -> None:
     ppo = learner(worlds[name], memory_of(name))
     before = parameters(ppo)
     reports = [ppo.iterate() for _ in range(5)]
@@ -96,7 +98,9 @@ def test_a_few_hundred_frames_teach_something(worlds: dict[str, World], name: st
 
 
 @pytest.mark.parametrize("name", ["grid", "remembering fps"])
-def test_a_checkpoint_goes_on_with_the_same_frames(worlds: dict[str, World], name: str, tmp_path: Path) -> None:
+def test_a_training_resumed_from_a_checkpoint_collects_the_same_frames(
+    worlds: dict[str, World], name: str, tmp_path: Path
+) -> None:
     whole = learner(worlds[name], memory_of(name))
     whole.iterate()
     save_checkpoint(tmp_path / "last.pt", whole.state_dict())
@@ -116,7 +120,7 @@ def test_the_loss_can_be_compiled(worlds: dict[str, World], tmp_path: Path) -> N
     assert math.isfinite(trainer.ppo.iterate()["loss_critic"])
 
 
-def test_a_run_of_a_gpu_is_evaluated_there_and_on_a_cpu(cuda_device: torch.device, tmp_path: Path) -> None:
+def test_a_run_on_a_gpu_is_evaluated_there_and_on_a_cpu(cuda_device: torch.device, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     said = finish(command("train", *overrides(tmp_path, "grid"), *UNFILMED, f"hydra.run.dir={folder}"))
     assert f"device: cuda ({torch.cuda.get_device_name()})" in said

@@ -21,7 +21,7 @@ def hidden(*batch: int) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("spec", [DRIVE, DRIVE.expand(3, 2), DRIVE.expand(4, 3, 2)])
-def test_continuous_actions_fill_the_limits_of_the_spec_and_keep_to_them(spec: TensorSpec) -> None:
+def test_continuous_actions_fill_and_respect_the_limits_of_the_spec(spec: TensorSpec) -> None:
     torch.manual_seed(0)
     action = policy_head(spec, HIDDEN)(TensorDict({"hidden": hidden(5000)}, [5000]))["action"]
     assert action.shape == (5000, 2) and DRIVE.expand(5000, 2).is_in(action)
@@ -74,6 +74,6 @@ def test_the_entropy_of_a_choice_is_exact() -> None:
 
 
 @pytest.mark.parametrize("spec", [OneHot(4), Bounded(0, 3, shape=(2,), dtype=torch.int64)])
-def test_another_kind_of_action_is_refused(spec: TensorSpec) -> None:
+def test_an_unsupported_action_spec_is_refused(spec: TensorSpec) -> None:
     with pytest.raises(ValueError, match="action_spec: expected a Categorical spec or a Bounded spec of floats, got "):
         policy_head(spec, HIDDEN)

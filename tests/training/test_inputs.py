@@ -1,4 +1,4 @@
-"""Networks that read several inputs."""
+"""Policy networks that read several inputs."""
 
 import math
 
@@ -59,7 +59,7 @@ def test_a_policy_depends_on_each_of_its_inputs_and_on_nothing_else(inputs, memo
         assert torch.equal(model(other)["state_value"], value) is (key not in inputs), key
 
 
-def test_pixels_alone_have_the_parameters_that_they_always_had() -> None:
+def test_empty_inputs_leave_the_parameters_of_a_pixel_policy_unchanged() -> None:
     torch.manual_seed(0)
     plain = actor_critic((16, 24, 3), ACTIONS, pool=1)
     torch.manual_seed(0)
@@ -69,7 +69,7 @@ def test_pixels_alone_have_the_parameters_that_they_always_had() -> None:
 
 
 @pytest.mark.parametrize("on_device", [False, True])
-def test_ppo_learns_from_several_inputs_alike_with_both_collectors(on_device) -> None:
+def test_ppo_learns_from_several_inputs_with_either_collector(on_device) -> None:
     env = sensing_env((4,))
     inputs = inputs_of(
         {"depth": "image", "lidar": "plain", "compass": "angle", "contact": "plain"}, env.observation_spec
@@ -94,7 +94,7 @@ def test_ppo_learns_from_several_inputs_alike_with_both_collectors(on_device) ->
         ({"pixels": "image", "small": "image"}, r"inputs: expected images of the same size"),
     ],
 )
-def test_inputs_that_are_not_there_or_do_not_fit_are_refused(named, match) -> None:
+def test_missing_or_unsuitable_inputs_are_refused(named, match) -> None:
     shapes = {"pixels": (16, 24, 3), "small": (8, 8, 1), "lidar": (5,)}
     spec = Composite({key: Unbounded(shape=(2, *shape)) for key, shape in shapes.items()}, shape=[2])
     with pytest.raises(ValueError, match=match):

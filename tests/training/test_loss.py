@@ -17,7 +17,7 @@ HIDDEN = 6
 
 
 def frames(count: int, head: torch.nn.Module) -> TensorDict:
-    """Frames whose actions are likely under a policy some way off, so that many ratios are clipped."""
+    """Make frames whose actions were drawn by a somewhat different policy, so that many ratios are clipped."""
     td = TensorDict({"hidden": torch.randn(count, HIDDEN)}, [count])
     with torch.no_grad():
         head(td)
@@ -29,7 +29,7 @@ def frames(count: int, head: torch.nn.Module) -> TensorDict:
 @pytest.mark.parametrize("count", [1, 40])
 @pytest.mark.parametrize("spec", [Categorical(5), Bounded(-1.0, 2.0, shape=(2,))])
 @pytest.mark.filterwarnings("ignore:.*entropy")
-def test_loss_gradient_and_statistics_are_those_of_torchrl(spec: TensorSpec, count: int) -> None:
+def test_loss_gradient_and_statistics_match_torchrls(spec: TensorSpec, count: int) -> None:
     torch.manual_seed(0)
     settings = replace(LOSS, entropy_coeff=0.3)
     head, value = policy_head(spec, HIDDEN), torch.nn.Linear(HIDDEN, 1)
@@ -49,7 +49,7 @@ def test_loss_gradient_and_statistics_are_those_of_torchrl(spec: TensorSpec, cou
     theirs = objective(td.clone())
     total = theirs["loss_objective"] + theirs["loss_critic"] + theirs["loss_entropy"]
     expected = torch.autograd.grad(total, weights)
-    torch.manual_seed(1)  # of the sample that an entropy without a formula takes
+    torch.manual_seed(1)  # for the sample that an entropy without a closed form takes
     known = {
         **td.select("action", "action_log_prob"),
         **{key: td[key].squeeze(-1) for key in ("advantage", "value_target")},

@@ -1,4 +1,4 @@
-"""Pairs of views: what was seen from where, and a network that learns to tell it."""
+"""Pretraining on pairs of views: a network learns to tell from where another view was seen."""
 
 import math
 from pathlib import Path
@@ -23,18 +23,18 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[DictConfig, World | 
     return cfg, build_world(cfg)
 
 
-def test_a_pose_in_the_frame_of_another() -> None:
+def test_seen_from_gives_a_pose_in_the_frame_of_another() -> None:
     here = torch.tensor([[1.0, 1.0, math.pi / 2], [0.0, 0.0, 0.0]])
     there = torch.tensor([[1.0, 3.0, math.pi], [-1.0, 2.0, 0.0]])
     expected = torch.tensor([[2.0, 0.0, 0.0, 1.0], [-1.0, 2.0, 1.0, 0.0]])
     torch.testing.assert_close(seen_from(here, there), expected, atol=1e-6, rtol=0.0)
 
 
-def test_both_views_of_a_pair_are_of_one_scene_and_most_look_nearly_the_same_way() -> None:
+def test_both_views_of_a_pair_show_one_scene_and_most_look_nearly_the_same_way() -> None:
     torch.manual_seed(0)
     count = 4000
     planar = torch.cat([torch.zeros(count, 2), math.tau * torch.rand(count, 1)], 1)
-    scene = (torch.rand(count) < 0.3).long() + 2  # one of another size, and two without views
+    scene = (torch.rand(count) < 0.3).long() + 2  # two scenes of different sizes; the first two have no views
     shown = views_of(torch.zeros(count, 1, 1, 3, dtype=torch.uint8), planar, scene)
     here, there = drawn(shown, 20_000)
     assert torch.equal(scene[here], scene[there])
@@ -77,7 +77,9 @@ def test_a_policy_that_reads_anything_else_is_refused(tmp_path: Path) -> None:
         Matcher(model, MatchingSettings(1, 1, 1, 1e-3))
 
 
-def test_its_frames_count_and_come_before_all_others(made: tuple[DictConfig, World | Worlds], tmp_path: Path) -> None:
+def test_matching_frames_count_and_come_before_all_others(
+    made: tuple[DictConfig, World | Worlds], tmp_path: Path
+) -> None:
     cfg = made[0].copy()
     cfg.merge_with_dotlist(
         ["matching.frames=64", "matching.pairs=256", "env.num_envs=16", "collector.total_frames=256"]

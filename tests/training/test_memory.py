@@ -1,4 +1,4 @@
-"""A policy with memory: what it remembers, since when, and that it learns to use it."""
+"""Policies with memory: when it is reset, how it is trained, and that policies learn to use it."""
 
 import pytest
 import torch
@@ -22,7 +22,7 @@ def remembering(env: EnvBase, memory: int = MEMORY) -> TransformedEnv:
 
 @pytest.fixture
 def ppo() -> PPO:
-    """Short episodes, so that several begin and end within a batch, and a memory whose values are not small."""
+    """PPO with several short episodes in a batch, and with a memory whose values are not small."""
     ppo = learner(remembering(tiny_env([6], max_steps=4)), frames_per_batch=6 * 13, memory=MEMORY)
     for parameter in ppo.model.parameters():
         parameter.data += 0.2 * torch.randn_like(parameter)
@@ -30,7 +30,7 @@ def ppo() -> PPO:
     return ppo
 
 
-def test_the_memory_is_empty_where_an_episode_begins_and_goes_on_elsewhere(ppo: PPO) -> None:
+def test_memory_is_zero_where_an_episode_begins_and_carried_over_elsewhere(ppo: PPO) -> None:
     batch = ppo.collect()
     begins = batch["step_count"].squeeze(-1) == 0
     assert torch.equal(batch["is_init"].squeeze(-1), begins)
@@ -42,7 +42,7 @@ def test_the_memory_is_empty_where_an_episode_begins_and_goes_on_elsewhere(ppo: 
     assert not begins[:, 0].all()  # some go on from the batch before
 
 
-def test_learning_remembers_what_collecting_did(ppo: PPO) -> None:
+def test_learning_recomputes_the_hidden_states_of_collection(ppo: PPO) -> None:
     batch = ppo.collect()
     assert batch["is_init"][:, 1:].any(1).all()
     seen = {key: batch[key] for key in ("image", STATE, "is_init")}
@@ -51,7 +51,7 @@ def test_learning_remembers_what_collecting_did(ppo: PPO) -> None:
     assert not torch.allclose(ppo.learner._hidden(forgot), batch["hidden"], atol=1e-2)
 
 
-def test_learning_reaches_through_the_memory_to_earlier_images(ppo: PPO) -> None:
+def test_gradients_reach_earlier_images_through_the_memory(ppo: PPO) -> None:
     batch = ppo.collect()
     image = batch["image"].clone().requires_grad_()
     hidden = ppo.learner._hidden({"image": image, STATE: batch[STATE], "is_init": batch["is_init"]})
@@ -72,12 +72,12 @@ def test_minibatches_are_whole_rows_and_hold_every_frame_once(ppo: PPO) -> None:
 
 
 def successor_values(ppo: PPO, batch: TensorDictBase) -> torch.Tensor:
-    """The critic's value of every next observation, each with the memory after the step."""
+    """Return the critic's value of every next observation, each with the memory after the step."""
     with torch.no_grad():
         return ppo.model.get_value_operator()(batch["next"].select("pixels", STATE, "is_init"))["state_value"]
 
 
-def test_advantages_value_the_successor_with_what_is_remembered_after_the_step(ppo: PPO) -> None:
+def test_advantages_value_the_next_observation_with_the_memory_after_the_step(ppo: PPO) -> None:
     batch = ppo.collect()
     after = batch["next"]
     assert after["truncated"][:, :-1].any() and after["terminated"].any() and not after["done"][:, -1].all()
@@ -96,7 +96,7 @@ def test_advantages_value_the_successor_with_what_is_remembered_after_the_step(p
 
 
 @pytest.mark.parametrize("stack", [0, 3])
-def test_evaluated_episodes_remember_nothing_of_those_before(stack: int) -> None:
+def test_evaluated_episodes_remember_nothing_of_earlier_ones(stack: int) -> None:
     def env(robots: int) -> EnvBase:
         frames = [CatFrames(stack, -1, in_keys=["pixels"])] if stack else []
         return TransformedEnv(tiny_env([robots], max_steps=6), Compose(*frames, *memory_transforms(MEMORY)))
@@ -111,7 +111,7 @@ def test_evaluated_episodes_remember_nothing_of_those_before(stack: int) -> None
     assert torch.equal(few.length, many.length) and torch.equal(few.outcome, many.outcome)
 
 
-def test_the_transforms_are_those_that_the_module_asks_for() -> None:
+def test_the_memory_transforms_match_those_that_the_module_asks_for() -> None:
     tracker, primer = memory_transforms(MEMORY)
     theirs = gru(5, MEMORY).make_tensordict_primer()
     assert primer.primers == theirs.primers and primer.default_value.keys() == theirs.default_value.keys()
@@ -119,7 +119,7 @@ def test_the_transforms_are_those_that_the_module_asks_for() -> None:
     assert memory_transforms(0) == []
 
 
-def test_it_learns_to_recall_and_cannot_without_memory() -> None:
+def test_a_policy_learns_to_recall_with_memory_and_cannot_without() -> None:
     change = {"mini_batch_size": 128, "ppo_epochs": 6, "reward_scale": 1.0, "entropy_coeff": 0.0, "lr": 3e-3}
     success = {}
     for memory in (0, 16):

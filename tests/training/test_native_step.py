@@ -20,7 +20,7 @@ SHOWN = torch.arange(48) % 31
 
 
 def pair(norm: float = 0.5, clip: float = 0.2) -> list[Learner]:
-    """Two learners with the same weights, of which the first may compile its steps."""
+    """Make two learners with the same weights; the first uses the compiled step and the second PyTorch's."""
     torch.manual_seed(0)
     env = tiny_env([2])
     model = actor_critic((16, 16, 3), env.action_spec, 1, (16, 32), 40)
@@ -34,7 +34,7 @@ def pair(norm: float = 0.5, clip: float = 0.2) -> list[Learner]:
 
 
 def minibatch(seed: int, repeats: bool) -> dict[str, Tensor]:
-    """Frames of which some have a ratio beyond the clip range."""
+    """Make frames, some of which have a ratio beyond the clip range."""
     generator = torch.Generator().manual_seed(seed)
     count = len(SHOWN)
     frames = {
@@ -53,7 +53,7 @@ def weights(learner: Learner) -> Tensor:
 
 @pytest.mark.parametrize("repeats", [False, True])
 @pytest.mark.parametrize(("norm", "clip"), [(0.5, 0.2), (1e9, 0.2), (1e9, 1e-3)])
-def test_steps_and_statistics_are_those_of_pytorch(norm: float, clip: float, repeats: bool) -> None:
+def test_steps_and_statistics_match_pytorchs(norm: float, clip: float, repeats: bool) -> None:
     mine, theirs = pair(norm, clip)
     begun = weights(mine)
     for step in range(5):
@@ -63,7 +63,7 @@ def test_steps_and_statistics_are_those_of_pytorch(norm: float, clip: float, rep
         assert expected[4] > 0  # else nothing is clipped
     moved = weights(theirs) - begun
     assert moved.abs().max() > 1e-2
-    assert (weights(mine) - weights(theirs)).abs().quantile(0.999) < 1e-5  # Adam divides by slopes that may be tiny
+    assert (weights(mine) - weights(theirs)).abs().quantile(0.999) < 1e-5  # Adam divides by gradients that may be tiny
     states = [[*learner.optimizer.state_dict()["state"].values()] for learner in (mine, theirs)]
     for own, other in zip(*states, strict=True):
         assert own["step"] == other["step"] == 5
@@ -74,10 +74,10 @@ def test_steps_and_statistics_are_those_of_pytorch(norm: float, clip: float, rep
 @pytest.mark.parametrize("isa", [isa for isa in _core.supported_isas() if isa in FAST])
 def test_every_instruction_set_agrees(isa: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SPLATRL_ISA", isa)
-    test_steps_and_statistics_are_those_of_pytorch(0.5, 0.2, True)
+    test_steps_and_statistics_match_pytorchs(0.5, 0.2, True)
 
 
-def test_what_pytorch_began_goes_on_compiled() -> None:
+def test_the_compiled_step_continues_an_optimiser_state_from_pytorch() -> None:
     mine, theirs = pair()
     for step in range(2):
         theirs.step(minibatch(step, False))
@@ -90,7 +90,7 @@ def test_what_pytorch_began_goes_on_compiled() -> None:
 
 
 @pytest.mark.parametrize("isa", [isa for isa in _core.supported_isas() if isa in FAST])
-def test_an_action_that_is_none_is_refused(isa: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_action_out_of_range_is_refused(isa: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SPLATRL_ISA", isa)
     mine, _ = pair()
     frames = minibatch(0, False)

@@ -16,7 +16,7 @@ SHAPES = [(32, 32, 3, (16, 32), 128, 37), (29, 37, 5, (32, 16), 50, 19), (8, 9, 
 def trunk_and_images(
     height: int, width: int, depth: int, channels: tuple[int, int], features: int, count: int
 ) -> tuple[Trunk, Tensor, Tensor]:
-    """A trunk whose biases are not zero, images, and a gradient of their features."""
+    """Make a trunk whose biases are not zero, images, and a gradient of their features."""
     torch.manual_seed(0)
     trunk = Trunk(height, width, depth, channels, features)
     for parameter in trunk.parameters():
@@ -25,13 +25,13 @@ def trunk_and_images(
 
 
 def in_torch(trunk: Trunk, images: Tensor) -> Tensor:
-    """The features as PyTorch's layers give them, in double precision."""
+    """Return the features that PyTorch's layers give in double precision."""
     found = trunk.double().convolutions(images.double().permute(0, 3, 1, 2))
     return trunk.dense(found.permute(0, 2, 3, 1).flatten(1))
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_features_and_gradients_are_those_of_pytorchs_layers(shape: tuple) -> None:
+def test_features_and_gradients_match_those_of_pytorchs_layers(shape: tuple) -> None:
     trunk, images, slope = trunk_and_images(*shape)
     features = encoded(images, trunk.convolutions, trunk.dense)
     gradients = torch.autograd.grad(features, list(trunk.parameters()), slope)
@@ -68,14 +68,14 @@ def test_every_instruction_set_agrees(isa: str, monkeypatch: pytest.MonkeyPatch)
         assert float((mine - theirs).abs().max() / theirs.abs().max()) < 1e-5
 
 
-def test_no_images_have_no_gradient() -> None:
+def test_an_empty_batch_has_a_gradient_of_zero() -> None:
     trunk, images, slope = trunk_and_images(*SHAPES[0])
     features = encoded(images[:0], trunk.convolutions, trunk.dense)
     assert features.shape == (0, 128)
     assert not any(g.any() for g in torch.autograd.grad(features, list(trunk.parameters()), slope[:0]))
 
 
-def test_pytorchs_layers_do_what_the_compiled_ones_cannot() -> None:
+def test_pytorchs_layers_are_used_where_the_compiled_ones_cannot_be() -> None:
     trunk, images, _ = trunk_and_images(*SHAPES[0])
     layers = trunk.convolutions, trunk.dense
     assert not suits(images.double(), *layers)
@@ -85,7 +85,7 @@ def test_pytorchs_layers_do_what_the_compiled_ones_cannot() -> None:
     assert odd(images).shape == (37, 128)
 
 
-def test_a_trunk_of_a_shape_that_cannot_be_is_refused() -> None:
+def test_a_trunk_of_an_invalid_shape_is_refused() -> None:
     for shape in [(7, 32, 3, 16, 32, 8), (32, 32, 3, 8, 32, 8), (32, 32, 0, 16, 32, 8), (32, 32, 3, 16, 32, 0)]:
         with pytest.raises(ValueError, match="shape: expected"):
             _core.trunk_forward(shape, 0, 0, (0,) * 6, (0,) * 3, 1)

@@ -1,4 +1,4 @@
-"""The actor and critic."""
+"""The network of actor and critic."""
 
 import pytest
 import torch
@@ -43,7 +43,7 @@ def test_it_writes_action_and_value_for_any_batch(model: torch.nn.Module, batch:
     torch.testing.assert_close(td["action_log_prob"], chosen)
 
 
-def test_an_image_is_seen_alike_alone_and_in_a_batch(model: torch.nn.Module) -> None:
+def test_an_image_gives_the_same_outputs_alone_and_in_a_batch(model: torch.nn.Module) -> None:
     together = model(images(2, 3))
     for i, j in ((0, 0), (1, 2)):
         alone = model(images(2, 3)[i, j])
@@ -51,7 +51,7 @@ def test_an_image_is_seen_alike_alone_and_in_a_batch(model: torch.nn.Module) -> 
             torch.testing.assert_close(alone[key], together[key][i, j], atol=1e-5, rtol=1e-5)
 
 
-def test_another_image_is_seen_otherwise(model: torch.nn.Module) -> None:
+def test_different_images_give_different_features(model: torch.nn.Module) -> None:
     views = model(images(2))
     assert not torch.allclose(views["hidden"][0], views["hidden"][1], atol=1e-3)
 
@@ -79,7 +79,7 @@ def test_the_heads_read_what_the_trunk_wrote(model: torch.nn.Module) -> None:
     assert torch.equal(logits, whole["logits"])
 
 
-def test_shrinking_takes_the_mean_of_each_cell() -> None:
+def test_pooling_takes_the_mean_of_each_cell() -> None:
     pixels = torch.zeros(2, 4, 6, 3, dtype=torch.uint8)
     pixels[1, 2:, 4:, 0] = torch.tensor([[255, 0], [0, 255]])
     pixels[0, 0, 0, 2] = 255
@@ -90,7 +90,7 @@ def test_shrinking_takes_the_mean_of_each_cell() -> None:
 
 @pytest.mark.parametrize("shape", [(3, 13, 20, 3), (2, 2, 9, 8, 6), (0, 8, 8, 3), (12, 15, 1)])
 @pytest.mark.parametrize("pool", [1, 2, 3, 5])
-def test_the_core_shrinks_images_as_pytorch_does(shape: tuple[int, ...], pool: int) -> None:
+def test_the_core_pools_images_as_pytorch_does(shape: tuple[int, ...], pool: int) -> None:
     pixels = torch.randint(0, 256, shape, dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
     means = torch.nn.functional.avg_pool2d(pixels.reshape(-1, *shape[-3:]).permute(0, 3, 1, 2).double(), pool)
     expected = (means.permute(0, 2, 3, 1) / 255 - 0.5).float().reshape(*shape[:-3], *means.shape[2:], shape[-1])
@@ -106,13 +106,13 @@ def test_an_image_that_is_too_small_is_refused(height: int, width: int, pool: in
 
 
 @pytest.mark.parametrize("pool", [1, 2, 3])
-def test_the_smallest_image_is_seen(pool: int) -> None:
+def test_the_smallest_allowed_image_is_accepted(pool: int) -> None:
     pixels = torch.zeros(2, 8 * pool, 9 * pool, 3, dtype=torch.uint8)
     td = actor_critic((8 * pool, 9 * pool, 3), SPEC, pool)(TensorDict({"pixels": pixels}, [2]))
     assert td["hidden"].shape == (2, 128)
 
 
-def test_stacked_frames_are_all_seen() -> None:
+def test_every_stacked_frame_affects_the_features() -> None:
     torch.manual_seed(0)
     model = actor_critic((HEIGHT, WIDTH, 12), SPEC, pool=1, channels=(4, 7), features=FEATURES)
     pixels = torch.randint(0, 256, (1, HEIGHT, WIDTH, 12), dtype=torch.uint8)

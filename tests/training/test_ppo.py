@@ -38,7 +38,7 @@ def learner(
     memory: int = 0,
     **change: Any,
 ) -> PPO:
-    """PPO with a small network that depends on ``seed``; ``change`` goes to loss and optimiser."""
+    """Make PPO with a small network that depends on ``seed``; ``change`` overrides settings of loss and optimiser."""
     torch.manual_seed(seed)
     loss = replace(LOSS, **{key: value for key, value in change.items() if hasattr(LOSS, key)})
     optim = replace(OPTIM, **{key: value for key, value in change.items() if hasattr(OPTIM, key)})
@@ -51,7 +51,7 @@ def parameters(ppo: PPO) -> torch.Tensor:
 
 
 def minibatch(ppo: PPO) -> tuple[TensorDictBase, dict[str, torch.Tensor]]:
-    """A collected batch with its advantages, and the whole batch as one minibatch."""
+    """Collect a batch with its advantages, and return it together with the whole batch as one minibatch."""
     ppo.learner.loss = replace(ppo.learner.loss, mini_batch_size=10**6)
     batch = ppo.collect()
     batch["advantage"], batch["value_target"] = ppo.learner.advantages(batch)
@@ -80,7 +80,7 @@ def test_one_pass_through_the_trunk_gives_the_gradient_of_two() -> None:
     torch.testing.assert_close(before - parameters(ppo), expected, atol=2e-6, rtol=1e-3)
 
 
-def test_gradients_are_clipped_to_the_norm() -> None:
+def test_gradients_are_clipped_to_the_maximum_norm() -> None:
     ppo = learner(tiny_env([4], max_steps=5), max_grad_norm=1e-3)
     _, frames = minibatch(ppo)
     ppo.learner.optimizer = torch.optim.SGD(ppo.model.parameters(), lr=1.0)
@@ -89,7 +89,7 @@ def test_gradients_are_clipped_to_the_norm() -> None:
     assert (parameters(ppo) - before).norm().item() == pytest.approx(1e-3, rel=1e-2)
 
 
-def test_frames_that_show_the_same_are_evaluated_once_with_the_same_gradient() -> None:
+def test_identical_frames_are_evaluated_once_with_the_same_gradient() -> None:
     ppo = learner(tiny_env([8], max_steps=5), max_grad_norm=1e9)
     batch = ppo.collect()
     batch["advantage"], batch["value_target"] = ppo.learner.advantages(batch)
@@ -110,7 +110,7 @@ def test_frames_that_show_the_same_are_evaluated_once_with_the_same_gradient() -
     torch.testing.assert_close(*moves, atol=2e-6, rtol=1e-3)
 
 
-def test_advantages_are_those_of_torchrls_estimator() -> None:
+def test_advantages_match_those_of_torchrls_estimator() -> None:
     ppo = learner(tiny_env([6], max_steps=4), frames_per_batch=6 * 13)
     batch = ppo.collect()
     middle = batch["next"][:, :-1]
@@ -159,7 +159,7 @@ def test_the_report_counts_the_episodes_of_the_batch() -> None:
 
 
 @pytest.mark.parametrize("anneal", [True, False])
-def test_rate_and_entropy_bonus_fall_linearly_to_the_end_if_asked(anneal: bool) -> None:
+def test_learning_rate_and_entropy_bonus_fall_linearly_to_the_end_if_asked(anneal: bool) -> None:
     ppo = learner(tiny_env([4]), total_frames=64 * 4, anneal_lr=anneal, anneal_entropy=anneal)
     rates, bonuses = [], []
     for _ in range(4):
@@ -170,7 +170,7 @@ def test_rate_and_entropy_bonus_fall_linearly_to_the_end_if_asked(anneal: bool) 
     assert bonuses == pytest.approx(rates)
 
 
-def test_it_learns_to_reach_the_goal() -> None:
+def test_ppo_learns_to_reach_the_goal() -> None:
     ppo = learner(
         tiny_env([16], max_steps=20, first=2, threshold=1.0, window=10**6),  # always at level 0
         frames_per_batch=512,
@@ -185,14 +185,14 @@ def test_it_learns_to_reach_the_goal() -> None:
     assert sum(success[-3:]) / 3 > 0.7  # other seeds: 0.86 to 0.93
 
 
-def test_a_batch_that_the_robots_do_not_divide_is_refused() -> None:
+def test_a_batch_that_is_not_a_multiple_of_the_number_of_robots_is_refused() -> None:
     with pytest.raises(
         ValueError, match=r"collector\.frames_per_batch: expected a multiple of env\.num_envs = 3, got 64"
     ):
         learner(tiny_env([3]))
 
 
-def test_a_training_never_uses_more_frames_than_it_has() -> None:
+def test_training_never_uses_more_than_its_total_frames() -> None:
     ppo = learner(tiny_env([4]), total_frames=64 * 3 - 1)
     used = []
     while not ppo.finished:
@@ -202,7 +202,7 @@ def test_a_training_never_uses_more_frames_than_it_has() -> None:
         learner(tiny_env([4]), total_frames=63)
 
 
-def test_it_learns_actions_that_are_numbers() -> None:
+def test_ppo_learns_continuous_actions() -> None:
     torch.manual_seed(0)
     change = {"mini_batch_size": 128, "ppo_epochs": 6, "reward_scale": 1.0, "entropy_coeff": 0.0, "lr": 3e-3}
     ppo = learner(Match(32), frames_per_batch=512, **change)
@@ -212,7 +212,7 @@ def test_it_learns_actions_that_are_numbers() -> None:
 
 
 @pytest.mark.slow
-def test_a_compiled_loss_is_the_loss_whatever_the_bonus_and_the_size_of_the_minibatch() -> None:
+def test_a_compiled_loss_equals_the_eager_one_for_any_bonus_and_minibatch_size() -> None:
     torch._dynamo.utils.counters.clear()  # what other tests compiled
     eager, compiled = (
         learner(tiny_env([4], max_steps=5), frames_per_batch=52, compile=compile) for compile in (False, True)
@@ -225,4 +225,4 @@ def test_a_compiled_loss_is_the_loss_whatever_the_bonus_and_the_size_of_the_mini
             ppo.learner.learn(batch)
     torch.testing.assert_close(parameters(compiled), parameters(eager), atol=1e-5, rtol=1e-4)
     assert sum(torch._dynamo.utils.counters["graph_break"].values()) == 0
-    assert torch._dynamo.utils.counters["stats"]["unique_graphs"] <= 2  # of one size, and of any
+    assert torch._dynamo.utils.counters["stats"]["unique_graphs"] <= 2  # one for a fixed size, and one for any size

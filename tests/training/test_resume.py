@@ -12,7 +12,7 @@ from tests.training.test_ppo import learner, parameters
 
 
 def fresh(seed: int, stack: int, memory: int, nested: bool = False) -> PPO:
-    """A learner on the tiny env, with stacked images and a memory of these sizes; 0 is none."""
+    """Make a learner on the tiny env, with a frame stack and a memory of the given sizes; 0 means none."""
     env: EnvBase = tiny_env([4], seed=seed, max_steps=10, first=1, threshold=0.01, window=5)
     transforms = [*([CatFrames(stack, -1, in_keys=["pixels"])] if stack else []), *memory_transforms(memory)]
     if nested:
@@ -26,7 +26,7 @@ def fresh(seed: int, stack: int, memory: int, nested: bool = False) -> PPO:
 @pytest.mark.parametrize(
     ("stack", "memory", "nested"), [(0, 0, False), (3, 0, False), (0, 6, False), (3, 6, False), (3, 6, True)]
 )
-def test_a_resumed_training_is_the_same_to_the_byte(tmp_path: Path, stack: int, memory: int, nested: bool) -> None:
+def test_a_resumed_training_is_byte_for_byte_the_same(tmp_path: Path, stack: int, memory: int, nested: bool) -> None:
     whole = fresh(0, stack, memory, nested)
     for _ in range(2):
         whole.iterate()
@@ -49,7 +49,7 @@ def test_a_resumed_training_is_the_same_to_the_byte(tmp_path: Path, stack: int, 
 
 
 @pytest.mark.parametrize("stack", [0, 3])
-def test_a_checkpoint_tells_the_progress_of_the_curriculum_whatever_the_transforms(stack: int) -> None:
+def test_a_checkpoint_holds_the_curriculums_progress_under_any_transforms(stack: int) -> None:
     ppo = fresh(0, stack, memory=6)
     ppo.iterate()
     state = ppo.state_dict()
@@ -57,7 +57,7 @@ def test_a_checkpoint_tells_the_progress_of_the_curriculum_whatever_the_transfor
     assert (state["env"]["curriculum.progress"] > 0).any()
 
 
-def test_a_training_that_has_not_begun_can_be_saved_and_gone_on_with(tmp_path: Path) -> None:
+def test_a_training_that_has_not_begun_can_be_saved_and_resumed(tmp_path: Path) -> None:
     first = fresh(0, stack=3, memory=6)
     save_checkpoint(tmp_path / "last.pt", first.state_dict())
     other = fresh(1, stack=3, memory=6)

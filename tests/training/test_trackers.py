@@ -44,7 +44,7 @@ def test_tensorboard_holds_numbers_figures_and_videos(tmp_path: Path, media: lis
     assert "seed: 3" in text and "task.max_steps: 50" in text
 
 
-def test_a_gif_has_the_frames_of_the_video_in_their_time(tmp_path: Path, media: list[Path]) -> None:
+def test_a_gif_has_the_frames_and_the_timing_of_the_video(tmp_path: Path, media: list[Path]) -> None:
     size, data = gif(media[1])
     path = tmp_path / "a.gif"
     path.write_bytes(data)
@@ -54,7 +54,7 @@ def test_a_gif_has_the_frames_of_the_video_in_their_time(tmp_path: Path, media: 
     assert [max(range(3), key=frame.__getitem__) for frame in frames] == [0, 1, 2]
 
 
-def test_a_gif_is_bounded(tmp_path: Path) -> None:
+def test_a_gif_has_a_limited_number_of_frames(tmp_path: Path) -> None:
     path = tmp_path / "long.mp4"
     encode((Image.new("RGB", (16, 16), (i % 256, 0, 255 - i % 256)) for i in range(MOST_FRAMES + 9)), path, fps=30)
     (tmp_path / "a.gif").write_bytes(gif(path)[1])
@@ -62,7 +62,7 @@ def test_a_gif_is_bounded(tmp_path: Path) -> None:
         assert image.n_frames <= MOST_FRAMES
 
 
-def test_a_training_tells_its_tracker_every_row(tmp_path: Path) -> None:
+def test_a_training_reports_every_row_to_its_tracker(tmp_path: Path) -> None:
     told: list[tuple[int, float | None]] = []
 
     class Listener:
@@ -75,7 +75,7 @@ def test_a_training_tells_its_tracker_every_row(tmp_path: Path) -> None:
     assert told == [(64, None), (128, 0.4), (192, None), (256, 0.9), (320, None), (384, 0.6)]
 
 
-def test_csv_needs_no_tracker_and_others_are_refused(tmp_path: Path) -> None:
+def test_csv_needs_no_tracker_and_unknown_backends_are_refused(tmp_path: Path) -> None:
     assert make_tracker("csv", tmp_path, "mine", "", False, {}) is None
     with pytest.raises(ValueError, match=r"logger\.backend: expected one of csv, tensorboard, wandb, got paper"):
         make_tracker("paper", tmp_path, "mine", "", False, {})
@@ -92,7 +92,7 @@ def test_a_tracker_that_is_not_installed_is_named_with_its_extra(
 
 
 @pytest.mark.slow
-def test_wandb_offline_keeps_a_run_with_media_and_goes_on_with_it(tmp_path: Path, media: list[Path]) -> None:
+def test_wandb_offline_keeps_a_run_with_media_and_resumes_it(tmp_path: Path, media: list[Path]) -> None:
     for frames in (64, 128):
         tracker = make_tracker("wandb", tmp_path, "mine", "trial", False, SETTINGS)
         assert tracker is not None

@@ -14,7 +14,7 @@ from tests.training.test_ppo import learner, parameters
 
 
 def trainer(folder: Path, tests: list[float], frames: int = 64 * 6) -> Trainer:
-    """A trainer of six batches with a test after every second one, whose results are given."""
+    """Make a trainer of six batches that tests after every second one, with the given results."""
     ppo = learner(tiny_env([4], max_steps=10), total_frames=frames)
     results = ({"success": success} for success in tests)
     return Trainer(ppo, folder, results.__next__, test_interval=128, checkpoint_interval=192)
@@ -28,7 +28,7 @@ def test_the_best_checkpoint_is_the_one_that_tested_best(tmp_path: Path) -> None
     assert best["best"] == last["best"] == (0.9,)
 
 
-def test_of_equal_success_the_one_with_more_goals_is_kept(tmp_path: Path) -> None:
+def test_among_equal_success_rates_the_checkpoint_with_more_goals_is_kept(tmp_path: Path) -> None:
     ppo = learner(tiny_env([4], max_steps=10), total_frames=64 * 6)
     results = iter([{"success": 0.5, "goals": 9.0}, {"success": 1.0, "goals": 4.0}, {"success": 1.0, "goals": 3.0}])
     loop = Trainer(ppo, tmp_path, results.__next__, test_interval=128, checkpoint_interval=192)
@@ -37,12 +37,12 @@ def test_of_equal_success_the_one_with_more_goals_is_kept(tmp_path: Path) -> Non
     assert loop.best == (1.0, 4.0) and loop.history[3]["test_goals"] == 4.0
 
 
-def test_of_equal_tests_the_later_is_kept(tmp_path: Path) -> None:
+def test_among_equal_test_results_the_later_checkpoint_is_kept(tmp_path: Path) -> None:
     trainer(tmp_path, [0.5, 0.5, 0.1]).fit()
     assert load_checkpoint(tmp_path / "checkpoints" / "best.pt")["ppo"]["frames"] == 256
 
 
-def test_the_history_has_a_row_a_batch_and_is_a_table_on_disk(tmp_path: Path) -> None:
+def test_the_history_has_a_row_per_batch_and_is_saved_as_a_table(tmp_path: Path) -> None:
     loop = trainer(tmp_path, [0.4, 0.9, 0.6])
     loop.fit()
     with (tmp_path / "progress.csv").open(newline="") as file:
@@ -52,7 +52,7 @@ def test_the_history_has_a_row_a_batch_and_is_a_table_on_disk(tmp_path: Path) ->
     assert [float(row["seconds"]) for row in rows] == sorted(row["seconds"] for row in loop.history)
 
 
-def test_going_on_keeps_history_best_and_weights(tmp_path: Path) -> None:
+def test_resuming_keeps_history_best_result_and_weights(tmp_path: Path) -> None:
     first = trainer(tmp_path, [0.4, 0.3], frames=64 * 3)
     first.fit()
     again = trainer(tmp_path, [0.3, 0.2])
@@ -65,13 +65,13 @@ def test_going_on_keeps_history_best_and_weights(tmp_path: Path) -> None:
     assert again.seconds > first.seconds
 
 
-def test_a_folder_without_a_checkpoint_begins_anew(tmp_path: Path) -> None:
+def test_resuming_in_an_empty_folder_begins_anew(tmp_path: Path) -> None:
     loop = trainer(tmp_path, [])
     loop.resume()
     assert loop.ppo.frames == 0 and not loop.history
 
 
-def test_a_damaged_checkpoint_is_replaced_by_the_one_before(tmp_path: Path) -> None:
+def test_a_damaged_checkpoint_is_replaced_by_the_previous_one(tmp_path: Path) -> None:
     whole = trainer(tmp_path, [0.4, 0.9, 0.6])
     whole.fit()
     weights, last = parameters(whole.ppo), tmp_path / "checkpoints" / "last.pt"
@@ -84,10 +84,10 @@ def test_a_damaged_checkpoint_is_replaced_by_the_one_before(tmp_path: Path) -> N
         assert again.ppo.frames == 192
         again.fit()
         assert (parameters(again.ppo) == weights).all()
-        trainer(tmp_path, []).resume()  # whole again
+        trainer(tmp_path, []).resume()  # the checkpoint is complete again
 
 
-def test_traces_of_a_training_without_a_checkpoint_do_not_begin_anew(tmp_path: Path) -> None:
+def test_a_folder_with_traces_of_a_training_but_no_checkpoint_is_refused(tmp_path: Path) -> None:
     trainer(tmp_path, [0.4, 0.9, 0.6]).fit()
     for name in ("last", "previous"):
         (tmp_path / "checkpoints" / f"{name}.pt").unlink()
@@ -95,7 +95,7 @@ def test_traces_of_a_training_without_a_checkpoint_do_not_begin_anew(tmp_path: P
         trainer(tmp_path, []).resume()
 
 
-def test_resuming_completes_the_table_and_clears_up(tmp_path: Path) -> None:
+def test_resuming_restores_the_table_and_removes_temporary_files(tmp_path: Path) -> None:
     trainer(tmp_path, [0.4, 0.9, 0.6]).fit()
     table = (tmp_path / "progress.csv").read_text()
     (tmp_path / "progress.csv").write_text(table[:100])
@@ -108,7 +108,7 @@ def test_resuming_completes_the_table_and_clears_up(tmp_path: Path) -> None:
     assert kept.exists() and not any(path.exists() for path in stale)
 
 
-def test_an_interrupt_ends_the_training_when_the_batch_is_saved(tmp_path: Path) -> None:
+def test_an_interrupt_ends_the_training_after_the_batch_is_saved(tmp_path: Path) -> None:
     loop = trainer(tmp_path, [0.4, 0.9, 0.6])
     collect = loop.ppo.collect
 
@@ -132,7 +132,7 @@ def test_an_interval_is_a_whole_number_above_0(tmp_path: Path, key: str, value: 
         Trainer(learner(tiny_env([4])), tmp_path, lambda: 0.0, *intervals.values())  # type: ignore[arg-type]
 
 
-def test_a_full_disk_names_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_on_a_full_disk_names_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
@@ -143,7 +143,7 @@ def test_a_full_disk_names_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize("key", ["success", "return", "length", "entropy", "level", "episodes"])
-def test_a_row_tells_what_a_learning_curve_needs(tmp_path: Path, key: str) -> None:
+def test_a_row_of_the_history_has_what_a_learning_curve_needs(tmp_path: Path, key: str) -> None:
     loop = trainer(tmp_path, [0.1], frames=64)
     loop.fit()
     assert key in loop.history[0]

@@ -1,4 +1,4 @@
-"""Envs that are simple enough to know what a policy can reach in them: grey images of 8 × 8 pixels, and no scene."""
+"""Envs so simple that the best possible result is known: grey images of 8 × 8 pixels, and no scene."""
 
 from abc import abstractmethod
 from typing import Any
@@ -43,7 +43,7 @@ class Toy(EnvBase):
 
     @abstractmethod
     def judge(self, cue: Tensor, action: Tensor) -> Tensor:
-        """Reward [B, 1] of the last action [B, ...] for a cue [B, 1]."""
+        """Return the reward [B, 1] of the last action [B, ...] for a cue [B, 1]."""
 
     def _observe(self, cue: Tensor, step: Tensor, reward: Tensor) -> TensorDict:
         shown = torch.where(step == 0, 255 * cue, 127).to(torch.uint8)

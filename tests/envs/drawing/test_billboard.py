@@ -1,4 +1,4 @@
-"""Where a sprite is drawn, how large it is, and what hides it."""
+"""Where sprites are drawn, how large they are, and what hides them."""
 
 import math
 
@@ -19,17 +19,17 @@ APPLE = load_sprite("apple")
 
 
 def blank(count: int = 1, height: int = HEIGHT, width: int = WIDTH) -> tuple[Tensor, Tensor]:
-    """Grey images with infinite depth."""
+    """Return grey images with depth 0, which stands for infinity."""
     return torch.full((count, height, width, 3), 100, dtype=torch.uint8), torch.zeros(count, height, width)
 
 
 def ahead(*places: tuple[float, float, float]) -> tuple[Tensor, Tensor]:
-    """Cameras at the world's origin, and places in their frame: x right, y down, z ahead."""
+    """Return cameras at the world's origin, and positions in their frame: x right, y down, z ahead."""
     return torch.eye(4).expand(len(places), 4, 4), torch.tensor(places)
 
 
 def chequered(side: int = 16) -> Sprite:
-    """A sprite in which every other texel is opaque white and the others are empty."""
+    """Make a sprite in which every other texel is opaque white and the rest are transparent."""
     alpha = (torch.arange(side).view(-1, 1) + torch.arange(side)) % 2 * 255
     white = torch.full((side, side, 3), 255)
     return Sprite.of(torch.cat([white, alpha.unsqueeze(2)], 2).to(torch.uint8))
@@ -49,7 +49,7 @@ def test_a_square_is_where_the_pinhole_projection_puts_it() -> None:
     assert share.shape == (1, 1) and share.item() == pytest.approx(12 * 8 / (WIDTH * HEIGHT), abs=1e-6)
 
 
-def test_a_camera_anywhere_sees_the_sprite_where_it_projects_the_place() -> None:
+def test_any_camera_sees_the_sprite_at_the_projection_of_its_position() -> None:
     generator = torch.Generator().manual_seed(0)
     eyes = 2 * torch.rand(20, 3, generator=generator) - 1
     place = torch.tensor([2.5, 0.3, 0.4])
@@ -67,12 +67,12 @@ def test_a_camera_anywhere_sees_the_sprite_where_it_projects_the_place() -> None
     center_y = (cover.sum(2) * (torch.arange(HEIGHT) + 0.5)).sum(1) / total
     torch.testing.assert_close(
         center_x[whole], column[whole], atol=0.1, rtol=0
-    )  # a part of a pixel counts as at its middle
+    )  # a partly covered pixel counts at its centre
     torch.testing.assert_close(center_y[whole], row[whole], atol=0.1, rtol=0)
     torch.testing.assert_close(total[whole], (wide * high)[whole], atol=0, rtol=0.03)
 
 
-def test_the_picture_stands_upright_and_is_not_mirrored() -> None:
+def test_the_sprite_is_upright_and_not_mirrored() -> None:
     corners = torch.zeros(32, 32, 4, dtype=torch.uint8)
     corners[..., 3] = 255
     corners[:16, :16, 0], corners[:16, 16:, 1], corners[16:, :16, 2] = 255, 255, 255  # red, green above blue, black
@@ -88,7 +88,7 @@ def test_the_picture_stands_upright_and_is_not_mirrored() -> None:
         assert drawn[0, row, column].tolist() == color, (row, column)
 
 
-def test_half_of_it_is_hidden_behind_an_edge_of_the_scene() -> None:
+def test_a_sprite_is_half_hidden_by_an_edge_of_the_scene() -> None:
     images, depth = blank()
     depth[0, :, :24] = 1.0  # something near, to the left
     depth[0, :, 24:] = 5.0  # something far, to the right
@@ -107,7 +107,7 @@ def test_depth_along_the_optical_axis_decides_what_is_nearer(scene: float, shown
     assert (share > 0).item() == shown
 
 
-def test_what_fills_the_image_has_all_of_it() -> None:
+def test_a_sprite_that_fills_the_image_has_a_share_of_1() -> None:
     images, depth = blank()
     pose, place = ahead((0.0, 0.0, 0.1))
     drawn, share = overlay(images, depth, pose, K, place, plain_sprite(), size=0.5)
@@ -116,7 +116,7 @@ def test_what_fills_the_image_has_all_of_it() -> None:
 
 
 @pytest.mark.parametrize("z", [0.0499, 0.0, -0.001, -2.0])
-def test_what_is_too_near_or_behind_is_not_drawn(z: float) -> None:
+def test_a_sprite_too_near_or_behind_the_camera_is_not_drawn(z: float) -> None:
     images, depth = blank()
     drawn, share = overlay(images, depth, *_with_k(ahead((0.0, 0.0, z))), plain_sprite(), size=0.5, near=0.05)
     assert share.item() == 0.0 and torch.equal(drawn, images)
@@ -128,13 +128,13 @@ def _with_k(view: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
 
 @pytest.mark.parametrize("sprite", [plain_sprite(), chequered(), APPLE], ids=["plain", "fine", "apple"])
 @pytest.mark.parametrize("distance", [1.5, 3.0, 7.3, 20.0, 55.0, 140.0])
-def test_a_small_sprite_keeps_its_energy_wherever_it_stands(sprite: Sprite, distance: float) -> None:
+def test_a_small_sprite_keeps_its_share_of_the_image_wherever_it_stands(sprite: Sprite, distance: float) -> None:
     generator = torch.Generator().manual_seed(0)
     places = torch.rand(50, 3, generator=generator) * torch.tensor([0.1, 0.1, 0.0]) * distance
     places[:, 2] = distance
     images, depth = blank(50)
     _, share = overlay(images, depth, torch.eye(4).expand(50, 4, 4), K, places, sprite, size=0.5)
-    mean = sprite.texels[-9, 3].item()  # of the last level, which is one texel padded with eight
+    mean = sprite.texels[-9, 3].item()  # alpha of the last level, which is one texel padded with eight
     expected = mean * 30 * 20 * (0.5 / distance) ** 2 / (WIDTH * HEIGHT)
     steps = 1 / billboard.ALPHA_STEPS / (WIDTH * HEIGHT) * 20
     torch.testing.assert_close(share, torch.full((50, 1), expected), rtol=2e-3, atol=steps)
@@ -149,7 +149,7 @@ def test_a_sprite_that_moves_by_part_of_a_pixel_changes_smoothly() -> None:
     assert (drawn[0] != drawn[-1]).any()
 
 
-def test_fine_detail_is_averaged_and_not_picked() -> None:
+def test_fine_detail_is_averaged_instead_of_sampled() -> None:
     images, depth = blank()
     pose, place = ahead((0.0, 0.0, 1.0))  # 9 × 6 pixels show 64 × 64 texels
     drawn, _ = overlay(images, depth, pose, K, place, chequered(64), size=0.3)
@@ -182,7 +182,7 @@ def test_an_image_does_not_depend_on_the_others_of_its_batch() -> None:
         assert torch.equal(alone[0], together[0][one]) and torch.equal(alone[1], together[1][one])
 
 
-def test_to_draw_all_pixels_as_a_gpu_does_gives_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_drawing_all_pixels_as_a_gpu_does_gives_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     images, depth = blank(3)
     depth[1, :, :20] = 0.5
     view = (
@@ -198,7 +198,7 @@ def test_to_draw_all_pixels_as_a_gpu_does_gives_the_same_bytes(monkeypatch: pyte
         assert torch.equal(left, right)
 
 
-def test_batches_have_any_shape() -> None:
+def test_batches_of_any_shape_are_drawn_alike() -> None:
     images, depth = blank(6)
     poses, places = ahead(*[(0.1 * i, 0.0, 1.0) for i in range(6)])
     flat = overlay(images, depth, poses, K, places, plain_sprite(), size=0.2)
@@ -214,7 +214,7 @@ def test_batches_have_any_shape() -> None:
 
 
 @pytest.mark.gpu
-def test_a_gpu_draws_the_same_within_a_grey_level() -> None:
+def test_a_gpu_draws_the_same_within_one_grey_level() -> None:
     if not torch.cuda.is_available():
         pytest.skip("needs a CUDA device")
     images, depth = blank(4)
@@ -227,7 +227,7 @@ def test_a_gpu_draws_the_same_within_a_grey_level() -> None:
     assert math.isclose(there[1][3].item(), here[1][3].item(), abs_tol=1e-4)
 
 
-def test_on_another_device_the_host_waits_for_nothing() -> None:
+def test_drawing_on_another_device_never_synchronises() -> None:
     images, depth = blank(3)
     poses, places = ahead((0.0, 0.0, 1.0), (0.1, 0.0, 1.2), (0.0, 0.0, -1.0))
     meta = [x.to("meta") for x in (images, depth, poses, K, places)]  # has shapes, but no values to read

@@ -1,4 +1,4 @@
-"""Pictures with alpha: the apple, and files."""
+"""Sprites: the built-in apple, and image files with alpha."""
 
 import struct
 import zlib
@@ -13,7 +13,7 @@ from splatrl.envs.drawing import Sprite, load_sprite
 from splatrl.envs.drawing.apple_picture import apple
 
 
-def test_the_apple_is_red_and_fills_the_picture_from_side_to_side() -> None:
+def test_the_apple_is_red_and_fills_the_width_of_its_picture() -> None:
     picture = apple(128) / 255.0
     red, green, blue, alpha = np.moveaxis(picture, -1, 0)
     opaque = alpha > 0.98
@@ -26,7 +26,7 @@ def test_the_apple_is_red_and_fills_the_picture_from_side_to_side() -> None:
     assert ((alpha > 0.02) & (alpha < 0.98)).sum() > 100  # its edge is soft
 
 
-def test_every_level_has_the_mean_of_the_picture() -> None:
+def test_every_mip_level_has_the_mean_of_the_picture() -> None:
     picture = torch.randint(0, 256, (16, 32, 4), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
     sprite = Sprite.of(picture)
     alpha = picture[..., 3:].double() / 255
@@ -38,7 +38,7 @@ def test_every_level_has_the_mean_of_the_picture() -> None:
         torch.testing.assert_close(sprite.texels[start:end].double().sum(0) / count, mean)
 
 
-def test_a_picture_of_any_size_keeps_its_shape_and_its_share_of_alpha(tmp_path: Path) -> None:
+def test_a_picture_of_any_size_keeps_its_aspect_ratio_and_mean_alpha(tmp_path: Path) -> None:
     picture = np.zeros((90, 200, 4), dtype=np.uint8)
     picture[:, :100] = [200, 30, 30, 255]
     Image.fromarray(picture).save(tmp_path / "half.png")
@@ -56,7 +56,7 @@ def test_a_palette_with_a_transparent_colour_has_alpha(tmp_path: Path) -> None:
 
 
 def _png(width: int, height: int, data: bytes = b"") -> bytes:
-    """A PNG with an RGBA header and the given data."""
+    """Encode a PNG with an RGBA header and the given data."""
 
     def chunk(name: bytes, body: bytes) -> bytes:
         return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
@@ -77,7 +77,7 @@ def _png(width: int, height: int, data: bytes = b"") -> bytes:
         (_png(2**31 - 1, 2**31 - 1), "sprite"),
     ],
 )
-def test_a_file_that_is_no_sprite_is_refused(tmp_path: Path, content: bytes | None, message: str) -> None:
+def test_a_file_that_is_not_a_sprite_is_refused(tmp_path: Path, content: bytes | None, message: str) -> None:
     path = tmp_path / "sprite.png"
     if content is not None:
         path.write_bytes(content)
@@ -92,6 +92,6 @@ def test_a_picture_without_alpha_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("shape", [(4, 4, 3), (4, 4), (0, 4, 4)])
-def test_an_array_that_is_no_picture_is_refused(shape: tuple[int, ...]) -> None:
+def test_an_array_that_is_not_an_rgba_picture_is_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match="sprite"):
         Sprite.of(torch.zeros(shape, dtype=torch.uint8))

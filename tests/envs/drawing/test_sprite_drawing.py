@@ -1,4 +1,4 @@
-"""The drawing that puts a sprite into the scene."""
+"""``SpriteDrawing``, which draws a sprite into the scene."""
 
 import pytest
 import torch
@@ -24,12 +24,12 @@ class TestContract(EnvContract):
     def make(self, batch_size: tuple[int], seed: int = 0) -> object:
         return seeing_env(batch_size, seed, sprite=True)
 
-    def test_some_see_the_sprite_and_some_do_not(self) -> None:
+    def test_some_views_show_the_sprite_and_some_do_not(self) -> None:
         share = seeded_rollout(self.make((3,)), self.steps, 0)["sprite_share"]
         assert (share > 0.01).any() and (share == 0).any()
 
 
-def test_an_episode_shows_the_overlay_of_what_the_renderer_sees() -> None:
+def test_an_episode_shows_the_sprite_over_the_rendered_scene() -> None:
     batch = seeded_rollout(seeing_env((6,), sprite=True), 12, 0).flatten()
     seen = tiny_robot().cameras(tiny_motion().body_to_world(batch["state"]))
     rgb, depth, alpha = renderer().render(seen)
@@ -40,12 +40,12 @@ def test_an_episode_shows_the_overlay_of_what_the_renderer_sees() -> None:
 
 
 def test_the_block_in_the_middle_hides_the_sprite_behind_it() -> None:
-    # from x = -1 through the block, and from x = 0.5 beyond it, to +x
+    # looking along +x, from x = -1 through the block and from x = 0.5 beyond it
     share = plain_drawing().draw(cameras([0, 3, 0], [3, 3, 0])).shown["sprite_share"].flatten()
     assert share[0] == 0 and share[1] > 0.1
 
 
-def test_the_target_of_the_task_is_where_it_is_drawn() -> None:
+def test_the_sprite_is_drawn_at_the_target_of_the_task() -> None:
     seen = cameras([0, 3, 2], [3, 3, 6])
     ahead = seen.camera_to_world[:, :3, 3] + 0.3 * seen.camera_to_world[:, :3, 2]
     drawing = SpriteDrawing(renderer(), plain_sprite(), size=0.1)
@@ -56,14 +56,14 @@ def test_the_target_of_the_task_is_where_it_is_drawn() -> None:
     assert not torch.equal(swapped.pixels, view.pixels)
 
 
-def test_a_place_of_its_own_goes_before_the_target() -> None:
+def test_a_position_in_the_settings_overrides_the_target() -> None:
     seen = cameras([3, 3, 0])
     elsewhere = SpriteDrawing(renderer(), plain_sprite(), size=0.1, position=[0.0, 0.0, -50.0])
     ahead = seen.camera_to_world[:, :3, 3] + 0.3 * seen.camera_to_world[:, :3, 2]
     assert (elsewhere.draw(seen, {"target": ahead}).shown["sprite_share"] < 0.01).all()
 
 
-def test_rows_that_are_not_asked_for_are_not_rendered_and_stay_black() -> None:
+def test_rows_that_are_not_requested_are_not_rendered_and_stay_black() -> None:
     drawing = plain_drawing()
     drawing.renderer = counting = CountingRenderer(renderer())
     seen, only = cameras([3, 3, 0], [3, 3, 0]), torch.tensor([False, True])
@@ -73,7 +73,7 @@ def test_rows_that_are_not_asked_for_are_not_rendered_and_stay_black() -> None:
     assert torch.equal(some.pixels[1], every.pixels[1])
 
 
-def test_a_task_that_places_nothing_is_told_to_give_a_position() -> None:
+def test_a_task_without_a_target_needs_a_position_in_the_settings() -> None:
     env = seeing_env((2,))
     env.drawing = SpriteDrawing(renderer(), plain_sprite())
     with pytest.raises(ValueError, match=r"drawing\.position: expected x, y and z in metres for a task without"):
@@ -90,12 +90,12 @@ def test_a_task_that_places_nothing_is_told_to_give_a_position() -> None:
         ({"sprite": "pear"}, "apple or the path"),
     ],
 )
-def test_wrong_settings_are_refused_by_name(settings: dict, message: str) -> None:
+def test_invalid_settings_are_refused_by_name(settings: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         SpriteDrawing(**{"renderer": renderer(), "sprite": plain_sprite(), **settings})
 
 
-def test_the_configs_build_it() -> None:
+def test_the_configs_build_the_drawing() -> None:
     assert isinstance(instantiate(load_config(["transforms/sprite=none"]).drawing)(renderer()), SceneDrawing)
     made = instantiate(load_config(["transforms/sprite=apple", "drawing.size=0.2"]).drawing)(renderer())
     assert isinstance(made, SpriteDrawing) and made.size == 0.2 and made.position is None

@@ -1,4 +1,4 @@
-"""Sensors of a body with physics."""
+"""Sensors of robots with physics."""
 
 import math
 from functools import cache
@@ -30,7 +30,7 @@ def moment(motion: Any, state: Tensor, sensed: Tensor | None = None, **memory: T
     return Moment(*given, state, motion, sensed)
 
 
-def test_an_imu_at_rest_feels_its_weight_and_no_turn() -> None:
+def test_an_imu_begins_without_rotation_and_keeps_its_reading_while_nothing_is_sensed() -> None:
     imu = Measured("imu", "quadruped", ["accelerometer", "gyro"], scale=0.1)
     state = legs().placed(torch.zeros(2, 3))
     for _ in range(25):  # it settles onto its feet, trotting on the spot without stepping far
@@ -42,7 +42,7 @@ def test_an_imu_at_rest_feels_its_weight_and_no_turn() -> None:
     assert torch.equal(imu.read(moment(legs(), state, None, imu=begun)), begun)
 
 
-def test_an_imu_says_the_mean_over_the_substeps_of_a_move() -> None:
+def test_an_imu_reports_the_mean_over_the_substeps_of_a_move() -> None:
     imu = Measured("imu", "quadruped", ["gyro", "accelerometer"], scale=2.0)
     motion = legs()
     state = motion.placed(torch.zeros(3, 3))
@@ -59,7 +59,7 @@ def test_an_imu_says_the_mean_over_the_substeps_of_a_move() -> None:
     assert torch.equal(alone, said[:1])
 
 
-def test_feet_feel_what_they_carry() -> None:
+def test_foot_sensors_measure_the_load_on_the_feet() -> None:
     feet = Measured("feet", "quadruped", [f"{name}_foot" for name in ("front_left", "rear_right")], scale=1.0)
     motion = legs()
     state, carried = motion.placed(torch.zeros(1, 3)), []
@@ -67,13 +67,13 @@ def test_feet_feel_what_they_carry() -> None:
         state, sensed, _ = motion.stride(state, torch.zeros(1, JOINTS))
         carried.append(feet.read(moment(motion, state, sensed)))
     force = torch.cat(carried)[20:]
-    assert force.min() == 0.0 and force.max() > 20.0  # each is lifted, and carries in turn
+    assert force.min() == 0.0 and force.max() > 20.0  # each foot is lifted and loaded in turn
     flying = state.clone()
     flying[:, FIRST + 2] += 1.0
     assert feet.begin(moment(motion, flying))["feet"].abs().max() == 0.0
 
 
-def test_joints_are_angles_from_where_the_robot_stands_and_rates() -> None:
+def test_joints_reports_angles_relative_to_the_standing_pose_and_rates() -> None:
     joints, motion = Joints("quadruped", rate=0.1), legs()
     state = motion.placed(torch.tensor([[1.0, 2.0, 0.5]]))
     assert joints.read(moment(motion, state)).abs().max() < 1e-6
@@ -87,7 +87,7 @@ def test_joints_are_angles_from_where_the_robot_stands_and_rates() -> None:
     assert Joints("wheels").read(moment(wheels, wheels.placed(torch.zeros(2, 3)))).shape == (2, 4)
 
 
-def test_velocity_is_in_the_bodys_own_frame() -> None:
+def test_velocity_is_in_the_body_frame() -> None:
     motion = legs()
     state = motion.placed(torch.tensor([[1.0, 2.0, math.pi / 2]]))
     first = FIRST + motion.physics.model.nq
@@ -110,7 +110,7 @@ def test_a_sensor_that_the_robot_lacks_is_refused() -> None:
         Measured("imu", "quadruped", ["compass"])
 
 
-def test_yaml_chooses_them_for_actor_and_critic(tmp_path: Path) -> None:
+def test_yaml_chooses_physics_sensors_for_actor_and_critic(tmp_path: Path) -> None:
     chosen = ["sensors=[rgb,imu,joints,feet,velocity,contact]", "+critic_inputs.next_place=plain"]
     cfg = load_config([*tiny_overrides(tmp_path, "walk"), *chosen])
     world = build_one_world(cfg)

@@ -1,4 +1,4 @@
-"""Sensors: worked out by hand, and in the env's contract."""
+"""Sensors, against readings worked out by hand and under the env contract."""
 
 import math
 from functools import cache
@@ -38,7 +38,7 @@ QUARTER = math.pi / 2
 
 @cache
 def block() -> NativeChecker:
-    """The block in the middle of the tiny room, with walls at 1.5 m and 2 m."""
+    """Make a checker for the block in the middle of the tiny room and walls at 1.5 m and 2 m."""
     lower = [[-BLOCK, -BLOCK, 0.0], [1.5, -2.0, 0.0], [-1.6, -2.0, 0.0], [-1.5, 2.0, 0.0], [-1.5, -2.1, 0.0]]
     upper = [[BLOCK, BLOCK, 1.0], [1.6, 2.0, 1.0], [-1.5, 2.0, 1.0], [1.5, 2.1, 1.0], [1.5, -2.0, 1.0]]
     return NativeChecker(Occupancy.from_boxes(lower, upper, 0.05), BODY)
@@ -86,7 +86,7 @@ def test_gps_is_metres_ahead_and_to_the_right_of_the_start() -> None:
     torch.testing.assert_close(gone, torch.tensor([[3.0, -0.5], [0.5, 3.0], [-3.0, 0.5]]))
 
 
-def test_compass_is_the_turn_to_the_left_since_the_start_and_heading_that_from_x() -> None:
+def test_compass_is_the_left_turn_since_the_start_and_heading_the_left_turn_from_x() -> None:
     start = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 0.3], [0.0, 0.0, 6.0]])
     now = moment([[0.0, 0.0, QUARTER], [0.0, 0.0, 0.1], [0.0, 0.0, 0.2]], episode_start=start)
     expected = torch.tensor([[QUARTER], [-0.2], [0.2 - 6.0 + math.tau]])
@@ -103,7 +103,7 @@ def test_pointgoal_is_the_straight_distance_and_the_azimuth_to_the_left() -> Non
         PointGoal().read(moment([[0.0, 0.0, 0.0]]))
 
 
-def test_ego_motion_is_velocity_turn_and_up_in_the_bodys_own_frame() -> None:
+def test_ego_motion_is_velocity_turn_rate_and_up_direction_in_the_body_frame() -> None:
     motion = PhysicsMotion("quadrotor", "eye", linear=(-1.0, 1.0), angular_deg=90.0, threads=1)
     state = motion.home.repeat(3, 1)
     half = math.sqrt(0.5)
@@ -120,7 +120,7 @@ def test_ego_motion_is_velocity_turn_and_up_in_the_bodys_own_frame() -> None:
         EgoMotion().read(moment([[0.0, 0.0, 0.0]]))
 
 
-def test_depth_is_clipped_and_scaled_and_far_where_nothing_is() -> None:
+def test_depth_is_clipped_and_scaled_and_maximal_where_nothing_is_hit() -> None:
     metres = torch.tensor([[[0.5, 2.0, 7.0, torch.inf]]])
     seen = moment([[0.0, 0.0, 0.0]])._replace(depth=metres)
     assert Depth(1.0, 5.0).read(seen)[0, 0, :, 0].tolist() == [0.0, 0.25, 1.0, 1.0]
@@ -128,16 +128,16 @@ def test_depth_is_clipped_and_scaled_and_far_where_nothing_is() -> None:
     assert Depth().spec(tiny_robot()).shape == (12, 16, 1)
 
 
-def test_the_depth_of_a_wall_is_how_far_it_is() -> None:
+def test_the_depth_of_a_wall_is_its_distance() -> None:
     env = sensing_env((1,), depth=Depth(normalize=False))
     state = torch.tensor([[4, 5, 0]])  # x = 1, y = 1, looking east
     td = env.reset(TensorDict({"state": state}, [1]), set_state=True)
-    assert float(td["depth"][0, 6, 8, 0]) == pytest.approx(0.4, abs=0.06)  # the red thing at x = 1.4
+    assert float(td["depth"][0, 6, 8, 0]) == pytest.approx(0.4, abs=0.06)  # the red object at x = 1.4
     pixels = sensing_env((1,), heading=Heading()).reset(TensorDict({"state": state}, [1]), set_state=True)["pixels"]
     assert torch.equal(td["pixels"], pixels)
 
 
-def test_lidar_sees_walls_counter_clockwise_from_behind() -> None:
+def test_lidar_beams_go_counter_clockwise_from_behind() -> None:
     env = sensing_env((1,), lidar=Lidar(beams=4))
     td = env.reset(TensorDict({"state": torch.tensor([[4, 3, 0]])}, [1]), set_state=True)  # (1, 0), looking east
     torch.testing.assert_close(td["lidar"], torch.tensor([[0.8, 2.0, 0.5, 2.0]]), atol=1e-5, rtol=0)
@@ -158,7 +158,7 @@ def test_contact_is_felt_in_the_step_that_touches_and_not_after_a_reset() -> Non
     assert not env.reset(env.step_mdp(env.step(td)), set_state=False)["contact"].any()
 
 
-def test_an_episode_goes_on_from_where_it_began_when_it_is_branched() -> None:
+def test_a_branched_episode_remembers_where_it_began() -> None:
     env = sensing_env((3,))
     torch.manual_seed(0)
     batch = env.rollout(3, break_when_any_done=False)
@@ -186,7 +186,7 @@ def test_sensors_are_chosen_in_the_config(tmp_path) -> None:
         (lambda: sensing_env((1,), pixels=Depth()), "sensors: expected keys that env and task do not use, got pixels"),
     ],
 )
-def test_what_does_not_fit_is_refused_by_its_key(make, key) -> None:
+def test_invalid_sensor_settings_are_refused_by_key(make, key) -> None:
     with pytest.raises(ValueError, match=key):
         make()
 
@@ -195,7 +195,7 @@ def test_imagegoal_is_what_the_camera_sees_at_the_goal() -> None:
     goal = torch.tensor([[0.5, 1.0, 0.0]])
     asked = moment([[0.0, 0.0, 0.0]], goal=goal)
     asked.body_to_world[:, 2, 3] = HEIGHT
-    pose = ImageGoal().begin(asked)["imagegoal"][0]  # look hands the pose back
+    pose = ImageGoal().begin(asked)["imagegoal"][0]  # ``look`` returns the pose itself here
     expected = torch.eye(4)
     expected[:3, 3] = torch.tensor([0.5, 1.0, HEIGHT])
     torch.testing.assert_close(pose, expected)

@@ -1,4 +1,4 @@
-"""What holds of every task whose robots pass the places of a course."""
+"""Tests that hold for every task whose robots pass the places of a course."""
 
 import math
 from typing import Any
@@ -25,14 +25,14 @@ def anywhere(task: Course, count: int = 1) -> Anywhere:
 
 
 def judged(task: Course, before: torch.Tensor, after: torch.Tensor, passed: int = 0, free: float = 1.0) -> Verdict:
-    """The verdict on one step of one robot."""
+    """Return the verdict on one step of one robot."""
     move = Move(after, task.motion.body_to_world(after), torch.tensor([free]), task.motion.inside(after))
     memory = {"passed": torch.tensor([[passed]]), "next_place": torch.zeros(1, 4)}
     return task.judge(Step(before, torch.zeros(1, 2), move, memory, torch.zeros(0)), anywhere(task))
 
 
 def wander(task: Course, steps: int, action: tuple[float, ...]) -> torch.Tensor:
-    """How many places robots pass that always do the same: [6, 1] int64."""
+    """Count the places passed by robots that repeat one action: [6, 1] int64."""
     state = task.start(task.motion.home.expand(6, -1), anywhere(task, 6))
     memory, actions = task.begin(state, anywhere(task, 6)), torch.tensor(action).expand(6, -1)
     for _ in range(steps):
@@ -43,13 +43,13 @@ def wander(task: Course, steps: int, action: tuple[float, ...]) -> torch.Tensor:
 
 
 class CourseContract:
-    """Tests of a task by name; subclasses say how to make one."""
+    """Tests of a course task; subclasses define how to make one."""
 
     taught: int
-    """Steps in which the teacher is done; rollouts of random actions end within those of ``ConfiguredContract``."""
+    """Steps within which the teacher finishes; random rollouts end within those of ``ConfiguredContract``."""
 
     def course(self, courses: int = 2, test_courses: int = 3) -> Course:
-        """A settled task with short courses."""
+        """Make a settled task with short courses."""
         raise NotImplementedError
 
     def test_training_and_tests_take_different_courses(self) -> None:
@@ -58,7 +58,7 @@ class CourseContract:
         assert set(trained.tolist()) == {0.0, 1.0}
         assert set(task.episodes(task.motion.states(), 9, 0)["state"][:, 0].tolist()) == {2.0, 3.0, 4.0}
 
-    def test_a_teacher_that_knows_the_state_finishes_courses_that_no_one_trained_on(self) -> None:
+    def test_a_teacher_that_knows_the_state_finishes_the_test_courses(self) -> None:
         task = self.course(1, 6)
         begun = task.episodes(task.motion.states(), 6, 0)
         state, memory = begun["state"], {key: begun[key] for key in task.memory_spec}
@@ -76,7 +76,7 @@ class CourseContract:
                 break
         assert outcomes == dict.fromkeys(range(6), int(Outcome.GOAL))
 
-    def test_a_state_that_is_no_number_has_left_the_bounds(self) -> None:
+    def test_a_state_with_nan_counts_as_out_of_bounds(self) -> None:
         task = self.course()
         state = task.start(task.motion.home[None], anywhere(task))
         broken = state.clone()
@@ -91,6 +91,6 @@ class CourseContract:
         assert torch.equal(memory["next_place"], task.places[state[:, 0].long(), 1].float())
         assert [mark.name for mark in task.marks({key: each[0] for key, each in memory.items()})] == [task.name]
 
-    def test_numbers_out_of_range_are_refused(self) -> None:
+    def test_an_invalid_number_of_courses_is_refused(self) -> None:
         with pytest.raises(ValueError, match=r"task\.courses"):
             self.course(courses=0)

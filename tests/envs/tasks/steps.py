@@ -8,7 +8,7 @@ from splatrl.motions import Move
 
 
 def judged(task: Task, ahead: Tensor, hit: Tensor) -> Verdict:
-    """The verdict of a task on robots whose action leads to some states.
+    """Return a task's verdict on robots whose actions lead to the given states.
 
     Args:
         task: a task that remembers nothing and ignores the image.

@@ -19,7 +19,7 @@ RED, GREY, BLACK = (200, 0, 0), (230, 230, 230), (0, 0, 0)
 
 
 def image(*colors: tuple[int, int, int]) -> Tensor:
-    """Two rows of five pixels with the given number of each color, the rest black: [1, 2, 5, 3] uint8."""
+    """Make an image of two rows of five pixels, first the given colours and then black: [1, 2, 5, 3] uint8."""
     rows = [*colors, *[BLACK] * (10 - len(colors))]
     return torch.tensor(rows, dtype=torch.uint8).reshape(1, 2, 5, 3)
 
@@ -35,13 +35,13 @@ def test_an_apple_is_found_within_the_reach_and_no_farther(away: float, near: bo
         assert sees(coarse_apple(reach=1.1), image(*[RED] * 10), state) is near
 
 
-def test_the_distance_is_along_the_ground_to_the_target_that_is_given() -> None:
+def test_the_distance_to_the_target_is_measured_along_the_ground() -> None:
     task, states = coarse_apple(), torch.tensor([NEAR, NEAR, NEAR])
     targets = torch.tensor([[X, Y, 9.0], [-X, Y, 0.5], [X - 0.25, Y - 0.25, 0.5]])
     assert task.seen(states, targets, image(*[RED] * 10).expand(3, 2, 5, 3)).tolist() == [True, False, True]
 
 
-def test_near_is_not_enough_without_red_nor_red_without_being_near() -> None:
+def test_an_apple_is_found_only_if_it_is_both_near_and_red() -> None:
     task = coarse_apple()
     assert not sees(task, image(*[GREY] * 10)) and not sees(task, image(*[RED] * 10), (0.0, 0.0, 0.0))
     assert sees(task, image(*[RED] * 10))
@@ -66,14 +66,14 @@ def test_a_pixel_is_clearly_red_by_its_brightness_and_its_purity(color: tuple[in
     assert sees(coarse_apple(red_share=1.0), image(*[color] * 10)) is red
 
 
-def test_exactly_1_6_times_is_enough_at_every_brightness() -> None:
+def test_red_of_exactly_1_6_times_green_and_blue_is_enough_at_every_brightness() -> None:
     colors = [(8 * k, 5 * k, 5 * k) for k in range(13, 32)]
     for color in colors:
         assert sees(coarse_apple(red_share=1.0), image(*[color] * 10)), color
 
 
 @pytest.mark.parametrize(("count", "enough"), [(0, False), (2, False), (3, True), (10, True)])
-def test_a_share_of_the_pixels_is_enough(count: int, enough: bool) -> None:
+def test_a_minimum_share_of_red_pixels_is_enough(count: int, enough: bool) -> None:
     assert sees(coarse_apple(red_share=0.3), image(*[RED] * count)) is enough
 
 
@@ -83,12 +83,12 @@ def test_each_image_is_judged_by_itself() -> None:
     assert task.seen(torch.tensor([NEAR] * 3), torch.tensor([PLACE] * 3), pixels).tolist() == [True, False, True]
 
 
-def test_a_bright_grey_image_is_no_apple_though_the_published_test_says_so() -> None:
+def test_a_bright_grey_image_is_not_an_apple_though_the_published_criterion_accepts_it() -> None:
     bright = image(*[GREY] * 10)
     assert not sees(coarse_apple(), bright) and sees(coarse_apple(mean_red=0.55), bright)
 
 
-def test_mean_red_takes_the_place_of_the_share() -> None:
+def test_mean_red_replaces_the_share_of_red_pixels() -> None:
     task = coarse_apple(mean_red=0.55)  # 140.25 of 255
     assert sees(task, image(*[(141, 0, 0)] * 10)) and not sees(task, image(*[(140, 0, 0)] * 10))
     assert sees(coarse_apple(), image(*[RED] * 5)) and not sees(task, image(*[RED] * 5))
@@ -119,7 +119,7 @@ def nowhere() -> Tensor:
     raise AssertionError("an apple that does not move draws no place")
 
 
-def test_without_red_a_step_to_the_apple_is_no_goal() -> None:
+def test_a_step_to_the_apple_without_red_in_view_is_not_a_goal() -> None:
     task = coarse_apple()
     state = torch.tensor([NEAR] * 4)
     free, inside = torch.tensor([1.0, 0.5, 1.0, 0.5]), torch.tensor([True, True, False, False])
@@ -142,7 +142,7 @@ def test_the_apple_has_one_place_and_the_goal_no_heading() -> None:
         assert mark.name == "apple" and mark.planar[:2].tolist() == [X, Y] and mark.planar[2].isnan()
 
 
-def test_the_config_is_the_published_one_without_collision() -> None:
+def test_the_config_is_the_published_one_with_collision_switched_off() -> None:
     cfg = load_config(["task=apple"])
     task = instantiate(cfg.task)
     assert task.reach == pytest.approx(0.11) and task.mean_red is None and task.max_steps == 200
@@ -165,6 +165,6 @@ def test_the_config_is_the_published_one_without_collision() -> None:
         ({"max_steps": 0}, r"task\.max_steps"),
     ],
 )
-def test_a_task_without_sense_is_refused(change: dict[str, Any], message: str) -> None:
+def test_invalid_settings_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Apple(**{"motion": coarse_apple().motion, "place": PLACE, **change})

@@ -13,7 +13,7 @@ from tests.tiny import HEIGHT
 
 
 def drive() -> Drive:
-    """The drive task with at most 0.1 m and 18° per time step."""
+    """Make the drive task with at most 0.1 m and 18° per time step."""
     return Drive(DriveMotion(HEIGHT), (0.5, -0.2, 90.0))
 
 
@@ -44,7 +44,7 @@ def test_a_step_is_judged_by_collision_then_bounds_then_goal() -> None:
     assert verdict.reward.flatten().tolist() == pytest.approx([50.0, -10.0, -10.0, -0.2])
 
 
-def test_a_blocked_robot_stays_where_it_was_with_its_heading() -> None:
+def test_a_blocked_robot_keeps_its_position_and_heading() -> None:
     env = drive_env([3])
     td = env.reset()
     td["state"] = torch.tensor([[-0.5, 0.0, 0.0], [0.9, 0.0, 0.0], [-0.75, 1.0, 0.0]])

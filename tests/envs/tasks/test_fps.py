@@ -15,7 +15,7 @@ EDGE = 0.6
 
 
 def fps(goal: tuple[float, ...] = (0.5, -0.2, 0.0), **settings: Any) -> Fps:
-    """The fps task with steps of 0.1 m and 10° in the square of ±0.6 m."""
+    """Make the fps task with steps of 0.1 m and 10° in the square of ±0.6 m."""
     return Fps(ForwardMotion(HEIGHT, lower=(-EDGE, -EDGE), upper=(EDGE, EDGE)), goal, **settings)
 
 
@@ -62,10 +62,10 @@ def test_whole_turns_do_not_move_the_goal(turns: float) -> None:
     [
         ((0.0, 0.0, 0.0), False, Outcome.RUNNING, -1.0),
         ((0.5, -0.2, 0.0), False, Outcome.GOAL, 5.0),
-        ((0.5, -0.2, 0.0), True, Outcome.COLLISION, -2.0),  # before the goal
+        ((0.5, -0.2, 0.0), True, Outcome.COLLISION, -2.0),  # takes precedence over the goal
         ((0.0, 0.0, 0.0), True, Outcome.COLLISION, -2.0),
-        ((0.605, -0.2, 0.0), False, Outcome.OUT_OF_BOUNDS, -3.0),  # before the goal
-        ((0.605, -0.2, 0.0), True, Outcome.COLLISION, -2.0),  # before the bounds
+        ((0.605, -0.2, 0.0), False, Outcome.OUT_OF_BOUNDS, -3.0),  # takes precedence over the goal
+        ((0.605, -0.2, 0.0), True, Outcome.COLLISION, -2.0),  # takes precedence over the bounds
         ((0.0, -0.7, 0.0), False, Outcome.OUT_OF_BOUNDS, -3.0),
     ],
 )
@@ -97,6 +97,6 @@ def test_the_published_rewards_and_limit_are_the_defaults() -> None:
         ({"max_steps": 0}, r"task\.max_steps: expected a whole number of at least 1, got 0"),
     ],
 )
-def test_a_goal_or_limit_without_sense_is_refused(change: dict[str, Any], message: str) -> None:
+def test_an_invalid_goal_or_limit_is_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         fps(**change)

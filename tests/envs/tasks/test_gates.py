@@ -20,7 +20,7 @@ HOVER = torch.tensor([1.0, 0.0, 0.0, 0.0])
 
 
 def gates(courses: int = 2, test_courses: int = 3, **settings: Any) -> Gates:
-    """The task around a post, with tracks of two gates."""
+    """Make the task around a post, with tracks of two gates."""
     things = {"gate": "gate"}
     motion = PhysicsMotion(
         "quadrotor", "eye", things, time_step=0.05, linear=(-1.0, 1.0), angular_deg=90.0, lower=(-2.0, -2.0),
@@ -33,7 +33,7 @@ def gates(courses: int = 2, test_courses: int = 3, **settings: Any) -> Gates:
 
 
 def seen_from(task: Gates, track: int, number: int, local: tuple[float, float, float]) -> torch.Tensor:
-    """A state [1, n] at a place in the frame of a gate: ahead, left and up of its centre."""
+    """Return a state [1, n] at a position in a gate's frame: ahead, left and up from its centre."""
     x, y, z, yaw = task.places[track, 1 + number].tolist()
     ahead, left, up = local
     state = task.motion.home[None].clone()
@@ -67,7 +67,7 @@ def test_a_gate_is_passed_through_its_opening_from_its_front(start: Any, end: An
     assert torch.equal(verdict.memory["next_place"][0], place)
 
 
-def test_gates_count_in_their_order_and_the_last_one_ends_the_episode() -> None:
+def test_gates_count_only_in_order_and_the_last_one_ends_the_episode() -> None:
     task, way = gates(), ((-0.1, 0.0, 0.0), (0.1, 0.0, 0.0))
     early = judged(task, *(seen_from(task, 0, 1, at) for at in way), passed=0)
     assert early.outcome.item() == Outcome.RUNNING and early.memory["passed"].item() == 0
@@ -76,7 +76,7 @@ def test_gates_count_in_their_order_and_the_last_one_ends_the_episode() -> None:
     assert task.goals_for_success == 2
 
 
-def test_touching_leaving_and_falling_end_an_episode_and_pass_nothing() -> None:
+def test_touching_leaving_and_falling_end_an_episode_and_pass_no_gate() -> None:
     task, way = gates(), ((-0.1, 0.0, 0.0), (0.1, 0.0, 0.0))
     crash = judged(task, *(seen_from(task, 0, 0, at) for at in way), free=0.5)
     assert crash.outcome.item() == Outcome.COLLISION and crash.terminated.item() and crash.memory["passed"].item() == 0
@@ -88,7 +88,7 @@ def test_touching_leaving_and_falling_end_an_episode_and_pass_nothing() -> None:
         assert verdict.outcome.item() == outcome and verdict.terminated.item(), (column, value)
 
 
-def test_reward_is_progress_and_gates() -> None:
+def test_the_reward_is_progress_plus_a_bonus_per_gate() -> None:
     task = gates()
     nearer = judged(task, seen_from(task, 0, 0, (-0.5, 0.0, 0.0)), seen_from(task, 0, 0, (-0.3, 0.0, 0.0)))
     assert nearer.reward.item() == pytest.approx(0.2 - 0.01, abs=1e-6)
@@ -97,7 +97,7 @@ def test_reward_is_progress_and_gates() -> None:
 
 
 def test_each_track_has_its_gates_in_its_own_physics() -> None:
-    """A quadrotor inside a post of one track's gate touches it, and on another track nothing."""
+    """A quadrotor inside a post of one track's gate touches it, but nothing on another track."""
     task = gates()
     inside = seen_from(task, 0, 0, (0.0, 0.39, 0.0))
     elsewhere = inside.clone()
@@ -119,11 +119,11 @@ def test_the_next_gate_is_lit_and_stands_where_its_boxes_are() -> None:
     assert colour[0] > colour[1] > colour[2]
 
 
-def test_a_quadrotor_that_hovers_passes_nothing() -> None:
+def test_a_hovering_quadrotor_passes_no_gate() -> None:
     assert wander(gates(), 40, (1.0, 0.0, 0.0, 0.0)).max() == 0
 
 
-def test_other_things_than_one_gate_are_refused() -> None:
+def test_things_other_than_one_gate_are_refused() -> None:
     with pytest.raises(ValueError, match=r"task\.motion\.things: expected only the gate of .* got gate1, gate2"):
         Gates(gates().motion)
 
@@ -133,7 +133,7 @@ def test_a_track_has_as_many_gates_as_its_settings_say() -> None:
 
 
 @pytest.mark.parametrize("lit", [(1.0, 0.5), (255, 0, 0), "red"])
-def test_a_light_that_is_no_colour_is_refused(lit: Any) -> None:
+def test_a_lit_colour_that_is_invalid_is_refused(lit: Any) -> None:
     with pytest.raises(ValueError, match=r"task\.lit: expected red, green and blue in \[0, 1\], got"):
         gates(lit=lit)
 

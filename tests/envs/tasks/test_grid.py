@@ -11,7 +11,7 @@ from tests.envs.tasks.steps import judged
 from tests.tiny import tiny_motion, tiny_task
 
 
-def test_the_goal_is_27_lattice_poses() -> None:
+def test_the_goal_covers_27_lattice_poses() -> None:
     task = tiny_task()
     states = task.motion.states()
     reached = states[task.reached(states)]
@@ -22,7 +22,7 @@ def test_the_goal_is_27_lattice_poses() -> None:
 
 
 @pytest.mark.parametrize("goal", [(0.25, 0.75, 22.5), (0.45, 0.95, 4.5), (0.55, 1.05, -4.5)])
-def test_a_goal_between_lattice_poses_is_8_of_them(goal: tuple[float, float, float]) -> None:
+def test_a_goal_between_lattice_poses_covers_8_of_them(goal: tuple[float, float, float]) -> None:
     task = Grid(tiny_motion(), goal)
     assert task.reached(task.motion.states()).sum() == 2 * 2 * 2
 
@@ -41,10 +41,10 @@ def test_whole_turns_do_not_move_the_goal(turns: int) -> None:
     [
         ([0, 0, 0], False, Outcome.RUNNING, -1.0),
         ([3, 5, 0], False, Outcome.GOAL, 5.0),
-        ([3, 5, 0], True, Outcome.COLLISION, -2.0),  # before the goal
+        ([3, 5, 0], True, Outcome.COLLISION, -2.0),  # takes precedence over the goal
         ([1, 3, 0], True, Outcome.COLLISION, -2.0),
-        ([5, 5, 0], False, Outcome.OUT_OF_BOUNDS, -3.0),  # before the goal, from which it is not two steps
-        ([5, 5, 0], True, Outcome.COLLISION, -2.0),  # before the bounds
+        ([5, 5, 0], False, Outcome.OUT_OF_BOUNDS, -3.0),  # less than two steps from the goal
+        ([5, 5, 0], True, Outcome.COLLISION, -2.0),  # takes precedence over the bounds
         ([-1, 2, 4], False, Outcome.OUT_OF_BOUNDS, -3.0),
     ],
 )
@@ -60,7 +60,7 @@ def test_a_step_is_judged_by_collision_then_bounds_then_goal(
     assert verdict.terminated.tolist() == [[outcome != Outcome.RUNNING]]
 
 
-def test_out_of_bounds_comes_before_a_goal_that_the_step_would_reach() -> None:
+def test_out_of_bounds_takes_precedence_over_a_goal_that_the_step_would_reach() -> None:
     task = Grid(tiny_motion(), (1.0, 1.0, 0.0))
     ahead = torch.tensor([[5, 5, 0]])
     assert task.reached(ahead).all()
@@ -82,6 +82,6 @@ def test_the_published_rewards_are_the_defaults() -> None:
         ({"max_steps": 0}, r"task\.max_steps: expected a whole number of at least 1, got 0"),
     ],
 )
-def test_a_goal_or_limit_without_sense_is_refused(change: dict[str, Any], message: str) -> None:
+def test_an_invalid_goal_or_limit_is_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Grid(tiny_motion(), **{"goal": (0.0, 0.0, 0.0), **change})

@@ -65,7 +65,7 @@ def env_of(
 
 
 def begin(env: SplatEnv, state: list[float], goal: list[float]) -> TensorDict:
-    """An episode of one robot from a state to a goal, which is added to the task's."""
+    """Begin an episode of one robot from a state to a goal, which is added to the task's goals."""
     task = env.task
     task.geodesics, rows = task.geodesics.with_goals(np.array([goal[:2]]), np.zeros(1, np.int64))
     start = torch.tensor([state])
@@ -74,7 +74,7 @@ def begin(env: SplatEnv, state: list[float], goal: list[float]) -> TensorDict:
 
 
 def walk(env: SplatEnv, td: TensorDict, actions: list[int]) -> list[TensorDict]:
-    """What each action leads to."""
+    """Take a sequence of actions and return the result of each."""
     after = []
     for action in actions:
         step = env.step(td.set("action", torch.tensor([action])))
@@ -83,7 +83,7 @@ def walk(env: SplatEnv, td: TensorDict, actions: list[int]) -> list[TensorDict]:
     return after
 
 
-def test_an_episode_by_hand_turns_walks_and_stops() -> None:
+def test_an_episode_that_turns_walks_and_stops_matches_hand_calculation() -> None:
     env = env_of(task_of())
     td = begin(env, [0.75, -1.0, 0.0], [0.75, 0.0, 0.0])  # one metre to the left
     assert td["distance_to_goal"] == td["start_distance"] == pytest.approx(1.0, abs=1e-5)
@@ -100,7 +100,7 @@ def test_an_episode_by_hand_turns_walks_and_stops() -> None:
 
 
 @pytest.mark.parametrize(("walked", "reached"), [(3, False), (4, True)])
-def test_a_stop_is_a_success_only_nearer_than_the_distance(walked: int, reached: bool) -> None:
+def test_a_stop_succeeds_only_within_the_success_distance(walked: int, reached: bool) -> None:
     env = env_of(task_of())
     td = begin(env, [0.75, -1.0, math.pi / 2], [0.75, 0.0, 0.0])
     last = walk(env, td, [FORWARD] * walked + [STOP])[-1]
@@ -108,14 +108,14 @@ def test_a_stop_is_a_success_only_nearer_than_the_distance(walked: int, reached:
     assert int(last["outcome"]) == (Outcome.GOAL if reached else Outcome.STOPPED)
 
 
-def test_the_distance_that_counts_is_that_of_the_way_around() -> None:
+def test_the_distance_that_counts_is_that_of_the_path_around_obstacles() -> None:
     env = env_of(task_of(success_distance=0.75))
     td = begin(env, [-0.35, 0.0, 0.0], [0.35, 0.0, 0.0])  # 0.7 m through the block, farther around it
     assert float(td["distance_to_goal"]) > 0.9
     assert int(walk(env, td, [STOP])[-1]["outcome"]) == Outcome.STOPPED
 
 
-def test_a_blocked_robot_stays_counts_and_goes_on() -> None:
+def test_a_blocked_robot_stays_counts_a_collision_and_goes_on() -> None:
     env = env_of(task_of())
     td = begin(env, [0.5, 0.0, math.pi], [0.75, 1.0, 0.0])  # looking at the block
     after = walk(env, td, [FORWARD, FORWARD, RIGHT, FORWARD])
@@ -127,7 +127,7 @@ def test_a_blocked_robot_stays_counts_and_goes_on() -> None:
     assert int(edge["collisions"]) == 1 and not bool(edge["done"])
 
 
-def test_a_sliding_robot_goes_on_along_what_it_touches() -> None:
+def test_a_sliding_robot_moves_along_the_obstacle_it_touches() -> None:
     state, action = torch.tensor([[0.4, 0.0, 0.75 * math.pi], [0.4, 0.0, math.pi]]), torch.tensor([FORWARD, FORWARD])
     stays = task_of().motion.move(state, action, checker())
     slides = task_of(sliding=True).motion.move(state, action, checker())
@@ -138,13 +138,13 @@ def test_a_sliding_robot_goes_on_along_what_it_touches() -> None:
     assert torch.equal(slides.free_fraction, stays.free_fraction) and (slides.free_fraction < 1).all()
 
 
-def test_an_episode_without_a_stop_is_cut_off() -> None:
+def test_an_episode_without_a_stop_is_truncated() -> None:
     env = env_of(task_of(max_steps=3))
     last = walk(env, begin(env, [0.75, -1.0, 0.0], [0.75, 0.0, 0.0]), [LEFT, RIGHT, LEFT])[-1]
     assert bool(last["truncated"]) and int(last["outcome"]) == Outcome.TIMEOUT and not bool(last["success"])
 
 
-def test_a_drive_stops_where_both_velocities_are_small() -> None:
+def test_a_drive_stops_when_both_velocities_are_small() -> None:
     motion = DriveMotion(HEIGHT, linear=(-0.25, 0.5), angular_deg=90.0)
     small, turn = 0.049, 0.09 * math.pi / 2
     actions = torch.tensor([[small, 0.0], [0.06, 0.0], [0.0, turn], [0.0, 0.2], [-small, -turn], [-0.1, 0.0]])
@@ -159,8 +159,8 @@ def episodes(success: list[bool], far: list[float], start: list[float], path: li
     return Episodes(zeros, zeros, zeros, zeros.float(), zeros, torch.tensor(success), None, named)
 
 
-def test_the_measures_of_episodes_worked_out_by_hand() -> None:
-    # The shortest way; a way twice as long; a stop half way; one that went away; a start at the goal's distance.
+def test_navigation_measures_match_those_worked_out_by_hand() -> None:
+    # The shortest path; a path twice as long; a stop half way; one that went away; one stopped near the goal.
     found = episodes(
         [True, True, False, False, True],
         [0.1, 0.0, 2.0, 5.0, 0.15],
@@ -180,19 +180,19 @@ def test_the_measures_of_episodes_worked_out_by_hand() -> None:
     )
 
 
-def test_other_tasks_have_no_measures_of_navigation() -> None:
+def test_other_tasks_have_no_navigation_measures() -> None:
     zeros = torch.zeros(2, dtype=torch.int64)
     assert Episodes(zeros, zeros, zeros, zeros.float(), zeros, zeros.bool()).navigation() == {}
 
 
-def test_run_episodes_begins_each_anew_with_its_goal() -> None:
+def test_run_episodes_begins_each_episode_with_its_own_goal_and_fresh_sensors() -> None:
     task = task_of(max_steps=40)
     drawn = task.episodes(paths().starts, 5, seed=3)
     state = drawn.pop("state")
 
     def towards(td: TensorDict) -> TensorDict:
         """Turn to the goal, go there by quarter turns, and stop near it."""
-        assert (td["gps"][td["step_count"].squeeze(1) == 0] == 0.0).all()  # what sensors remember begins anew too
+        assert (td["gps"][td["step_count"].squeeze(1) == 0] == 0.0).all()  # the sensors' memory is reset too
         rho, phi = td["pointgoal_with_gps_compass"].unbind(1)
         action = torch.where(phi.abs() <= math.pi / 4 + 1e-4, FORWARD, torch.where(phi > 0, LEFT, RIGHT))
         return td.set("action", torch.where(rho < 0.15, STOP, action))
@@ -209,7 +209,7 @@ def test_run_episodes_begins_each_anew_with_its_goal() -> None:
     assert found.success.any()
 
 
-def test_episodes_for_tests_are_seeded_and_have_goals_of_their_own() -> None:
+def test_episodes_for_testing_are_seeded_and_have_their_own_goals() -> None:
     task = task_of()
     one, again, other = (task.episodes(paths().starts, 20, seed) for seed in (1, 1, 2))
     assert all(torch.equal(one[key], again[key]) for key in one)
@@ -219,7 +219,7 @@ def test_episodes_for_tests_are_seeded_and_have_goals_of_their_own() -> None:
         task_of(nearest=task.geodesics.longest).episodes(paths().starts[:3], 20, 1)
 
 
-def test_ways_longer_than_there_are_any_are_refused() -> None:
+def test_a_nearest_distance_beyond_the_longest_path_is_refused() -> None:
     longest = task_of().geodesics.longest
     assert 3 < longest < 9
     task_of(nearest=longest)
@@ -227,7 +227,7 @@ def test_ways_longer_than_there_are_any_are_refused() -> None:
         task_of(nearest=50.0, farthest=60.0)
 
 
-def test_an_episode_of_imagenav_shows_what_is_seen_at_the_goal() -> None:
+def test_imagenav_shows_what_is_seen_from_the_goal_pose() -> None:
     env = env_of(task_of(ImageNav, success_distance=1.0), (3,))
     check_env_specs(env, seed=0)
     td = env.reset()
@@ -267,37 +267,37 @@ def test_a_motion_that_cannot_stop_is_refused() -> None:
 
 
 def walked(task: NavigationTask, who: Any) -> Episodes:
-    """Episodes of the task's tests, in which the robots do what someone says who knows state and memory."""
-    env = env_of(task, (24,), renderer=NoRenderer(None))  # nobody looks
+    """Run test episodes of the task in which ``who`` chooses the actions from state and memory."""
+    env = env_of(task, (24,), renderer=NoRenderer(None))  # no view is needed
     begun = task.episodes(paths().starts, 24, 0)
     return run_episodes(env, knowing(env, who), begun.pop("state"), memory=begun)
 
 
 @pytest.mark.parametrize("motion", ["steps", "drive"])
-def test_the_teacher_knows_the_way_around_and_the_straight_one_does_not(motion: str) -> None:
+def test_the_teacher_finds_the_way_around_obstacles_and_the_beeline_does_not(motion: str) -> None:
     task = task_of(max_steps=90)
     if motion == "drive":
         task = PointNav(DriveMotion(HEIGHT, **BOUNDS), REWARDS, **(FEW | {"max_steps": 90}))
         task.settle(checker())
     taught, straight = walked(task, task.teach), walked(task, task.beeline)
     assert taught.success.all()
-    assert taught.navigation()["spl"] > (0.7 if motion == "steps" else 0.9)  # with turns by 90° ways have corners
+    assert taught.navigation()["spl"] > (0.7 if motion == "steps" else 0.9)  # with turns of 90°, paths have corners
     assert taught.measures["collisions"].sum() == 0
     assert 0.2 < straight.success.double().mean() < 0.9
     stuck = straight.outcome == Outcome.TIMEOUT
     assert (straight.measures["collisions"][stuck] > 50).all()
 
 
-def test_a_robot_remembers_since_when_it_has_not_looked_as_the_image_does() -> None:
+def test_memory_counts_the_steps_since_a_robot_last_faced_as_the_goal_image_does() -> None:
     env = env_of(task_of(ImageNav, success_distance=1.0))
-    td = begin(env, [-0.75, 1.25, 0.0], [0.75, 1.25, math.pi - 0.7])  # 90° turns: as near as they come is 45°
+    td = begin(env, [-0.75, 1.25, 0.0], [0.75, 1.25, math.pi - 0.7])  # with turns of 90°, 45° is as near as it gets
     assert td["unseen"].item() > LOST
     assert [one["unseen"].item() for one in walk(env, td, [LEFT, LEFT, FORWARD, LEFT])] == [LOST + 2, 0, 0, 1]
     assert begin(env, [-0.75, 1.25, math.pi], [0.75, 1.25, math.pi])["unseen"].item() == 0
 
 
 @pytest.mark.parametrize("motion", ["steps", "drive"])
-def test_the_teacher_of_image_goals_looks_before_it_goes_and_before_it_stops(motion: str) -> None:
+def test_the_image_goal_teacher_looks_around_before_it_goes_and_before_it_stops(motion: str) -> None:
     task = task_of(ImageNav, success_distance=0.5, max_steps=200)
     if motion == "drive":
         task = ImageNav(DriveMotion(HEIGHT, **BOUNDS), REWARDS, **(FEW | {"success_distance": 0.5, "max_steps": 200}))
@@ -320,7 +320,7 @@ def test_the_teacher_of_image_goals_looks_before_it_goes_and_before_it_stops(mot
         assert (action[lost] == LEFT).all() and (action[~lost] == FORWARD).any()
 
 
-def test_the_teacher_of_several_scenes_keeps_to_the_goal_of_each() -> None:
+def test_the_teacher_of_several_scenes_heads_for_each_scenes_own_goal() -> None:
     task = task_of()
     both = task_of()
     both._modules = {**both._modules, "geodesics": Geodesics.joined([task.geodesics, task.geodesics])}

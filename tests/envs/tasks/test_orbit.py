@@ -20,12 +20,12 @@ RUN, GOAL, HIT, OUT = Outcome.RUNNING, Outcome.GOAL, Outcome.COLLISION, Outcome.
 
 
 def orbit(azimuth_deg: float = 180.0, distance: float = 1.0, elevation_deg: float = 0.0, **settings: Any) -> Orbit:
-    """The orbit task with 12 azimuths, 5 distances from 0.5 m and 4 elevations."""
+    """Make the orbit task with 12 azimuths, 5 distances from 0.5 m and 4 elevations."""
     motion = OrbitMotion(ORIGIN, 30.0, 0.25, (0.5, 1.5), (0.0, 90.0))
     return Orbit(motion, azimuth_deg, distance, elevation_deg, **settings)
 
 
-def test_the_goal_is_within_one_step_of_each() -> None:
+def test_the_goal_extends_one_step_along_each_coordinate() -> None:
     task = orbit()
     states = task.motion.states()
     there = states[task.reached(states)]
@@ -35,18 +35,18 @@ def test_the_goal_is_within_one_step_of_each() -> None:
 
 
 @pytest.mark.parametrize("azimuth_deg", [0.0, 360.0, -360.0, 720.0])
-def test_azimuths_wrap(azimuth_deg: float) -> None:
+def test_the_azimuth_of_the_goal_wraps_around(azimuth_deg: float) -> None:
     task = orbit(azimuth_deg)
     states = task.motion.states()
     assert sorted(set(states[task.reached(states)][:, 0].tolist())) == [0, 1, 11]
 
 
-def test_a_goal_between_states_is_two_of_each() -> None:
+def test_a_goal_between_states_covers_two_values_of_each_coordinate() -> None:
     task = orbit(195.0, 1.125, 45.0)
     assert task.reached(task.motion.states()).sum() == 2 * 2 * 2
 
 
-def test_the_goal_pose_stands_off_the_origin_and_looks_at_it() -> None:
+def test_the_goal_pose_is_at_its_distance_from_the_origin_and_looks_at_it() -> None:
     reach = 1.0 * math.cos(math.radians(60.0))
     goal = orbit(90.0, 1.0, 60.0).goal
     assert goal[:2].tolist() == pytest.approx([ORIGIN[0], ORIGIN[1] + reach])
@@ -62,10 +62,10 @@ def test_the_goal_pose_stands_off_the_origin_and_looks_at_it() -> None:
     [
         ([0, 2, 0], False, RUN, 0.0),
         ([6, 2, 0], False, GOAL, 1.0),
-        ([6, 2, 0], True, HIT, -1.0),  # before the goal
+        ([6, 2, 0], True, HIT, -1.0),  # takes precedence over the goal
         ([6, 5, 0], False, OUT, -1.0),
-        ([6, 2, -1], False, OUT, -1.0),  # before the goal, from which it is one step
-        ([6, 5, 0], True, HIT, -1.0),  # before the bounds
+        ([6, 2, -1], False, OUT, -1.0),  # takes precedence over the goal, one step away
+        ([6, 5, 0], True, HIT, -1.0),  # takes precedence over the bounds
     ],
 )
 def test_a_step_is_judged_by_collision_then_range_then_goal(
@@ -80,7 +80,7 @@ def test_a_step_is_judged_by_collision_then_range_then_goal(
 @pytest.mark.parametrize(
     ("name", "actions", "states"), [("circle", 2, 36), ("polar_plane", 4, 36 * 11), ("hemisphere", 6, 36 * 11 * 10)]
 )
-def test_the_configs_differ_in_what_varies(name: str, actions: int, states: int) -> None:
+def test_the_configs_differ_in_the_coordinates_that_vary(name: str, actions: int, states: int) -> None:
     cfg = load_config([f"task={name}"])
     task = instantiate(cfg.task)
     assert task.motion.action_spec.n == actions and len(task.motion.states()) == states

@@ -20,8 +20,8 @@ def test_the_published_goal_looks_along_170_degrees() -> None:
     assert task.goal.tolist() == [PUBLISHED[0], PUBLISHED[1], math.radians(170.0)]
 
 
-def test_a_yaw_of_zero_looks_along_y_as_an_opengl_camera_that_is_level() -> None:
-    """The camera's own view direction, −z, turned by roll 90° about x and yaw about z."""
+def test_a_yaw_of_zero_looks_along_y_as_a_level_opengl_camera_does() -> None:
+    """The camera's view direction, −z, is turned by a roll of 90° about x and by the yaw about z."""
     for yaw_deg in (0.0, 80.0, -30.0):
         yaw = math.radians(yaw_deg)
         forward = [-math.sin(yaw), math.cos(yaw)]  # Rz(yaw) @ Rx(90°) @ (0, 0, -1)
@@ -40,6 +40,6 @@ def test_the_config_is_the_published_example() -> None:
 @pytest.mark.parametrize(
     "goal", [None, PUBLISHED[:3], [*PUBLISHED, 0.0], [math.nan, *PUBLISHED[1:]], [*PUBLISHED[:2], math.inf, 90, 0, 80]]
 )
-def test_a_goal_of_other_than_six_finite_numbers_is_refused(goal: Any) -> None:
+def test_a_goal_of_anything_but_six_finite_numbers_is_refused(goal: Any) -> None:
     with pytest.raises(ValueError, match=r"task\.goal: expected finite x, y, z \(metres\), roll, pitch and yaw"):
         Poster(ForwardMotion(HEIGHT), goal)

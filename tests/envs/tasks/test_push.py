@@ -27,20 +27,20 @@ MARK = (0.5, 0.5)
 
 
 def push(**settings: Any) -> Push:
-    """The task on level ground."""
+    """Make the task on level ground."""
     motion = PhysicsMotion("wheels", "eye", {"ball": "ball"}, ["ball"], threads=1)
     return Push(motion, **settings)
 
 
 def states(task: Push, robot: tuple[float, float, float], ball: tuple[float, float]) -> torch.Tensor:
-    """One state with robot and ball at places."""
+    """Return one state with the robot and the ball at the given places."""
     state = task.motion.placed(torch.tensor([robot]))
     state[:, task.ball.start : task.ball.start + 2] = torch.tensor([ball], dtype=torch.float64)
     return state
 
 
 def judged(task: Push, before: torch.Tensor, after: torch.Tensor, free: float = 1.0) -> Verdict:
-    """The verdict on robots and balls that went from somewhere to somewhere."""
+    """Return the verdict on robots and balls that went from one state to another."""
     move = Move(after, task.motion.body_to_world(after), torch.full((len(after),), free), task.motion.inside(after))
     memory = {"mark": torch.tensor([[*MARK, 0.02]]).expand(len(after), 3), "ball": before[:, task.ball][:, :3].float()}
     return task.judge(Step(before, torch.zeros(len(after), 2), move, memory, torch.zeros(0)), None)  # type: ignore[arg-type]
@@ -57,7 +57,7 @@ def judged(task: Push, before: torch.Tensor, after: torch.Tensor, free: float = 
         ((0.0, 1.49), Outcome.RUNNING),
     ],
 )
-def test_the_ball_decides(ball: tuple[float, float], outcome: Outcome) -> None:
+def test_the_position_of_the_ball_decides_the_outcome(ball: tuple[float, float], outcome: Outcome) -> None:
     task = push()
     here = states(task, (0.0, 0.0, 0.0), ball)
     verdict = judged(task, here, here)
@@ -66,7 +66,7 @@ def test_the_ball_decides(ball: tuple[float, float], outcome: Outcome) -> None:
     assert verdict.memory["ball"][0, :2].tolist() == pytest.approx(ball)
 
 
-def test_a_robot_that_leaves_is_lost_and_one_that_touches_goes_on() -> None:
+def test_a_robot_that_leaves_is_out_of_bounds_and_one_that_touches_something_goes_on() -> None:
     task = push()
     away, here = states(task, (1.51, 0.0, 0.0), (0.0, 0.0)), states(task, (-0.5, -0.5, 0.0), (0.0, 0.0))
     assert judged(task, away, away).outcome.item() == Outcome.OUT_OF_BOUNDS
@@ -75,7 +75,7 @@ def test_a_robot_that_leaves_is_lost_and_one_that_touches_goes_on() -> None:
     assert touching.reward.item() == pytest.approx(-0.03)
 
 
-def test_rewards_add_up() -> None:
+def test_the_reward_is_the_sum_of_its_terms() -> None:
     task = push(rewards=PushRewards(progress=2.0, approach=0.0, touch=0.0, slack=-0.01, success=3.0, lost=-1.0))
     robot = (-0.5, 0.5, 0.0)
     nearer = judged(task, states(task, robot, (0.0, 0.5)), states(task, robot, (0.1, 0.5)))
@@ -86,7 +86,7 @@ def test_rewards_add_up() -> None:
     assert lost.reward.item() == pytest.approx(2.0 * -1.1 - 0.01 - 1.0)
 
 
-def test_going_round_to_the_far_side_is_an_approach() -> None:
+def test_going_round_the_ball_to_its_far_side_is_rewarded_as_an_approach() -> None:
     task = push(rewards=PushRewards(progress=0.0, approach=1.0, touch=0.0, slack=0.0))
     ball, angles = (0.0, 0.5), torch.linspace(0.0, math.pi, 5).tolist()
     ring = [states(task, (0.3 * math.cos(a), 0.5 + 0.3 * math.sin(a), 0.0), ball) for a in angles]
@@ -98,7 +98,7 @@ def test_going_round_to_the_far_side_is_an_approach() -> None:
     assert judged(task, far, near).reward.item() == pytest.approx(0.3)
 
 
-def test_balls_and_marks_begin_where_they_are_asked_to() -> None:
+def test_balls_and_marks_begin_within_the_requested_ranges() -> None:
     task = push(nearest=0.5, farthest=0.9, apart=0.4, ahead_deg=40.0)
     wall = torch.tensor([[0.0, 0.0, 0.2, 0.05, 0.3, 0.2]], dtype=torch.float64)
     task.motion.settle(Terrain(torch.tensor([0.0, 0.0, 1.0, -0.03], dtype=torch.float64), wall))
@@ -140,7 +140,7 @@ def test_balls_and_marks_begin_where_they_are_asked_to() -> None:
         ({"mark_rgb": (1.0, 0.0)}, "task.mark_rgb: expected red, green and blue"),
     ],
 )
-def test_what_does_not_fit_is_refused(settings: dict[str, Any], message: str) -> None:
+def test_invalid_settings_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         push(**settings)
 
@@ -179,7 +179,7 @@ def test_a_ball_that_is_let_go_soon_stops() -> None:
     assert 0.4 < places[-1] < 0.6 and places[-1] - places[-10] < 0.01
 
 
-def test_the_camera_is_as_wide_as_the_docs_say() -> None:
+def test_the_field_of_view_is_what_the_docs_say() -> None:
     robot = instantiate(load_config(["task=push"]).robot)
     assert round(robot.fov_deg) == 138
     high = 2.0 * math.atan(0.5 * robot.image_height / robot.K[1, 1].item())
@@ -219,7 +219,7 @@ class TestPush(ConfiguredContract):
         assert (bare != td["pixels"]).flatten(1).any(1).all(), "the robot sees its own bumper"
         assert not env.capturable
 
-    def test_a_policy_is_told_what_the_teacher_does_where_it_goes(self) -> None:
+    def test_the_teacher_labels_the_states_that_a_policy_visits(self) -> None:
         env = self.make((4,))
         spec = env.observation_spec["pixels"].shape[1:]
         torch.manual_seed(0)
@@ -230,7 +230,7 @@ class TestPush(ConfiguredContract):
         assert len(frames["target"].unique(dim=0)) > 4
 
 
-def test_where_it_sees_neither_ball_nor_mark_the_teacher_turns_to_the_left() -> None:
+def test_the_teacher_turns_left_while_it_sees_neither_ball_nor_mark() -> None:
     ball, mark = torch.tensor([[-0.5, -0.1]]).double(), torch.tensor([[-0.7, 0.6]]).double()
     yaw = torch.tensor([0.0, -2.0]).double()  # the shorter turn is one to the right
     robot = torch.stack([torch.zeros(2).double(), torch.zeros(2).double(), yaw], 1)

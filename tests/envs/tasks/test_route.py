@@ -31,7 +31,7 @@ def car(terrain: Terrain | None = None) -> PhysicsMotion:
 
 
 def route(courses: int = 2, test_courses: int = 3) -> Route:
-    """The task around a post, with routes of three waypoints."""
+    """Make the task around a post, with routes of three waypoints."""
     chosen = RouteSettings(waypoints=3)
     task = Route(car(Terrain(PLANE, POST)), course=chosen, courses=courses, test_courses=test_courses)
     task.settle()
@@ -39,7 +39,7 @@ def route(courses: int = 2, test_courses: int = 3) -> Route:
 
 
 def at(task: Route, number: int, waypoint: int, away: float) -> torch.Tensor:
-    """A car [1, n] on a route, ``away`` metres before a waypoint along its way; 0 is the first."""
+    """Return a car's state [1, n] on a route, ``away`` metres before a waypoint; waypoint 0 is the first."""
     x, y, _, yaw = task.places[number, 1 + waypoint].tolist()
     state = task.motion.placed(torch.tensor([[x - away * math.cos(yaw), y - away * math.sin(yaw), yaw]]).double())
     state[0, 0] = number
@@ -47,7 +47,7 @@ def at(task: Route, number: int, waypoint: int, away: float) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("steering", [0.4, 0.2, -0.4])
-def test_a_car_turns_on_the_circle_of_its_steering(steering: float) -> None:
+def test_a_car_turns_on_the_circle_given_by_its_steering_angle(steering: float) -> None:
     motion = car()
     state, poses = motion.placed(torch.zeros(1, 3)), []
     for _ in range(60):
@@ -61,7 +61,7 @@ def test_a_car_turns_on_the_circle_of_its_steering(steering: float) -> None:
     assert radius.item() == pytest.approx(0.22 / math.tan(abs(steering)), rel=0.12)  # tyres slip a little
 
 
-def test_a_car_that_is_told_nothing_stands_and_its_springs_hold_it() -> None:
+def test_a_car_without_a_command_stands_still_on_its_springs() -> None:
     motion = car()
     state = motion.placed(torch.tensor([[0.3, -0.2, 1.0]]))
     for _ in range(20):
@@ -70,7 +70,7 @@ def test_a_car_that_is_told_nothing_stands_and_its_springs_hold_it() -> None:
     assert state[0, FIRST + 2].item() == pytest.approx(0.2, abs=0.01)
 
 
-def test_waypoints_count_in_their_order_and_the_last_one_ends_the_episode() -> None:
+def test_waypoints_count_only_in_order_and_the_last_one_ends_the_episode() -> None:
     task = route()
     near = judged(task, at(task, 1, 0, 0.4), at(task, 1, 0, 0.19))
     assert near.outcome.item() == Outcome.GOAL and near.memory["passed"].item() == 1 and not near.terminated.item()
@@ -83,7 +83,7 @@ def test_waypoints_count_in_their_order_and_the_last_one_ends_the_episode() -> N
     assert task.goals_for_success == 3
 
 
-def test_touching_and_leaving_end_an_episode_and_reach_nothing() -> None:
+def test_touching_and_leaving_end_an_episode_and_reach_no_waypoint() -> None:
     task = route()
     crash = judged(task, at(task, 0, 0, 0.3), at(task, 0, 0, 0.0), free=0.9)
     assert crash.outcome.item() == Outcome.COLLISION and crash.terminated.item() and crash.memory["passed"].item() == 0
@@ -93,7 +93,7 @@ def test_touching_and_leaving_end_an_episode_and_reach_nothing() -> None:
         assert judged(task, state, state).outcome.item() == outcome
 
 
-def test_reward_is_progress_and_waypoints() -> None:
+def test_the_reward_is_progress_plus_a_bonus_per_waypoint() -> None:
     task = route()
     nearer = judged(task, at(task, 0, 0, 0.6), at(task, 0, 0, 0.5))
     assert nearer.reward.item() == pytest.approx(0.1 - 0.01, abs=1e-6)
@@ -118,7 +118,7 @@ def test_a_robot_with_other_actions_is_refused() -> None:
         Route(motion)
 
 
-def test_a_car_that_drives_ahead_finishes_nothing() -> None:
+def test_a_car_that_only_drives_ahead_finishes_no_route() -> None:
     assert wander(route(), 60, (0.7, 0.0)).max() < 3
 
 

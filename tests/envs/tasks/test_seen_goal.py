@@ -1,4 +1,4 @@
-"""A goal that depends on what the image shows."""
+"""Goals that depend on what the image shows."""
 
 from typing import Any
 
@@ -18,14 +18,14 @@ SEEN = [0.25, 1.0, EAST]
 
 
 def begin(env: SplatEnv, states: list[list[float]]) -> TensorDictBase:
-    """Robots placed by hand, x and y in metres and the heading in turns, in an episode that the curriculum counts."""
+    """Place robots, x and y in metres and the heading in turns, in an episode that the curriculum counts."""
     state = torch.tensor(states) * torch.tensor([1.0, 1.0, torch.pi * 2])
     td = env.reset(TensorDict({"state": state}, [len(states)]), set_state=True)
     return td.set("level", torch.zeros_like(td["level"]))
 
 
 def step_from(states: list[list[float]], actions: list[int], **settings: Any) -> TensorDictBase:
-    """One step of robots placed by hand."""
+    """Take one step with robots placed by hand."""
     env = painted_env(coarse_apple(**settings), len(states))
     return env.step(begin(env, states).set("action", torch.tensor(actions)))["next"]
 
@@ -47,7 +47,7 @@ def test_a_goal_that_is_seen_ends_the_episode_with_the_tasks_reward() -> None:
     assert torch.equal(after["target"], torch.tensor([PLACE] * 4))
 
 
-def test_turning_to_what_is_near_is_enough() -> None:
+def test_turning_towards_a_near_goal_is_enough() -> None:
     after = step_from([[0.5, 1.0, NORTH], [0.5, 0.75, NORTH]], [RIGHT, RIGHT])
     # from (0.5, 0.75) the apple is 0.35 m away, farther than 1.1 steps
     assert column(after, "outcome") == [Outcome.GOAL, Outcome.RUNNING]
@@ -65,7 +65,7 @@ def test_the_return_is_the_sum_of_the_rewards_that_were_given() -> None:
     assert column(td, "outcome") == [Outcome.GOAL, Outcome.RUNNING]
 
 
-def test_a_goal_in_the_last_step_wins_over_the_end_of_time() -> None:
+def test_a_goal_in_the_last_step_takes_precedence_over_the_time_limit() -> None:
     after = step_from([SEEN, [-1.0, 1.0, WEST]], [FORWARD, LEFT], max_steps=1)
     assert column(after, "outcome") == [Outcome.GOAL, Outcome.TIMEOUT]
     assert column(after, "terminated") == [True, False] and column(after, "truncated") == [False, True]
@@ -86,7 +86,7 @@ def test_a_collision_or_leaving_the_bounds_is_never_turned_into_a_goal() -> None
     assert after["terminated"].all() and not after["truncated"].any()
 
 
-def test_the_curriculum_hears_of_each_end_once() -> None:
+def test_the_curriculum_counts_each_finished_episode_once() -> None:
     env = painted_env(coarse_apple(max_steps=2), 4, first=2, window=6, threshold=1.0)
     progress = base_env(env).curriculum
     td = begin(env, [SEEN, [0.0, 1.0, EAST], [1.0, 1.0, EAST], [-1.0, 0.5, WEST]])
@@ -96,13 +96,13 @@ def test_the_curriculum_hears_of_each_end_once() -> None:
     td = env.maybe_reset(env.step_mdp(after))
     td = td.set("level", torch.zeros_like(td["level"]))
     assert progress.progress.tolist() == [0, 2, 1]  # a reset does not end an episode
-    td["level"][0] = td["level"][2] = -1  # what was placed by hand does not count
+    td["level"][0] = td["level"][2] = -1  # episodes placed by hand do not count
     after = env.step(td.set("action", torch.tensor([LEFT, FORWARD, LEFT, LEFT])))["next"]
     assert column(after, "outcome")[1] == Outcome.GOAL and column(after, "outcome")[3] == Outcome.TIMEOUT
     assert progress.progress.tolist() == [0, 4, 2]
 
 
-def test_goals_alone_promote() -> None:
+def test_seen_goals_advance_the_curriculum() -> None:
     env = painted_env(coarse_apple(), 2, first=2, window=2, threshold=1.0)
     td = begin(env, [SEEN, SEEN])
     env.step(td.set("action", torch.tensor([FORWARD, FORWARD])))

@@ -48,7 +48,7 @@ def test_nothing_that_a_robot_does_ends_the_episode() -> None:
     assert torch.equal(verdict.memory["target"], memory["target"])
 
 
-def test_a_map_shows_the_apple_that_stands_now_and_none_for_all_episodes() -> None:
+def test_a_map_shows_the_current_apple_of_an_episode_and_otherwise_none() -> None:
     assert snake().marks() == []
     (mark,) = snake().marks({"target": torch.tensor([0.25, -0.5, HEIGHT])})
     assert mark.planar[:2].tolist() == [0.25, -0.5]
@@ -126,7 +126,7 @@ def test_a_given_target_is_kept_and_another_is_drawn_where_none_is_given() -> No
     assert (drawn != given).any() and (drawn[:, 2] == HEIGHT).all()
 
 
-def test_walking_without_end_never_terminates() -> None:
+def test_a_long_walk_is_truncated_and_never_terminated() -> None:
     env = painted_env(snake(max_steps=50), 20)
     torch.manual_seed(0)
     batch = env.rollout(50, break_when_any_done=False)
@@ -136,7 +136,7 @@ def test_walking_without_end_never_terminates() -> None:
 
 
 def eats(env: SplatEnv, apples: int) -> TensorDictBase:
-    """A step of three robots: the first eats an apple, which counts with those that it has eaten."""
+    """Take a step with three robots, of which the first eats its ``apples``-th apple."""
     states = [SEEN, [-1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]]
     td = env.reset(placed(states, [list(PLACE)] * 3), set_state=True)
     td["goals"] = torch.tensor([[apples - 1], [0], [apples]])
@@ -164,7 +164,7 @@ def test_an_episode_counts_its_own_apples() -> None:
     assert torch.equal(batch["next", "success"], batch["next", "goals"] >= 1) and expected.max() > 0
 
 
-def test_the_curriculum_goes_by_the_apples() -> None:
+def test_the_curriculum_advances_with_apples_eaten() -> None:
     env = painted_env(snake(max_steps=1), 3, first=1, window=1, threshold=0.3)
     td = env.reset(placed([SEEN, [-1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]], [list(PLACE)] * 3), set_state=True)
     td["level"] = torch.zeros_like(td["level"])
@@ -173,13 +173,13 @@ def test_the_curriculum_goes_by_the_apples() -> None:
 
 
 class Straight:
-    """Walks on."""
+    """A policy that always walks forward."""
 
     def __call__(self, td: TensorDictBase) -> TensorDictBase:
         return td.set("action", torch.full(td.batch_size, FORWARD))
 
 
-def test_an_evaluation_tells_apples_an_episode() -> None:
+def test_an_evaluation_reports_apples_per_episode() -> None:
     env = painted_env(snake(max_steps=5), 2)
     starts = torch.tensor([SEEN, [-1.0, -1.0, 0.0], SEEN])
     episodes = run_episodes(env, Straight(), starts, seed=0)
@@ -190,6 +190,6 @@ def test_an_evaluation_tells_apples_an_episode() -> None:
 
 
 @pytest.mark.parametrize("apples", [0, 1.5])
-def test_a_number_of_apples_that_makes_no_sense_is_refused(apples: float) -> None:
+def test_an_invalid_number_of_apples_is_refused(apples: float) -> None:
     with pytest.raises(ValueError, match=r"task\.apples: expected a whole number of at least 1"):
         Snake(coarse_forward(), PLACE, apples=apples)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""The strides task: a quadruped follows commands without looking."""
+"""The strides task: a quadruped follows commands without vision."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ NOTHING: Any = NoChecker.__new__(NoChecker)
 
 
 def task(**settings: Any) -> Strides:
-    """Two commands of 0.1 s each."""
+    """Make a task with two commands of 0.1 s each."""
     return Strides(StridesMotion(path="quadruped", camera="eye", threads=1, commands=2, span=0.1), **settings)
 
 
@@ -34,7 +34,7 @@ def judged(of: Strides, before: torch.Tensor, after: torch.Tensor, strides: int 
 
 
 def moving(of: Strides, ahead: float, aside: float, turn: float) -> torch.Tensor:
-    """A robot [1, n] that stands upright and moves, and is told to go 0.5 m/s ahead and to turn by 0.3 rad/s."""
+    """Return an upright, moving robot [1, n] that is commanded to go 0.5 m/s ahead and turn at 0.3 rad/s."""
     state = of.motion.commanded(of.motion.placed(torch.tensor([[0.0, 0.0, 0.7]])), torch.tensor([[0.5, 0.3] * 2]))
     yaw, first = torch.tensor(0.7).double(), FIRST + of.motion.physics.model.nq
     state[0, first] = ahead * yaw.cos() - aside * yaw.sin()
@@ -43,7 +43,7 @@ def moving(of: Strides, ahead: float, aside: float, turn: float) -> torch.Tensor
     return state
 
 
-def test_the_reward_is_highest_for_what_was_commanded() -> None:
+def test_the_reward_is_highest_for_the_commanded_velocity() -> None:
     of = task()
     right = moving(of, 0.5, 0.0, 0.3)
     assert judged(of, right, right).reward.item() == pytest.approx(1.5)
@@ -55,7 +55,7 @@ def test_the_reward_is_highest_for_what_was_commanded() -> None:
     assert judged(of, right, told).reward.item() == pytest.approx(expected)
 
 
-def test_a_fall_ends_an_episode_and_costs() -> None:
+def test_a_fall_ends_an_episode_with_a_penalty() -> None:
     of = task()
     for change in ({FIRST + 2: 0.1}, {FIRST + 3: 0.3, FIRST + 4: 0.954}):
         lying = of.motion.placed(torch.zeros(1, 3))
@@ -66,7 +66,7 @@ def test_a_fall_ends_an_episode_and_costs() -> None:
         assert verdict.reward.item() == pytest.approx(-5.0)
 
 
-def test_success_is_told_after_the_last_command_by_the_mean_error() -> None:
+def test_success_is_decided_after_the_last_command_by_the_mean_error() -> None:
     of = task()
     off = moving(of, 0.5, 0.4, 0.3)
     assert of.max_steps == 10
@@ -77,7 +77,7 @@ def test_success_is_told_after_the_last_command_by_the_mean_error() -> None:
     assert late.memory["error"].item() == pytest.approx(2.01, abs=1e-4) and late.memory["strides"].item() == 10
 
 
-def test_episodes_begin_shaken_at_any_moment_of_the_trot_with_commands_in_their_range() -> None:
+def test_episodes_begin_perturbed_at_any_phase_of_the_trot_with_commands_in_range() -> None:
     of = task(forward=(0.3, 0.6), shaken=0.05)
     states = begun(of, 200)
     commands = states[:, -4:].view(-1, 2, 2)
@@ -89,7 +89,7 @@ def test_episodes_begin_shaken_at_any_moment_of_the_trot_with_commands_in_their_
     assert not of.motion.fallen(states).any()
 
 
-def test_commands_take_turns() -> None:
+def test_commands_follow_one_another_in_time() -> None:
     of = task()
     state = of.motion.commanded(of.motion.placed(torch.zeros(3, 3)), torch.tensor([[0.1, 0.2, 0.3, 0.4]] * 3))
     state[:, 1] = torch.tensor([0.0, 0.15, 9.0])

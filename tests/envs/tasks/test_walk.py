@@ -25,7 +25,7 @@ def cache(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def walk(courses: int = 2, test_courses: int = 3, **settings: Any) -> Walk:
-    """The task around a post."""
+    """Make the task around a post."""
     motion = WalkMotion(path="quadruped", camera="eye", lower=(-2.0, -2.0), upper=(2.0, 2.0), threads=1)
     way = RouteSettings(waypoints=1, distance=(1.0, 1.5), clearance=0.4)
     task = Walk(motion, course=way, courses=courses, test_courses=test_courses, **settings)
@@ -39,7 +39,7 @@ def anywhere(task: Walk) -> Anywhere:
 
 
 def at(task: Walk, away: float, turned: float = 0.0) -> torch.Tensor:
-    """A robot [1, n] on the first way, some metres before its mark, that looks beside it by an angle."""
+    """Return a robot [1, n] on the first course, ``away`` metres before its mark, facing ``turned`` radians off it."""
     x, y, _, yaw = task.places[0, 1].tolist()
     return task.motion.placed(torch.tensor([[x - away * math.cos(yaw), y - away * math.sin(yaw), yaw - turned]]))
 
@@ -50,7 +50,7 @@ def judged(task: Walk, before: torch.Tensor, after: torch.Tensor) -> Verdict:
     return task.judge(Step(before, torch.zeros(1, 2), move, memory, torch.zeros(0)), anywhere(task))
 
 
-def test_the_mark_is_a_success() -> None:
+def test_reaching_the_mark_is_a_success() -> None:
     task = walk()
     near = judged(task, at(task, 0.6), at(task, 0.49))
     assert near.outcome.item() == Outcome.GOAL and near.terminated.item() and task.goals_for_success == 1
@@ -65,7 +65,7 @@ def test_a_fall_ends_an_episode_even_at_the_mark() -> None:
     assert fallen.outcome.item() == Outcome.COLLISION and fallen.terminated.item()
 
 
-def test_a_teacher_walks_the_ways_that_no_one_trained_on() -> None:
+def test_the_teacher_finishes_the_test_courses() -> None:
     task = walk(courses=1, test_courses=4)
     begun = task.episodes(task.motion.states(), 4, 0)
     state, memory = begun["state"], {key: begun[key] for key in task.memory_spec}
@@ -81,7 +81,7 @@ def test_a_teacher_walks_the_ways_that_no_one_trained_on() -> None:
     assert reached.all()
 
 
-def test_a_mark_that_is_not_seen_is_looked_for_to_the_left() -> None:
+def test_the_teacher_turns_left_to_look_for_a_mark_out_of_view() -> None:
     task = walk()
     memory = task.begin(at(task, 1.0), anywhere(task))
     for turned, speed, turn in ((0.0, 0.6, 0.0), (math.pi, 0.0, 0.8), (-1.5, 0.0, 0.8), (-0.2, 0.5536, -0.4)):
@@ -89,7 +89,7 @@ def test_a_mark_that_is_not_seen_is_looked_for_to_the_left() -> None:
         assert action == pytest.approx([speed, turn], abs=1e-3)
 
 
-def test_robots_begin_at_ways_and_look_beside_their_mark_by_as_much_as_asked() -> None:
+def test_robots_begin_on_courses_facing_at_most_the_requested_angle_off_their_mark() -> None:
     task = walk(ahead_deg=10.0)
     state = task.start(task.motion.home.expand(64, -1), anywhere(task))
     planar, place = task.motion.planar(state), task.begin(state, anywhere(task))["next_place"].double()

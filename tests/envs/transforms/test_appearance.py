@@ -1,4 +1,4 @@
-"""How images look under another camera and another light."""
+"""Appearance: how images look with another camera and under another light."""
 
 import pytest
 import torch
@@ -19,7 +19,7 @@ NAMES = ("brightness", "contrast", "red", "green", "blue", "blur", "noise")
 
 
 def seen(images: Tensor, **look: float) -> Tensor:
-    """Images under a given appearance."""
+    """Return images under a given appearance."""
     row = torch.tensor([look.get(name, neutral) for name, neutral in zip(NAMES, NEUTRAL, strict=True)])
     td = TensorDict({"pixels": images, "appearance": row.expand(*images.shape[:-3], 7)}, images.shape[:-3])
     return Appearance(blur=2.0)(td)["pixels"]
@@ -30,7 +30,7 @@ def pictures(count: int = 2, height: int = 10, width: int = 14) -> Tensor:
     return torch.randint(0, 256, (count, height, width, 3), dtype=torch.uint8, generator=generator)
 
 
-def test_no_ranges_change_no_byte() -> None:
+def test_ranges_of_zero_change_no_byte() -> None:
     env, clean = TransformedEnv(seeing_env(), Appearance(**OFF)), seeing_env()
     left, right = seeded_rollout(env, 10, 0), seeded_rollout(clean, 10, 0)
     assert torch.equal(left["appearance"], torch.tensor(NEUTRAL).expand(3, 10, 7))
@@ -45,7 +45,7 @@ def test_a_neutral_appearance_changes_no_byte_even_where_others_vary() -> None:
     assert torch.equal(seen(images), images)
 
 
-def test_brightness_adds_a_share_of_white() -> None:
+def test_brightness_adds_a_fraction_of_white() -> None:
     images = torch.tensor([0, 100, 250], dtype=torch.uint8).view(1, 1, 1, 3)
     assert seen(images, brightness=0.1).flatten().tolist() == [26, 126, 255]
     assert seen(images, brightness=-0.1).flatten().tolist() == [0, 75, 225]
@@ -74,12 +74,12 @@ def test_a_blur_spreads_a_point_as_a_gaussian_does() -> None:
     assert not seen(images, blur=1.0)[0, ..., [0, 2]].any()
 
 
-def test_a_blur_leaves_a_plain_image_as_it_is_up_to_its_border() -> None:
-    images = torch.full((1, 4, 3, 3), 77, dtype=torch.uint8)  # smaller than the blur reaches
+def test_a_blur_leaves_a_uniform_image_unchanged_up_to_its_border() -> None:
+    images = torch.full((1, 4, 3, 3), 77, dtype=torch.uint8)  # smaller than the blur kernel
     assert torch.equal(seen(images, blur=2.0), images)
 
 
-def test_sensor_noise_has_its_standard_deviation_and_is_fresh() -> None:
+def test_sensor_noise_has_its_standard_deviation_and_is_independent_per_image_and_channel() -> None:
     images = torch.full((2, 64, 64, 3), 128, dtype=torch.uint8)
     change = seen(images, noise=0.04).float() - 128
     assert change.std().item() == pytest.approx(0.04 * 255, rel=0.03) and abs(change.mean().item()) < 0.3
@@ -116,7 +116,7 @@ def test_the_core_changes_images_as_pytorch_does(
     assert torch.equal(by_core[0], images[0]) and (by_core != images).any()
 
 
-def test_the_core_refuses_sizes_that_do_not_belong_together() -> None:
+def test_the_core_refuses_sizes_that_do_not_match() -> None:
     images, weights, color, grain = pictures(), torch.ones(2, 1), torch.ones(2, 3), torch.zeros(2)
     for sizes in ((weights[:1], color, grain), (weights, torch.ones(2, 4), grain), (weights, color, torch.zeros(3))):
         with pytest.raises(ValueError, match="appearance: expected every argument to have one row per image"):
@@ -126,7 +126,7 @@ def test_the_core_refuses_sizes_that_do_not_belong_together() -> None:
         _core.change_appearance(images, weights, color, color, grain, noise, images.clone(), 1)
 
 
-def test_what_is_drawn_fills_its_ranges() -> None:
+def test_drawn_appearances_fill_their_ranges() -> None:
     drawn = Appearance(0.1, 0.2, 0.3, 0.4, 0.05)._draw(torch.Size([5000]))
     lower = torch.tensor([-0.1, 0.8, 0.7, 0.7, 0.7, 0.0, 0.0])
     upper = torch.tensor([0.1, 1.2, 1.3, 1.3, 1.3, 0.4, 0.05])
@@ -165,12 +165,12 @@ def test_a_given_appearance_is_kept_by_a_reset() -> None:
         ({"noise": float("inf")}, "appearance.noise"),
     ],
 )
-def test_wrong_settings_are_refused_by_name(settings: dict, message: str) -> None:
+def test_invalid_settings_are_refused_by_name(settings: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Appearance(**settings)
 
 
-def test_the_configs_build_it() -> None:
+def test_the_configs_build_the_transform() -> None:
     assert load_config(["transforms/appearance=none"]).transforms.appearance == {}
     made = instantiate(load_config(["transforms/appearance=varied"]).transforms.appearance)
     assert torch.equal(made.ranges, Appearance().ranges)

@@ -8,7 +8,7 @@ from tests.envs.transforms.views import transformed
 
 
 class TransformedContract(EnvContract):
-    """TorchRL's ``TransformedEnv.state_dict`` holds only the transforms, so that of the env is saved beside it."""
+    """The env contract under transforms: ``TransformedEnv.state_dict`` holds only theirs, so the env's is saved too."""
 
     steps = 16
 

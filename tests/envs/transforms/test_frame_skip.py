@@ -1,4 +1,4 @@
-"""Repeated actions: what the policy sees, is paid and is told."""
+"""Frame skip: observations, rewards and outcomes when actions are repeated."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ FORWARD_X, BACK_X, LEFT_Y, RIGHT_Y, SPIN, SPIN_BACK = range(6)
 
 
 class TestContract(EnvContract):
-    """Two steps an action, under a camera that shakes in each of them."""
+    """The env contract with two steps per action."""
 
     steps = 16
 
@@ -60,7 +60,7 @@ def test_a_robot_stops_where_its_episode_ends() -> None:
         assert torch.equal(after[key][0], first[key][0]), key
 
 
-def test_an_episode_that_ends_between_two_actions_counts_once() -> None:
+def test_an_episode_that_ends_during_a_repeated_action_counts_once() -> None:
     env = skipping(4, 1, first=1, window=100)
     td = placed(env, [[1, 5, 0]])
     td["level"] = torch.zeros_like(td["level"])
@@ -68,7 +68,7 @@ def test_an_episode_that_ends_between_two_actions_counts_once() -> None:
     assert base_env(env).curriculum.progress.tolist() == [0, 1, 1] and after["level"].tolist() == [[0]]
 
 
-def test_the_limit_of_steps_counts_steps_of_the_env() -> None:
+def test_the_step_limit_counts_env_steps() -> None:
     env = skipping(4, 1, max_steps=6)
     rollout = env.rollout(
         2, lambda td: td.set("action", torch.tensor([SPIN])), auto_reset=False, tensordict=placed(env, [[0, 0, 0]])
@@ -77,7 +77,7 @@ def test_the_limit_of_steps_counts_steps_of_the_env() -> None:
     assert rollout["next", "step_count"].flatten().tolist() == [4, 6]
 
 
-def test_transforms_inside_act_in_every_step_and_those_outside_once() -> None:
+def test_transforms_inside_act_in_every_step_and_those_outside_once_per_action() -> None:
     inside = StatefulEnv(tiny_env((1,)), RewardScaling(1.0, 1.0), FrameSkip(3))
     outside = StatefulEnv(tiny_env((1,)), FrameSkip(3), RewardScaling(1.0, 1.0))
     paid = []
@@ -92,7 +92,7 @@ def test_transforms_inside_act_in_every_step_and_those_outside_once() -> None:
 
 
 def test_the_camera_shakes_in_every_step() -> None:
-    """As many numbers are drawn as without it, so the last view is the same."""
+    """As many random numbers are drawn as without frame skip, so the last view is the same."""
     noise = {"x": 0.01, "smooth": 3.0}
     skips = StatefulEnv(seeing_env((2,)), PoseNoise(**noise), FrameSkip(3))
     steps = StatefulEnv(seeing_env((2,)), PoseNoise(**noise))
@@ -106,9 +106,9 @@ def test_the_camera_shakes_in_every_step() -> None:
     assert_same(*seen)
 
 
-def test_an_action_is_translated_once_a_step() -> None:
+def test_action_transforms_are_applied_once_per_step() -> None:
     class Reversed(PoseNoise):
-        """Turns the other way round: an action transform nearer to the env."""
+        """An action transform, nearer to the env, that reverses turns."""
 
         def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
             action = tensordict["action"]
@@ -122,7 +122,7 @@ def test_an_action_is_translated_once_a_step() -> None:
     assert after["state"].tolist() == [[0, 0, 2]]
 
 
-def test_it_works_around_a_serial_env_and_in_a_nest() -> None:
+def test_it_works_around_a_serial_env_and_when_nested() -> None:
     serial = TransformedEnv(SerialEnv(2, lambda: tiny_env((3,))), FrameSkip(3))
     nested = TransformedEnv(StatefulEnv(tiny_env((3,))), Compose(FrameSkip(3)))
     plain = StatefulEnv(tiny_env((3,)), FrameSkip(3))
@@ -144,11 +144,11 @@ def test_it_is_chosen_on_the_command_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("steps", [0, 1.5, -1])
-def test_a_number_of_steps_that_makes_no_sense_is_refused(steps: float) -> None:
+def test_an_invalid_number_of_steps_is_refused(steps: float) -> None:
     with pytest.raises(ValueError, match=r"skip\.steps: expected a whole number of at least 1"):
         FrameSkip(steps)  # type: ignore[arg-type]
 
 
-def test_it_needs_an_env() -> None:
+def test_it_needs_a_parent_env() -> None:
     with pytest.raises(RuntimeError, match="FrameSkip: expected a parent env"):
         FrameSkip(2)(TensorDict({"pixels": torch.zeros(2, 3)}, [2]))

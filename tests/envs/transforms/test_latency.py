@@ -1,4 +1,4 @@
-"""Views and actions that come late."""
+"""Latency: delayed views and actions."""
 
 import pytest
 import torch
@@ -22,7 +22,7 @@ class TestLatency(TransformedContract):
         return late((0, 2), (0, 2), batch_size[0], seed)
 
     def test_a_robot_does_not_depend_on_the_others(self) -> None:
-        """The delays of a robot are drawn with the others, so they are given with what came before."""
+        """A robot's delays are drawn along with the others', so they are given, as is what is still delayed."""
         batch, alone = self.make((5,)), self.make((1,))
         together = batch.rollout(4, break_when_any_done=False)
         known = ("state", "latency", "late_pixels", "late_action", "pixels")
@@ -42,13 +42,13 @@ class TestLatency(TransformedContract):
         assert torch.equal(again["state"], given["state"]) and torch.equal(again["pixels"], given["pixels"])
 
 
-def test_views_are_those_of_earlier_steps_and_the_first_one_before() -> None:
+def test_views_are_those_of_earlier_steps_and_at_first_the_first_view() -> None:
     now, then = seeing_env((3,)), late((2, 2), (0, 0))
     start = now.reset().select("state").clone()
     plain, delayed = now.reset(start.clone(), set_state=True), then.reset(start.clone(), set_state=True)
     seen, late_views = [plain["pixels"]], [delayed["pixels"]]
     for number in range(4):
-        action = torch.full((3,), 4 + number % 2)  # they turn, and so see something else each time
+        action = torch.full((3,), 4 + number % 2)  # they turn, so that each view differs
         plain = now.step(plain.set("action", action.clone()))["next"]
         delayed = then.step(delayed.set("action", action.clone()))["next"]
         assert torch.equal(plain["state"], delayed["state"]) and torch.equal(plain["reward"], delayed["reward"])
@@ -59,7 +59,7 @@ def test_views_are_those_of_earlier_steps_and_the_first_one_before() -> None:
     assert not torch.equal(seen[1], seen[0])
 
 
-def test_actions_are_those_of_earlier_steps_and_the_first_one_before() -> None:
+def test_actions_are_those_of_earlier_steps_and_at_first_the_first_action() -> None:
     now, then = seeing_env((3,)), late((0, 0), (2, 2))
     start = now.reset().select("state").clone()
     plain, delayed = now.reset(start.clone(), set_state=True), then.reset(start.clone(), set_state=True)
@@ -68,7 +68,7 @@ def test_actions_are_those_of_earlier_steps_and_the_first_one_before() -> None:
     for told, done in zip(chosen, carried_out, strict=True):
         plain = now.step(plain.set("action", torch.full((3,), done)))["next"]
         step = then.step(delayed.set("action", torch.full((3,), told)))
-        assert (step["action"] == told).all()  # what is learned from is what was chosen
+        assert (step["action"] == told).all()  # the policy learns from the action that it chose
         delayed = step["next"]
         assert torch.equal(plain["state"], delayed["state"]) and torch.equal(plain["pixels"], delayed["pixels"])
 
@@ -88,7 +88,7 @@ def test_without_delays_nothing_changes() -> None:
         assert torch.equal(then.step(delayed.set("action", action))["next", key], value), key
 
 
-def test_it_is_chosen_by_yaml_with_continuous_actions(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_yaml_adds_latency_to_continuous_actions(tmp_path) -> None:  # type: ignore[no-untyped-def]
     changes = ["transforms/latency=varied", "transforms.latency.action=[1,1]", "transforms.latency.camera=[0,0]"]
     world = build_one_world(load_config([*tiny_overrides(tmp_path, "drive"), *changes]))
     env = world.env(2)
@@ -100,14 +100,14 @@ def test_it_is_chosen_by_yaml_with_continuous_actions(tmp_path) -> None:  # type
     assert torch.equal(after["state"][:, 2], first["state"][:, 2])  # the turn is still to come
 
 
-def test_frames_that_are_skipped_are_delayed_step_by_step() -> None:
+def test_under_frame_skip_delays_count_env_steps() -> None:
     env = TransformedEnv(seeing_env((2,)), Compose(Latency((0, 0), (1, 1)), FrameSkip(2)))
     td = env.reset()
     first = env.step(td.set("action", torch.full((2,), 4)))["next"]
     assert (first["late_action"] == 4).all()
     second = env.step(first.clone().set("action", torch.full((2,), 5)))["next"]
     turned = (second["state"][:, 2] - first["state"][:, 2]) % 8
-    assert (turned == 0).all()  # once by the action before, once back
+    assert (turned == 0).all()  # once by the previous action, and once back
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ def test_frames_that_are_skipped_are_delayed_step_by_step() -> None:
         ((0,), (0, 0), r"latency\.camera: expected the lowest and the highest delay, got \[0\]"),
     ],
 )
-def test_other_delays_are_refused(camera: tuple[int, ...], action: tuple[int, ...], message: str) -> None:
+def test_invalid_delays_are_refused(camera: tuple[int, ...], action: tuple[int, ...], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Latency(camera, action)
 

@@ -1,4 +1,4 @@
-"""How far the camera is from its nominal pose on the robot."""
+"""Pose noise: offsets of the camera from its nominal pose on the robot."""
 
 import math
 
@@ -20,7 +20,7 @@ def noisy(count: int = 3, **settings: object) -> TransformedEnv:
 
 
 def offsets(steps: int, **settings: object) -> Tensor:
-    """Offsets of many robots over many steps, without rendering: [steps, 2000, 6]."""
+    """Draw the offsets of many robots over many steps, without rendering: [steps, 2000, 6]."""
     noise = noisy(1, **settings).transform
     series = [noise._draw(torch.Size([2000]))]
     for _ in range(steps - 1):
@@ -28,7 +28,7 @@ def offsets(steps: int, **settings: object) -> Tensor:
     return torch.stack(series)
 
 
-def test_metres_and_degrees_land_in_their_places() -> None:
+def test_metres_and_degrees_are_converted_and_ordered_correctly() -> None:
     sizes = PoseNoise(height=0.03, roll_deg=1.0, pitch_deg=2.0, x=0.01, y=0.02, yaw_deg=3.0).sizes
     expected = torch.tensor([0.01, 0.02, 0.03, math.radians(2), math.radians(1), math.radians(3)])
     torch.testing.assert_close(sizes, expected)
@@ -54,7 +54,7 @@ def test_normal_noise_has_its_standard_deviation_at_every_step(smooth: float) ->
     assert (series.abs() > 0.1).float().mean().item() == pytest.approx(0.0455, abs=0.012)
 
 
-def test_an_unsteady_hand_remembers_and_a_nervous_one_does_not() -> None:
+def test_smooth_noise_is_correlated_over_time_and_other_noise_is_not() -> None:
     def correlation(series: Tensor, lag: int) -> float:
         return torch.corrcoef(torch.stack([series[:-lag].flatten(), series[lag:].flatten()]))[0, 1].item()
 
@@ -65,7 +65,7 @@ def test_an_unsteady_hand_remembers_and_a_nervous_one_does_not() -> None:
     assert correlation(offsets(40, smooth=5.0)[..., 3], 1) > 0.75
 
 
-def test_it_moves_the_camera_by_what_it_shows_and_not_the_robot() -> None:
+def test_the_camera_moves_by_the_reported_offset_and_the_robot_does_not() -> None:
     env = noisy(x=0.05, yaw_deg=4.0)
     batch = seeded_rollout(env, 6, 0)
     robot, motion = base_env(env).robot, base_env(env).task.motion
@@ -84,7 +84,7 @@ def test_it_moves_the_camera_by_what_it_shows_and_not_the_robot() -> None:
             assert torch.equal(renderer().pixels(cameras), td["pixels"])
 
 
-def test_no_noise_changes_no_byte() -> None:
+def test_noise_of_size_zero_changes_no_byte() -> None:
     none = {"height": 0.0, "roll_deg": 0.0, "pitch_deg": 0.0}
     batch = seeded_rollout(noisy(**none, smooth=3.0), 5, 0)
     clean = seeing_env((3,)).reset(batch[:, 4].select("state"), set_state=True)
@@ -92,7 +92,7 @@ def test_no_noise_changes_no_byte() -> None:
     assert not batch["next", "camera_offset"].any()
 
 
-def test_every_step_draws_anew_and_a_reset_row_too() -> None:
+def test_every_step_and_every_reset_row_draws_a_new_offset() -> None:
     batch = seeded_rollout(noisy(6), 12, 0)
     before, after = batch["camera_offset"], batch["next", "camera_offset"]
     assert (before[..., 2] != after[..., 2]).all()
@@ -102,7 +102,7 @@ def test_every_step_draws_anew_and_a_reset_row_too() -> None:
     assert (begins[:, 2] != ends[:, 2]).all()
 
 
-def test_an_unsteady_hand_goes_on_from_what_the_tensordict_holds() -> None:
+def test_smooth_noise_continues_from_the_offset_in_the_tensordict() -> None:
     env = noisy(smooth=4.0)
     td = env.rand_action(env.reset())
     td["camera_offset"] = torch.tensor([0.0, 0.0, 0.015, 0.08, -0.08, 0.0]).expand(3, 6).clone()
@@ -117,20 +117,20 @@ def test_an_unsteady_hand_goes_on_from_what_the_tensordict_holds() -> None:
     torch.testing.assert_close(kept["camera_offset"], td["camera_offset"], atol=1e-6, rtol=1e-4)
 
 
-def test_an_offset_at_its_very_limit_does_not_break_the_hand() -> None:
+def test_smooth_noise_stays_finite_from_an_offset_at_its_limit() -> None:
     noise = noisy(smooth=2.0).transform
     for share in (1.0, -1.0, 1.5):
         assert noise._drift((share * noise.sizes).expand(4, 6)).isfinite().all()
 
 
-def test_what_a_reset_draws_for_the_robot_does_not_depend_on_a_given_offset() -> None:
+def test_a_given_offset_does_not_change_the_start_that_a_reset_draws() -> None:
     free, given = noisy(), noisy()
     state = free.reset()["state"]
     td = free.reset().select("camera_offset")
     assert torch.equal(given.reset(td, set_state=False)["state"], state)
 
 
-def test_around_a_parallel_env_it_says_where_it_belongs() -> None:
+def test_around_a_parallel_env_an_error_says_where_it_belongs() -> None:
     env = ParallelEnv(2, seeing_env, mp_start_method="fork")
     with pytest.raises(ValueError, match="around the env of each worker"):
         TransformedEnv(env, PoseNoise()).input_spec  # noqa: B018
@@ -146,12 +146,12 @@ def test_around_a_parallel_env_it_says_where_it_belongs() -> None:
         ({"distribution": "gauss"}, "uniform or normal, got 'gauss'"),
     ],
 )
-def test_wrong_settings_are_refused_by_name(settings: dict, message: str) -> None:
+def test_invalid_settings_are_refused_by_name(settings: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         PoseNoise(**settings)
 
 
-def test_the_configs_build_it() -> None:
+def test_the_configs_build_the_transform() -> None:
     assert load_config(["transforms/pose_noise=none"]).transforms.pose_noise == {}
     uniform = instantiate(load_config(["transforms/pose_noise=uniform"]).transforms.pose_noise)
     assert torch.equal(uniform.sizes, PoseNoise().sizes) and uniform.memory == 0

@@ -1,4 +1,4 @@
-"""Each transform works everywhere that TorchRL's own transforms are tested."""
+"""Each transform works everywhere that TorchRL tests its own transforms."""
 
 from functools import partial
 
@@ -19,12 +19,12 @@ every = pytest.mark.parametrize("name", NAMES)
 
 
 def images(count: int = 5) -> TensorDictBase:
-    """The input of a transform without an env."""
+    """Return input for a transform without an env."""
     return TensorDict(seeing_env((count,)).reset().select("pixels"), [count])
 
 
 @every
-def test_in_a_single_env(name: str) -> None:
+def test_a_transform_works_in_a_single_env(name: str) -> None:
     env = TransformedEnv(seeing_env(), make_transform(name))
     check_env_specs(env, break_when_any_done="both", seed=0)
     batch = env.rollout(5)
@@ -32,7 +32,7 @@ def test_in_a_single_env(name: str) -> None:
 
 
 @every
-def test_around_each_env_of_a_serial_env(name: str) -> None:
+def test_a_transform_works_around_each_env_of_a_serial_env(name: str) -> None:
     env = SerialEnv(2, [partial(transformed, (3,), seed, (name,)) for seed in (0, 1)])
     check_env_specs(env, break_when_any_done="both", seed=0)
     batch = env.rollout(12, break_when_any_done=False)
@@ -40,15 +40,15 @@ def test_around_each_env_of_a_serial_env(name: str) -> None:
 
 
 @every
-def test_around_a_serial_env(name: str) -> None:
+def test_a_transform_works_around_a_serial_env(name: str) -> None:
     env = TransformedEnv(SerialEnv(2, [partial(seeing_env, (3,), seed) for seed in (0, 1)]), make_transform(name))
     check_env_specs(env, break_when_any_done="both", seed=0)
     batch = env.rollout(12, break_when_any_done=False)
     assert batch["next", "done"].any() and WRITTEN[name] in set(batch.keys())
 
 
-def test_around_each_env_of_a_parallel_env() -> None:
-    """One test of workers with all transforms, since starting workers is slow."""
+def test_transforms_work_around_each_env_of_a_parallel_env() -> None:
+    """All transforms are tested at once, since starting workers is slow."""
     make = [partial(transformed, (3,), seed) for seed in (0, 1)]
     parallel, serial = ParallelEnv(2, make, mp_start_method="fork"), SerialEnv(2, make)
     try:
@@ -58,7 +58,7 @@ def test_around_each_env_of_a_parallel_env() -> None:
 
 
 @every
-def test_on_data_without_an_env(name: str) -> None:
+def test_a_transform_works_on_data_without_an_env(name: str) -> None:
     data = images()
     before = data.clone()
     after = make_transform(name)(data)
@@ -67,14 +67,14 @@ def test_on_data_without_an_env(name: str) -> None:
 
 
 @every
-def test_in_a_compose(name: str) -> None:
+def test_a_transform_works_in_a_compose(name: str) -> None:
     env = TransformedEnv(seeing_env(), Compose(Compose(make_transform(name))))
     check_env_specs(env, break_when_any_done="both", seed=0)
     assert_same(seeded_rollout(env, 5, 0), seeded_rollout(transformed((3,), 0, (name,), sprite=False), 5, 0))
 
 
 @every
-def test_in_a_model(name: str) -> None:
+def test_a_transform_works_in_a_model(name: str) -> None:
     data = images()
     mean = TensorDictModule(lambda pixels: pixels.float().mean((1, 2)), ["pixels"], ["color"])
     for model in (nn.Sequential(make_transform(name), mean), TensorDictSequential(make_transform(name), mean)):
@@ -83,7 +83,7 @@ def test_in_a_model(name: str) -> None:
 
 
 @every
-def test_in_a_replay_buffer(name: str) -> None:
+def test_a_transform_works_in_a_replay_buffer(name: str) -> None:
     buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(10), transform=make_transform(name), batch_size=4)
     data = images()
     offset = torch.rand(len(data), 6)
@@ -94,14 +94,14 @@ def test_in_a_replay_buffer(name: str) -> None:
 
 
 @every
-def test_its_inverse_leaves_recorded_data_alone(name: str) -> None:
+def test_the_inverse_of_a_transform_leaves_recorded_data_unchanged(name: str) -> None:
     data = images().set("camera_offset", torch.rand(5, 6))
     assert_same(make_transform(name).inv(data.clone()), data)
 
 
 @every
 @pytest.mark.parametrize("seed", range(3))
-def test_a_masked_reset_gives_new_values_to_the_masked_rows_alone(name: str, seed: int) -> None:
+def test_a_masked_reset_gives_new_values_only_to_the_masked_rows(name: str, seed: int) -> None:
     env = transformed((6,), 0, (name,), sprite=False)
     td = env.rollout(3)[:, -1]["next"].exclude("reward")
     mask = torch.rand(6, 1, generator=torch.Generator().manual_seed(seed)) < 0.5
@@ -115,7 +115,7 @@ def test_a_masked_reset_gives_new_values_to_the_masked_rows_alone(name: str, see
 
 
 @every
-def test_the_seed_of_the_env_is_that_of_the_transform(name: str) -> None:
+def test_the_seed_of_the_env_also_seeds_the_transform(name: str) -> None:
     runs = [seeded_rollout(transformed((3,), seed, (name,), sprite=False), 12, 7) for seed in (0, 1)]
     assert_same(*runs)
     key = WRITTEN[name]
@@ -124,7 +124,7 @@ def test_the_seed_of_the_env_is_that_of_the_transform(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["PoseNoise", "Appearance"])
-def test_over_an_env_without_a_generator_its_state_dict_brings_the_same_numbers_back(name: str) -> None:
+def test_over_an_env_without_a_generator_the_state_dict_restores_the_random_numbers(name: str) -> None:
     def make() -> EnvBase:
         return TransformedEnv(SerialEnv(2, partial(seeing_env, (3,))), make_transform(name))
 

@@ -30,12 +30,12 @@ HEIGHT, WIDTH = 24, 32
 
 
 def weathers(*kinds: dict[str, float]) -> Tensor:
-    """Weathers that are clear but for what is given: [B, 11]."""
+    """Return weathers that are clear except for the given fields: [B, 11]."""
     return torch.tensor([[kind.get(name, clear) for name, clear in zip(FIELDS, CLEAR, strict=True)] for kind in kinds])
 
 
 def seen(images: Tensor, depth: Tensor | None = None, seed: int = 0, **kind: float) -> Tensor:
-    """Images in a weather."""
+    """Return images in the given weather."""
     td = TensorDict({"pixels": images, "weather": weathers(kind).expand(len(images), -1)}, [len(images)])
     if depth is not None:
         td.set(VIEW_DEPTH, depth)
@@ -54,7 +54,7 @@ def grey(value: int = 100, count: int = 1) -> Tensor:
 def weather_env(
     batch_size: tuple[int, ...] = (3,), seed: int = 0, first: int | None = None, **strength: float
 ) -> EnvBase:
-    """Robots in the tiny room, in weather."""
+    """Make an env of robots in the tiny room, in weather."""
     robot = tiny_robot()
     drawing = DepthDrawing(SceneDrawing(renderer()), robot.image_height, robot.image_width)
     curriculum = Curriculum(tiny_plan(), first)
@@ -85,7 +85,7 @@ class TestWeatherContract(TransformedContract):
             assert torch.equal(start["pixels"], together["pixels"][row : row + 1])
 
 
-def test_clear_weather_changes_no_byte_and_takes_the_depth_away() -> None:
+def test_clear_weather_changes_no_byte_and_removes_the_depth() -> None:
     images = pictures()
     td = TensorDict(
         {"pixels": images, "weather": weathers({}, {}), VIEW_DEPTH: torch.full((2, HEIGHT, WIDTH), 3.0)}, [2]
@@ -94,14 +94,14 @@ def test_clear_weather_changes_no_byte_and_takes_the_depth_away() -> None:
     assert torch.equal(changed["pixels"], images) and VIEW_DEPTH not in changed.keys()  # noqa: SIM118
 
 
-def test_nothing_switched_on_changes_no_byte_of_an_env() -> None:
+def test_an_env_with_all_weather_switched_off_changes_no_byte() -> None:
     env, clean = weather_env(fog=0.0, dusk=0.0, sun=0.0, rain=0.0, snow=0.0, wet=0.0), seeing_env()
     left = seeded_rollout(env, 6, 0)
     assert (left["weather"][..., :8] == torch.tensor(CLEAR[:8])).all()
     assert torch.equal(left["pixels"][:, 3], clean.reset(left[:, 3].select("state"), set_state=True)["pixels"])
 
 
-def test_fog_leaves_what_koschmieder_says_and_all_of_it_where_nothing_is_seen() -> None:
+def test_fog_follows_koschmieders_law_and_hides_what_is_infinitely_far() -> None:
     depth = torch.full((1, HEIGHT, WIDTH), 2.0)
     depth[0, :5] = math.inf
     foggy = seen(grey(100), depth, fog=0.3)
@@ -123,7 +123,7 @@ def test_dusk_is_dark_and_blue_and_the_sun_changes_colours() -> None:
 
 
 @pytest.mark.parametrize("kind", ["rain", "snow"])
-def test_what_falls_brightens_some_pixels_moves_every_time_and_is_hidden_by_what_is_near(kind: str) -> None:
+def test_rain_and_snow_brighten_some_pixels_vary_every_time_and_are_hidden_by_near_surfaces(kind: str) -> None:
     far, near = torch.full((1, HEIGHT, WIDTH), 9.0), torch.full((1, HEIGHT, WIDTH), 0.3)
     lone = grey(20)
     without = seen(lone, near, **{kind: 1.0})
@@ -137,7 +137,7 @@ def test_what_falls_brightens_some_pixels_moves_every_time_and_is_hidden_by_what
 
 def test_rain_is_long_and_leans_with_the_wind_and_snow_is_round() -> None:
     def stretch(layers: tuple[object, ...]) -> float:
-        """How much longer than wide what falls is, by the autocorrelation one step down and across."""
+        """Return how elongated rain or snow is, from its autocorrelation three pixels down and across."""
         cover = pattern(layers, 64, 80, torch.device("cpu")).cover[0]  # type: ignore[arg-type]
         down, across = (((cover - cover.roll(3, axis)) ** 2).mean() for axis in (0, 1))
         return float(across / down)
@@ -174,7 +174,7 @@ def test_each_image_has_its_own_weather() -> None:
         assert torch.equal(both[row], Weather(**off)(TensorDict(one, []))["pixels"])
 
 
-def test_what_is_drawn_stays_in_its_ranges_and_rain_and_snow_do_not_come_together() -> None:
+def test_drawn_weather_stays_in_its_ranges_and_never_has_rain_and_snow_together() -> None:
     drawn = Weather(fog=0.2, dusk=0.5, sun=0.1, often=0.5)._draw(torch.Size([5000]), None)
     fog, dusk, red, green, blue, rain, snow, wet, wind, down, along = drawn.unbind(-1)
     assert fog.max() <= 0.2 and dusk.max() <= 0.5 and (red - 1).abs().max() <= 0.1 + 1e-6
@@ -199,7 +199,7 @@ def test_weather_is_weaker_at_the_first_level_of_a_curriculum_and_full_at_the_la
     assert 0 < fog.max() <= 0.05 + 1e-6
     full = weather._draw(torch.Size([400]), torch.full((400, 1), last))[:, 0]
     assert 0.45 < full.max() <= 0.5
-    assert weather_env((400,), often=1.0, fog=0.5).reset()["weather"][:, 0].max() > 0.45  # one level: all of it
+    assert weather_env((400,), often=1.0, fog=0.5).reset()["weather"][:, 0].max() > 0.45  # one level: full strength
 
 
 def test_an_episode_keeps_its_weather_and_the_next_has_another() -> None:
@@ -211,7 +211,7 @@ def test_an_episode_keeps_its_weather_and_the_next_has_another() -> None:
     assert (before[ended] != after[ended]).any(-1).all()
 
 
-def test_every_image_of_a_rollout_is_in_its_weather_also_after_resets_of_some_rows() -> None:
+def test_every_image_of_a_rollout_shows_its_weather_even_after_partial_resets() -> None:
     off = {"rain": 0.0, "snow": 0.0, "often": 1.0}
     batch, other = seeded_rollout(weather_env((4,), **off), 12, 0), weather_env((4,), seed=5, **off)
     ended = batch["next", "done"][:, :, 0]
@@ -244,7 +244,7 @@ def test_a_setting_out_of_range_is_refused_by_its_key(setting: str, value: float
         Weather(**{setting: value})
 
 
-def test_the_config_brings_its_drawing_and_works_with_a_sprite(tmp_path: Path) -> None:
+def test_the_config_sets_up_a_drawing_with_depth_and_works_with_a_sprite(tmp_path: Path) -> None:
     assert isinstance(instantiate(load_config(["transforms/appearance=weather"]).transforms.appearance), Weather)
     for task in ("grid", "apple"):
         env = make_env([*tiny_overrides(tmp_path, task), "transforms/appearance=weather"], batch_size=[2])
@@ -252,7 +252,7 @@ def test_the_config_brings_its_drawing_and_works_with_a_sprite(tmp_path: Path) -
     assert "around_drawing" not in load_config()
 
 
-def test_the_core_puts_images_into_the_weather_that_pytorch_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_core_draws_the_same_weather_as_pytorch(monkeypatch: pytest.MonkeyPatch) -> None:
     count = 40
     g = torch.Generator().manual_seed(1)
     images = torch.randint(0, 256, (count, HEIGHT, WIDTH, 3), dtype=torch.uint8, generator=g)
@@ -261,7 +261,7 @@ def test_the_core_puts_images_into_the_weather_that_pytorch_does(monkeypatch: py
     made = Weather(often=0.7)
     drawn = made._draw(torch.Size([count]))
     drawn[0, 5:9], drawn[0, 9:] = torch.tensor([1.0, 0.0, 1.0, -0.35]), 0.999999
-    drawn[1, 9:] = torch.tensor([-3.7, 8.2])  # given to a reset by somebody
+    drawn[1, 9:] = torch.tensor([-3.7, 8.2])  # as a caller may pass to a reset
 
     def put(far: Tensor | None) -> Tensor:
         torch.manual_seed(0)
@@ -278,14 +278,14 @@ def test_the_core_puts_images_into_the_weather_that_pytorch_does(monkeypatch: py
         assert (by_core != images).any()
 
 
-def test_the_core_refuses_sizes_that_do_not_belong_together() -> None:
+def test_the_core_refuses_sizes_that_do_not_match() -> None:
     images, tint = pictures(), torch.ones(2, 3)
     for wrong in (tint[:1], torch.ones(3, 3)):
         with pytest.raises(ValueError, match="weather: expected one row per image"):
             _core.put_into_weather(images, wrong, tint, None, None, None, None, images.clone(), 1)
 
 
-def test_a_reset_of_some_rows_changes_no_others() -> None:
+def test_a_partial_reset_leaves_the_other_rows_unchanged() -> None:
     env = weather_env((4,), often=1.0)
     before = env.reset()
     mask = torch.tensor([[True], [False], [False], [True]])

@@ -1,4 +1,4 @@
-"""Robots in the tiny room, and transforms around them."""
+"""Envs of robots in the tiny room, and transforms around them."""
 
 from functools import cache
 
@@ -18,29 +18,29 @@ PLACE = (0.9, 0.0, 0.5)
 
 @cache
 def renderer() -> NativeRenderer:
-    """A renderer that is fast enough for views that never repeat, such as those of an unsteady camera."""
+    """Make a renderer that is fast enough for views that never repeat, such as those of an unsteady camera."""
     return NativeRenderer(tiny_gaussians(), threads=1)
 
 
 def seeing_env(batch_size: tuple[int, ...] = (3,), seed: int = 0, sprite: bool = False) -> SplatEnv:
-    """Robots in the tiny room, with or without a sprite in it."""
+    """Make an env of robots in the tiny room, with or without a sprite in it."""
     curriculum = Curriculum(tiny_plan(), None)
     drawing: Drawing = plain_drawing() if sprite else SceneDrawing(renderer())
     return SplatEnv(drawing, BlockChecker(), tiny_robot(), tiny_task(max_steps=8), curriculum, batch_size, seed)
 
 
 def plain_sprite() -> Sprite:
-    """An opaque green square, whose texels can be checked by hand."""
+    """Make an opaque green square, whose texels can be checked by hand."""
     return Sprite.of(torch.tensor([0, 255, 0, 255], dtype=torch.uint8).expand(64, 64, 4).contiguous())
 
 
 def plain_drawing() -> SpriteDrawing:
-    """The green square in front of the east wall."""
+    """Make a drawing of the green square in front of the east wall."""
     return SpriteDrawing(renderer(), plain_sprite(), size=0.3, position=PLACE)
 
 
 def make_transform(name: str) -> Transform:
-    """One of the transforms, with everything switched on."""
+    """Make one of the transforms with everything switched on."""
     if name == "PoseNoise":
         return PoseNoise(x=0.01, yaw_deg=2.0, smooth=3.0)
     assert name == "Appearance", name
@@ -53,5 +53,5 @@ NAMES = ("PoseNoise", "Appearance")
 def transformed(
     batch_size: tuple[int, ...] = (3,), seed: int = 0, names: tuple[str, ...] = NAMES, sprite: bool = True
 ) -> TransformedEnv:
-    """Robots under some transforms: a top-level function of plain values, so that a worker process can make one."""
+    """Make an env under some transforms: a top-level function of plain values, which worker processes can call."""
     return TransformedEnv(seeing_env(batch_size, seed, sprite), Compose(*(make_transform(name) for name in names)))
