@@ -66,7 +66,7 @@ class Verification:
         return tuple(one for one in self.disagreements if one.margin > margin)
 
     def __str__(self) -> str:
-        lines = [f"{self.agreed} of {self.poses} agreed; the oracle reports {self.hits} hits"]
+        lines = [f"{self.agreed} of {self.poses} agreed; hits by the oracle: {self.hits}"]
         if self.disagreements:
             worst = max(one.margin for one in self.disagreements)
             lines[0] += f"; {len(self.missed)} missed, margins up to {worst:.1e} m"

@@ -60,7 +60,7 @@ def test_sweeps_are_compared_like_poses():
 def test_checkers_that_agree_give_a_short_report():
     checker = TorchChecker(CUBE, Sphere(0.2))
     found = verify(checker, checker, at((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)))
-    assert str(found) == "2 of 2 agreed; the oracle reports 1 hits"
+    assert str(found) == "2 of 2 agreed; hits by the oracle: 1"
     assert found.disagreements == ()
     assert verify(checker, checker, torch.zeros(0, 4, 4)).agreed == 0
 
@@ -68,7 +68,7 @@ def test_checkers_that_agree_give_a_short_report():
 def test_the_report_lists_rows_by_margin_and_counts_the_rest():
     checker, oracle = Swollen(CUBE, Sphere(0.2), 1e-2), TorchChecker(CUBE, Sphere(0.2))
     lines = str(verify(checker, oracle, at(*[(0.3001 + 3e-4 * k, 0.05, 0.05) for k in range(25)]))).splitlines()
-    assert lines[0].startswith("0 of 25 agreed; the oracle reports 0 hits; 0 missed, margins up to")
+    assert lines[0].startswith("0 of 25 agreed; hits by the oracle: 0; 0 missed, margins up to")
     assert "free" in lines[1] and "margin" in lines[1]
     assert len(lines) == 22
     assert lines[-1] == "  and 5 with smaller margins"

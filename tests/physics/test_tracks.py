@@ -29,15 +29,14 @@ def test_a_track_depends_only_on_the_seed_and_its_number() -> None:
 
 def test_gates_and_the_paths_between_them_are_free() -> None:
     for track in drawn(12):
-        for before, gate in pairwise(track):
+        for number, (before, gate) in enumerate(pairwise(track)):
             ahead = np.array([math.cos(gate[3]), math.sin(gate[3]), 0.0])
             side = np.array([-ahead[1], ahead[0], 0.0])
             assert 1.0 <= math.dist(before[:2], gate[:2]) <= 1.7
             assert 0.7 <= gate[2] - 0.1 <= 1.3
-            begin = before[:3]
+            begin = before[:3] + (0.5 * np.array([math.cos(before[3]), math.sin(before[3]), 0.0]) if number else 0.0)
             for share in np.linspace(0.0, 1.0, 50):
-                points = [begin + share * (gate[:3] - begin)] if before is track[0] else []
-                points.append(gate[:3] + 0.5 * share * ahead)
+                points = [begin + share * (gate[:3] - begin), gate[:3] + 0.5 * share * ahead]
                 points += [gate[:3] + a * side + [0.0, 0.0, b] for a in (-0.4, 0.4) for b in (0.8 * share - 0.4,)]
                 for point in points:
                     outside = np.maximum(np.abs(point - POSTS[:, :3].numpy()) - POSTS[:, 3:].numpy(), 0.0)

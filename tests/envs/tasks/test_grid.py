@@ -43,7 +43,7 @@ def test_whole_turns_do_not_move_the_goal(turns: int) -> None:
         ([3, 5, 0], False, Outcome.GOAL, 5.0),
         ([3, 5, 0], True, Outcome.COLLISION, -2.0),  # takes precedence over the goal
         ([1, 3, 0], True, Outcome.COLLISION, -2.0),
-        ([5, 5, 0], False, Outcome.OUT_OF_BOUNDS, -3.0),  # less than two steps from the goal
+        ([5, 5, 0], False, Outcome.OUT_OF_BOUNDS, -3.0),
         ([5, 5, 0], True, Outcome.COLLISION, -2.0),  # takes precedence over the bounds
         ([-1, 2, 4], False, Outcome.OUT_OF_BOUNDS, -3.0),
     ],
