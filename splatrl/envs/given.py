@@ -1,9 +1,11 @@
-"""Validation of the scenes and states given to a reset."""
+"""Validation of the scenes, states and memory given to a reset, and of actions."""
+
+from collections.abc import Mapping, Sequence
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.data import Bounded, TensorSpec
+from torchrl.data import Bounded, Categorical, TensorSpec
 
 
 def given_scene(given: TensorDictBase, scenes: int, only: Tensor | None) -> Tensor:
@@ -49,3 +51,47 @@ def given_state(given: TensorDictBase, spec: TensorSpec, only: Tensor | None) ->
         limits = f" from {spec.low.tolist()} to {spec.high.tolist()}" if isinstance(spec, Bounded) else ""
         raise ValueError(f"state: expected {spec.dtype}{limits}, got {state.dtype} {state[row].tolist()} in row {row}")
     return state.clone()
+
+
+def given_memory(
+    given: TensorDictBase, specs: Mapping[str, TensorSpec], together: Sequence[str], only: Tensor | None
+) -> dict[str, Tensor]:
+    """Return the given memory of a task after checking it: values that contradict each other give wrong rewards.
+
+    Args:
+        given: [B], with any of the keys, [B, ...] each.
+        specs: specs of one robot's memory, by key.
+        together: keys of which all must be given if any is.
+        only: see ``given_scene``.
+
+    Raises:
+        ValueError: for values outside their spec, or for missing keys.
+    """
+    found = {key: given[key] for key in specs if given.get(key, None) is not None}
+    some, missing = ([key for key in together if (key in found) is there] for there in (True, False))
+    if some and missing:
+        raise ValueError(f"{', '.join(some)}: expected {', '.join(missing)} along with it, found none")
+    for key, value in found.items():
+        spec, asked = specs[key].to(value.device), value if only is None else value[only]
+        alike = (value.dtype, value.shape[1:]) == (spec.dtype, spec.shape)
+        if not alike or not spec.expand(len(asked), *spec.shape).is_in(asked):
+            limits = f" from {spec.low.min().item()} to {spec.high.max().item()}" if isinstance(spec, Bounded) else ""
+            wanted = f"{spec.dtype} [{', '.join(map(str, ('B', *spec.shape)))}]{limits}"
+            raise ValueError(f"{key}: expected {wanted}, got {value.dtype} {list(value.shape)}, {_shown(asked)}")
+    return found
+
+
+def check_seeds(seeds: Sequence[int | None], count: int) -> None:
+    """Refuse seeds of robots that are not ``count`` whole numbers or None, with a ValueError."""
+    if len(seeds) != count or not all(one is None or type(one) is int for one in seeds):
+        raise ValueError(f"seeds: expected {count} whole numbers or None, got {list(seeds)!r:.80}")
+
+
+def check_actions(action: Tensor, spec: TensorSpec) -> None:
+    """Refuse the numbers of actions that do not exist, with a ValueError; actions of other kinds pass."""
+    if isinstance(spec, Categorical) and len(wrong := action[(action < 0) | (action >= spec.n)]):
+        raise ValueError(f"action: expected whole numbers from 0 to {spec.n - 1}, got {int(wrong[0])}")
+
+
+def _shown(values: Tensor) -> str:
+    return f"between {values.min().item():g} and {values.max().item():g}" if values.numel() else "nothing"

@@ -58,22 +58,24 @@ class GymnasiumEnv(gymnasium.Env[Observation, Action]):
         self.env, self.render_mode = env, _checked_mode(render_mode)
         self.observation_space, self.action_space = _spaces(env)
         self._present: TensorDictBase | None = None
+        self._over = False  # whether the episode has ended
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Infos]:
         """Begin an episode and return its first observation and info."""
         super().reset(seed=seed)
-        self._present = _begin(self.env, seed, options)
+        self._present, self._over = _begin(self.env, seed, options, None if seed is None else [seed]), False
         return _seen_by(_observed(self.env, self._present), 0), _one(_infos(self._present))
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, Infos]:
         """Take one action."""
-        if self._present is None:
+        if self._present is None or self._over:
             raise gymnasium.error.ResetNeeded("step: expected a call to reset() first")
         step = self.env.step(_act(self.env, self._present, self.action_space, action))
         _raise_faults(self.env)
         after = step["next"]
         self._present = self.env.step_mdp(step)
         terminated, truncated = bool(after["terminated"]), bool(after["truncated"])
+        self._over = terminated or truncated
         seen = _seen_by(_observed(self.env, after), 0)
         return seen, after["reward"].item(), terminated, truncated, _one(_infos(after))
 
@@ -83,7 +85,7 @@ class GymnasiumEnv(gymnasium.Env[Observation, Action]):
             return None
         if self._present is None:
             raise gymnasium.error.ResetNeeded("render: expected a call to reset() first")
-        return _pixels(self._present)[0]
+        return _views(self._present)[0]
 
 
 class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
@@ -179,7 +181,7 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
         acted["level"] = torch.where(mask, -1, acted["level"])  # the curriculum counts an ended episode only once
         step, present = self._stepped(acted)
         _raise_faults(self.env)
-        self._present = self.env.reset(present.set("_reset", mask), set_state=False)
+        self._present = self.env.reset(present.set("_reset", mask), select_reset_only=True)
         after = step["next"]
         terminated, truncated = (_column(after, key) & ~over for key in ("terminated", "truncated"))
         self._over = terminated | truncated
@@ -201,7 +203,7 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
             return None
         if self._present is None:
             raise gymnasium.error.ResetNeeded("render: expected a call to reset() first")
-        return tuple(_pixels(self._present))
+        return tuple(_views(self._present))
 
 
 def _checked_mode(render_mode: str | None) -> str | None:
@@ -305,13 +307,18 @@ def _pixels(td: TensorDictBase) -> Pixels:
     return td["pixels"].cpu().numpy()
 
 
+def _views(td: TensorDictBase) -> Pixels:
+    """Return copies of the latest views, [B, H, W, 3]: policies with ``memory=stack`` observe several at once."""
+    return _pixels(td)[..., -3:].copy()
+
+
 def _column(td: TensorDictBase, key: str) -> npt.NDArray[Any]:
     return td[key].squeeze(1).cpu().numpy()
 
 
 def _infos(td: TensorDictBase) -> Infos:
     columns = {key: _column(td, key) for key in ("outcome", "goals", "success")}
-    return {**columns, "state": td["state"].cpu().numpy()}
+    return {**columns, "state": td["state"].cpu().numpy().copy()}  # clients may edit it
 
 
 def _one(infos: Infos) -> Infos:

@@ -1,6 +1,6 @@
 """Starting new episodes for robots whose last one ended: by mask, without synchronising with the host, or by row."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -38,6 +38,27 @@ def restart(env: EnvBase, after: TensorDictBase) -> TensorDictBase:
         else:
             values[key] = fresh.apply(chosen, old) if isinstance(fresh, TensorDictBase) else chosen(fresh, old)
     return TensorDict(values, env.batch_size, device=env.device)
+
+
+def restart_from(env: EnvBase, after: TensorDictBase, rows: Tensor, given: Mapping[str, Tensor]) -> TensorDictBase:
+    """Begin episodes from given states in some rows; nothing else of a row's last episode reaches its new one.
+
+    Args:
+        env: a ``SplatEnv``, bare or under transforms.
+        after: [B], from ``step_mdp``; it is not modified.
+        rows: [N] int64, the rows in which episodes begin, on the env's device.
+        given: ``state`` and any memory at the start of these episodes, [N, ...] by key; the rest is drawn.
+
+    Returns:
+        [B], the input of the next step.
+    """
+    mask = torch.zeros(env.batch_size, dtype=torch.bool, device=env.device).index_fill_(0, rows, True).unsqueeze(1)
+    asked = {key: after[key].index_copy(0, rows, value) for key, value in given.items()}
+    fresh = env._reset(TensorDict({**asked, "_reset": mask}, env.batch_size, device=env.device), set_state=True)
+    values = dict(after.items())
+    for key, value in fresh.items():
+        values[key] = _with_rows_of(values.get(key), rows, value)
+    return TensorDict._new_unsafe(values, batch_size=after.batch_size, device=after.device)
 
 
 def maybe_reset(env: EnvBase, after: TensorDictBase) -> TensorDictBase:

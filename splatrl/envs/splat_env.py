@@ -17,7 +17,7 @@ from splatrl.collision.nothing import NoChecker
 from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum.starts import Curriculum
 from splatrl.envs.drawing.base import Drawing
-from splatrl.envs.given import given_scene, given_state
+from splatrl.envs.given import check_actions, check_seeds, given_memory, given_scene, given_state
 from splatrl.envs.lattice_steps import LatticeSteps, Taken, suits
 from splatrl.envs.restart import maybe_reset, with_rows
 from splatrl.envs.robot import Robot
@@ -170,6 +170,7 @@ class SplatEnv(EnvBase):
             state = given_state(given, self.task.motion.state_spec, only)
             level = torch.full((self.numel(), 1), -1, device=self.device)  # given states belong to no level
             memory = {**self._at(scene)[0].begin(state, self._chance(scene))}
+            memory |= given_memory(given, self.task.memory_spec, self.task.given_together, only)
         else:
             scene, state, memory = self._drawn(seeds)
             level = self.curriculum.level.expand(self.numel(), 1).clone()
@@ -260,6 +261,8 @@ class SplatEnv(EnvBase):
 
     def _starts(self, seeds: Sequence[int | None] | None) -> tuple[Tensor | None, Tensor]:
         """Draw a scene and a start of the current level for each robot; see the class for ``seeds``."""
+        if seeds is not None:
+            check_seeds(seeds, self.numel())
         scene, state = self._start(self.numel(), self.generator)
         for row, seed in enumerate(seeds or ()):
             if seed is not None:
@@ -281,7 +284,11 @@ class SplatEnv(EnvBase):
     def _after(self, given: TensorDictBase | Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Carry out a step of N robots and return all its entries: [N, ...] by key."""
         taken = None if self.lattice_steps is None else self.lattice_steps.step(given)
-        return self._stepped(given) if taken is None else self._shown(taken, given)
+        try:
+            return self._stepped(given) if taken is None else self._shown(taken, given)
+        except IndexError:
+            check_actions(given["action"], self.action_spec)
+            raise
 
     def _some_after(self, given: TensorDictBase, stepping: Tensor) -> dict[str, Tensor]:
         """Do the same for some robots only, [B, 1] bool; the others keep their inputs, or 0 where there is none."""

@@ -4,6 +4,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
@@ -51,6 +52,16 @@ class StatefulEnv(TransformedEnv):
     def step(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Take a step; without transforms it is the base env's own, which avoids the copies that transforms need."""
         return super().step(tensordict) if len(self.transform) else self.base_env.step(tensordict)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        after, stepping = super()._step(tensordict), tensordict.get("_step", None)
+        if stepping is None:
+            return after
+        for key, new in after.items():  # transforms have changed robots that wait, too
+            old = tensordict.get(key, None)
+            if isinstance(old, Tensor) and (old.shape, old.dtype) == (new.shape, new.dtype):
+                after[key] = torch.where(stepping.view(-1, *[1] * (new.ndim - 1)), new, old)
+        return after
 
     def maybe_reset(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Reset robots whose episode has ended; see ``EnvBase.maybe_reset``."""

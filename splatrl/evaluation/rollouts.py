@@ -14,6 +14,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from splatrl.envs.nesting import layers
+from splatrl.envs.restart import restart_from
 from splatrl.envs.tasks import NavigationTask, Outcome
 from splatrl.envs.tasks.base import ChoosingTask, Memory
 from splatrl.envs.world import World, Worlds
@@ -291,11 +292,8 @@ def run_episodes(
             begins = ended[episode[ended] < count]
             td = env.step_mdp(td)
             if len(begins):
-                for key, value in given.items():
-                    td[key] = td[key].index_put((begins.to(env.device),), value[episode[begins]].to(env.device))
-                anew = torch.zeros(rows, 1, dtype=torch.bool).index_fill_(0, begins, True)
-                td["_reset"] = anew.to(env.device)
-                td = env.reset(td, set_state=True)
+                anew = {key: value[episode[begins]].to(env.device) for key, value in given.items()}
+                td = restart_from(env, td, begins.to(env.device), anew)
     measures = {key: columns.pop(key) for key in measured}
     outcome, length, episode_return, goals, success = columns.values()
     return Episodes(starts, outcome, length, episode_return, goals, success, scene, measures)

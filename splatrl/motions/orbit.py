@@ -65,7 +65,7 @@ class OrbitMotion(FiniteMotion):
 
     def advance(self, state: Tensor, action: Tensor) -> Tensor:
         """Return where an unobstructed action leads, maybe off the lattice: [B, 3] int64, [B] int64 -> [B, 3] int64."""
-        moved = state + self.moves[action]
+        moved = state + self.moves.index_select(0, action)
         return torch.cat([moved[:, :1] % self.shape[0], moved[:, 1:]], 1)
 
     def inside(self, state: Tensor) -> Tensor:

@@ -75,5 +75,5 @@ class StepMotion(PlanarMotion):
         Returns:
             [B, 3] float32.
         """
-        turn = self.turns[action]
-        return along(state, self.lengths[action], turn, torch.zeros_like(turn))
+        turn = self.turns.index_select(0, action)  # indexing would take -1 as the last action
+        return along(state, self.lengths.index_select(0, action), turn, torch.zeros_like(turn))

@@ -14,8 +14,8 @@ from splatrl.files import refusing, replacing
 MADE = re.compile(r"collections OrderedDict|torch\._utils _rebuild_tensor_v2|torch \w+Storage|torch (Size|device)")
 """Objects that a checkpoint's pickle may create. PyTorch would also allow bytearrays, which can have any size."""
 
-MOST_STEPS = 2**22
-"""Maximum number of operations in a checkpoint's pickle: enough for the history of a hundred thousand batches."""
+MOST_STEPS = 2**18
+"""Maximum number of operations in a checkpoint's pickle; that of a large network and env has some thousands."""
 
 
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:

@@ -133,9 +133,16 @@ class PPO:
         self.model.load_state_dict(state["model"])
         self.learner.optimizer.load_state_dict(state["optimizer"])
         base.load_state_dict(state["env"])
+        levels = base.curriculum.starts.levels  # which may be fewer, with other settings
+        base.curriculum.progress[0].clamp_(max=levels - 1)
+        if len(transformed) != len(state["transforms"]):
+            raise RuntimeError(f"expected {len(state['transforms'])} layers of transforms, got {len(transformed)}")
         for env, saved in zip(transformed, state["transforms"], strict=True):
             env.transform.load_state_dict(saved)
-        self.collector.carried = self.env.fake_tensordict().empty().update(state["carried"])
+        carried = self.env.fake_tensordict().exclude("next", "action")
+        if missing := sorted(key for key in carried.keys() if key not in state["carried"]):  # noqa: SIM118
+            raise RuntimeError(f"found no {', '.join(missing)} in the checkpoint")
+        self.collector.carried = carried.empty().update(state["carried"])
         torch.set_rng_state(state["torch_rng"].cpu())
         if self.device.type == "cuda":
             torch.cuda.set_rng_state(state["device_rng"].cpu(), self.device)

@@ -18,6 +18,7 @@ from tqdm import tqdm
 
 from splatrl.files import remove_stale, replacing
 from splatrl.training.checkpoint import load_checkpoint, save_checkpoint
+from splatrl.training.history import packed, unpacked
 from splatrl.training.ppo import PPO
 from splatrl.training.trackers import Tracker
 from splatrl.values import require_number
@@ -91,7 +92,8 @@ class Trainer:
             check: refuses the ``made_with`` of a checkpoint from which this training cannot continue.
 
         Raises:
-            ValueError: if there are traces of a training, but no checkpoint that can be read.
+            ValueError: if there are traces of a training, but no checkpoint that can be read, or one of an env or a
+                network of another shape.
         """
         for folder in (self.folder, self.folder / "checkpoints"):
             remove_stale(folder)
@@ -99,7 +101,14 @@ class Trainer:
         if state is None:
             return
         check(state.get("made_with", {}))
-        self.load_state_dict(state)
+        try:
+            self.load_state_dict(state)
+        except (KeyError, RuntimeError) as error:  # what PyTorch and TensorDict raise for tensors of other shapes
+            (line, *_) = str(error).splitlines()
+            raise ValueError(
+                f"{self.folder}: expected a training whose env and network are shaped as these settings say, "
+                f"got: {line}; settings that change shapes cannot be changed when a training is resumed"
+            ) from error
         self._write_table()
 
     def _newest(self) -> dict[str, Any] | None:
@@ -141,7 +150,7 @@ class Trainer:
                     self.save()
                 bar.update(self.ppo.frames - before)
                 bar.set_postfix(success=f"{self._recent('success'):.2f}", level=f"{row['level'] + 1}/{self.levels}")
-                if interrupted and not self.ppo.finished:
+                if interrupted:
                     self.save()
                     raise KeyboardInterrupt
 
@@ -203,7 +212,7 @@ class Trainer:
         """Return PPO's state, with the history, the best test and the seconds spent."""
         return {
             "ppo": self.ppo.state_dict(),
-            "history": self.history,
+            "history": packed(self.history),
             "best": self.best,
             "seconds": self.seconds,
             "made_with": self.made_with,
@@ -212,7 +221,7 @@ class Trainer:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from a ``state_dict()``."""
         self.ppo.load_state_dict(state["ppo"])
-        self.history, self.best, self.seconds = list(state["history"]), tuple(state["best"]), state["seconds"]
+        self.history, self.best, self.seconds = unpacked(state["history"]), tuple(state["best"]), state["seconds"]
 
 
 @contextmanager

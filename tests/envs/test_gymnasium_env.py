@@ -18,7 +18,10 @@ from torchrl.envs import EnvBase
 from torchrl.envs.transforms import RewardScaling, TransformedEnv
 
 from splatrl.envs.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
+from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks import Outcome
+from splatrl.envs.transforms import Appearance
+from splatrl.envs.transforms.frame_stack import FrameStack
 from tests.envs.rooms import coarse_apple, drive_env, painted_env
 from tests.envs.sensors.test_sensors import sensing_env
 from tests.envs.transforms.views import transformed
@@ -59,8 +62,8 @@ def test_gymnasiums_checker_gives_no_warning(make: Callable[..., GymnasiumEnv]) 
 
 def test_a_gymnasium_env_gives_the_results_of_the_env() -> None:
     view, env = GymnasiumEnv(tiny_env([1])), tiny_env([1])
-    observation, info = view.reset(seed=4)
-    env.set_seed(4)
+    observation, info = view.reset(seed=5)
+    env.set_seed(5)
     td = env.reset()
     for action in (FORWARD_X, SPIN, LEFT_Y):
         assert np.array_equal(observation, td["pixels"][0].numpy()) and np.array_equal(view.render(), observation)
@@ -362,6 +365,52 @@ def test_next_step_autoreset_works_under_transforms() -> None:
         assert (info["outcome"][ended] == Outcome.RUNNING).all()
         ended = terminated | truncated
     assert info["state"].shape == (3, 3)
+
+
+def test_each_episode_has_a_look_of_its_own_in_each_autoreset_mode() -> None:
+    for make in (vector, next_step):
+        env = make(TransformedEnv(tiny_env([2], max_steps=2), Appearance()))
+        env.reset(seed=0)
+        looks = set()
+        for _ in range(9):
+            env.step(np.full(2, SPIN))
+            looks |= set(env._present["appearance"][:, 0].tolist())
+        assert len(looks) >= 6
+
+
+def test_an_episode_that_has_ended_takes_no_further_step() -> None:
+    env = make_tiny(max_steps=1, first=1)
+    env.reset(seed=0)
+    env.step(np.int64(SPIN))
+    with pytest.raises(gymnasium.error.ResetNeeded, match="step: expected a call to reset"):
+        env.step(np.int64(SPIN))
+    env.reset()
+    env.step(np.int64(SPIN))
+
+
+def test_clients_may_edit_infos_and_pictures_without_moving_robots() -> None:
+    for env, action in ((make_tiny("rgb_array"), np.int64(SPIN)), (vector(tiny_env([2])), np.full(2, SPIN))):
+        _, info = env.reset(seed=5)
+        before = env._present["state"].clone()
+        info["state"] -= 1
+        np.asarray(env.render()[0])[:] = 0
+        assert torch.equal(env._present["state"], before) and env._present["pixels"].any()
+        env.step(action)
+
+
+def test_stacked_views_are_shown_by_the_latest_one() -> None:
+    env = GymnasiumEnv(StatefulEnv(tiny_env([1]), FrameStack(3)), render_mode="rgb_array")
+    observation, _ = env.reset(seed=5)
+    assert observation.shape == (12, 16, 9) and env.render().shape == (12, 16, 3)
+    observation, *_ = env.step(np.int64(SPIN))
+    assert np.array_equal(env.render(), observation[..., 6:]) and not np.array_equal(env.render(), observation[..., :3])
+
+
+def test_a_list_of_seeds_gives_the_starts_of_single_robots_under_pose_noise_too() -> None:
+    several = vector(transformed((3,), 0, ("PoseNoise",), sprite=False))
+    single = GymnasiumEnv(transformed((1,), 0, ("PoseNoise",), sprite=False))
+    states = several.reset(seed=[4, 7, 9])[1]["state"]
+    assert states.tolist() == [single.reset(seed=seed)[1]["state"].tolist() for seed in (4, 7, 9)]
 
 
 def test_transforms_take_effect_through_the_gymnasium_interface() -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -22,6 +23,7 @@ from splatrl.envs.tasks import Grid, Outcome
 from splatrl.renderers import Parts
 from tests.curriculum.graph import successors
 from tests.envs.contract import EnvContract
+from tests.envs.rooms import coarse_apple, painted_env
 from tests.tiny import (
     BlockChecker,
     CountingRenderer,
@@ -268,3 +270,17 @@ def test_two_processes_collect_in_a_world_that_each_builds_from_its_path(tmp_pat
 def test_a_state_that_the_task_does_not_have_is_refused(state: Tensor, got: str) -> None:
     with pytest.raises(ValueError, match=rf"state: expected torch.int64 from \[0, 0, 0\] to \[4, 6, 7\], got {got}"):
         tiny_env([3]).reset(TensorDict({"state": state}, [3]), set_state=True)
+
+
+@pytest.mark.parametrize("action", [-1, 6, 2**40])
+def test_an_action_that_does_not_exist_is_refused(action: int) -> None:
+    for env in (tiny_env([2]), painted_env(coarse_apple(), 2)):
+        td = env.reset().set("action", torch.tensor([0, action]))
+        with pytest.raises(ValueError, match=rf"action: expected whole numbers from 0 to \d, got {action}"):
+            env.step(td)
+
+
+@pytest.mark.parametrize("seeds", [[1], [1, 2, 3], [1, 2.0], ["1", None]])
+def test_seeds_that_are_not_one_whole_number_per_robot_are_refused(seeds: list[Any]) -> None:
+    with pytest.raises(ValueError, match="seeds: expected 2 whole numbers or None, got"):
+        tiny_env([2]).reset(seeds=seeds)

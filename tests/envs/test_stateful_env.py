@@ -3,6 +3,7 @@
 import copy
 import pickle
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,10 @@ from splatrl.building import make_env, worlds
 from splatrl.envs.gymnasium_env import GymnasiumVectorEnv
 from splatrl.envs.nesting import layers
 from splatrl.envs.stateful_env import StatefulEnv
+from splatrl.envs.transforms import Latency
+from splatrl.envs.transforms.frame_stack import FrameStack
 from tests.envs.contract import assert_same, seeded_rollout
+from tests.envs.transforms.views import make_transform, seeing_env
 from tests.tiny import tiny_env, tiny_overrides
 
 
@@ -64,6 +68,22 @@ def test_a_collector_restores_the_env_and_its_transforms(shakes: bool, tmp_path:
     starts = [env.reset() for env in envs]
     assert_same(*starts)
     assert not torch.equal(starts[0]["state"], make_env(overrides, [3]).reset()["state"])
+
+
+@pytest.mark.parametrize("name", ["PoseNoise", "Appearance", "Latency", "FrameStack"])
+def test_robots_that_wait_stay_as_they_are(name: str) -> None:
+    others = {"Latency": partial(Latency, (1, 2), (1, 2)), "FrameStack": partial(FrameStack, 3)}
+    env = StatefulEnv(seeing_env(), others[name]() if name in others else make_transform(name))
+    td = env.reset()
+    for action in ([0, 2, 4], [4, 4, 1]):
+        td = env.step_mdp(env.step(td.set("action", torch.tensor(action))))
+    before, mask = td.clone(), torch.tensor([[True], [False], [True]])
+    after = env.step_mdp(env.step(td.set("action", torch.tensor([4, 4, 4])).set("_step", mask)))
+    for key, value in before.exclude("action", "_step").items():
+        assert torch.equal(after[key][1], value[1]), key
+    if name == "FrameStack":  # the view before the pause is the one before the next
+        later = env.step(after.exclude("_step").set("action", torch.tensor([4, 4, 4])))["next"]
+        assert torch.equal(later["pixels"][1, ..., :6], before["pixels"][1, ..., 3:])
 
 
 @pytest.mark.parametrize("kind", ["bare", "plain", "shaky", "wrapped"])

@@ -4,7 +4,9 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
+from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks import Outcome
+from splatrl.envs.transforms import Appearance, Latency
 from splatrl.evaluation.rollouts import Episodes, run_episodes
 from tests.tiny import CountingRenderer, tiny_env, tiny_plan
 
@@ -80,6 +82,25 @@ def test_evaluation_episodes_do_not_advance_the_curriculum() -> None:
     env = tiny_env([4], first=1, window=1, threshold=0.01)
     run_episodes(env, Planner(), starts()[:20])
     assert env.curriculum.level == 0
+
+
+def test_nothing_of_an_episode_reaches_the_next_one_of_its_robot() -> None:
+    some = starts()[::9]
+    late = {"camera": (0, 0), "action": (1, 1)}
+    found = [
+        run_episodes(StatefulEnv(tiny_env([robots], max_steps=9), Latency(**late)), Planner(), some)
+        for robots in (1, 3, len(some))
+    ]
+    for one in found[1:]:
+        assert torch.equal(one.outcome, found[0].outcome) and torch.equal(one.length, found[0].length)
+    looks: list[float] = []
+
+    def watching(td: TensorDictBase) -> TensorDictBase:
+        looks.extend(td["appearance"][:, 0].tolist())
+        return Planner()(td)
+
+    run_episodes(StatefulEnv(tiny_env([3], max_steps=9), Appearance()), watching, some)
+    assert len(set(looks)) == len(some)
 
 
 def test_spl_weights_success_by_the_length_of_the_shortest_over_the_taken_path() -> None:

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from tensordict import TensorDictBase
 
+from splatrl.envs.stateful_env import StatefulEnv
+from splatrl.envs.transforms import Appearance
 from splatrl.training import Trainer, load_checkpoint
 from tests.tiny import tiny_env
 from tests.training.test_ppo import learner, parameters
@@ -122,6 +124,48 @@ def test_an_interrupt_ends_the_training_after_the_batch_is_saved(tmp_path: Path)
         loop.fit()
     assert load_checkpoint(tmp_path / "checkpoints" / "last.pt")["ppo"]["frames"] == 128
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_interrupt_in_the_last_batch_ends_the_command_with_the_training_saved(tmp_path: Path) -> None:
+    loop = trainer(tmp_path, [0.4, 0.9, 0.6])
+    collect, handler = loop.ppo.collect, signal.getsignal(signal.SIGINT)
+
+    def interrupted() -> TensorDictBase:
+        if loop.ppo.frames == 320:
+            os.kill(os.getpid(), signal.SIGINT)
+        return collect()
+
+    loop.ppo.collect = interrupted  # type: ignore[method-assign]
+    with pytest.raises(KeyboardInterrupt):
+        loop.fit()
+    assert load_checkpoint(tmp_path / "checkpoints" / "last.pt")["ppo"]["frames"] == 384
+    assert signal.getsignal(signal.SIGINT) == handler
+
+
+def test_resuming_with_an_env_or_a_network_of_another_shape_is_refused_in_one_line(tmp_path: Path) -> None:
+    trainer(tmp_path, [0.4, 0.9, 0.6]).fit()
+    others = [
+        learner(tiny_env([8], max_steps=10), total_frames=64 * 8),
+        learner(tiny_env([4], max_steps=10), total_frames=64 * 8, memory=16),
+        learner(StatefulEnv(tiny_env([4], max_steps=10), Appearance()), total_frames=64 * 8),
+    ]
+    for other in others:
+        loop = Trainer(other, tmp_path, dict, test_interval=128, checkpoint_interval=192)
+        with pytest.raises(ValueError, match=r"expected a training whose env and network .*cannot be changed") as found:
+            loop.resume()
+        assert "\n" not in str(found.value)
+
+
+def test_a_run_of_a_high_level_resumes_at_the_last_level_there_is(tmp_path: Path) -> None:
+    env = tiny_env([4], max_steps=10, first=1)
+    env.curriculum.progress[0] = env.curriculum.starts.levels - 1
+    results = iter([{"success": 0.5}] * 3)
+    loop = Trainer(learner(env, total_frames=64), tmp_path, results.__next__, 128, 192)
+    loop.fit()
+    again = Trainer(learner(tiny_env([4], max_steps=10), total_frames=128), tmp_path, results.__next__, 128, 192)
+    again.resume()
+    assert int(again.ppo.env.curriculum.level) == 0
+    again.fit()
 
 
 @pytest.mark.parametrize("value", [0, -1, 1.5, True, "abc"])

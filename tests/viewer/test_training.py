@@ -70,8 +70,7 @@ def test_a_watched_training_has_the_same_checkpoint_as_an_unwatched_one(
     plain, watched = (load_checkpoint(folder / "checkpoints" / "last.pt") for folder in folders)
     for state in (plain, watched):
         state["seconds"] = 0.0
-        for row in state["history"]:
-            row["seconds"] = 0.0
+        state["history"]["seconds"][1].zero_()
     assert equal(plain["ppo"], watched["ppo"])
     assert equal(plain, watched)
 

@@ -113,12 +113,14 @@ class Task(Protocol):
             evaluations use it.
         chooses_episodes: whether each start has a goal of its own, so that evaluations use the episodes of
             ``ChoosingTask``.
+        given_together: keys of the memory that depend on each other: a reset is given all of them or none.
     """
 
     motion: PlannedMotion
     max_steps: int
     goals_for_success: int | None
     chooses_episodes: bool
+    given_together: Sequence[str]
 
     @property
     def models(self) -> Sequence[Gaussians]:
@@ -223,6 +225,7 @@ class TaskModule(torch.nn.Module):
     motion: PlannedMotion
     goals_for_success: int | None = None
     chooses_episodes = False
+    given_together: Sequence[str] = ()
 
     def __init__(self, motion: PlannedMotion, max_steps: int):
         super().__init__()

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torchrl.data import TensorSpec, Unbounded
+from torchrl.data import Bounded, TensorSpec, Unbounded
 
 from splatrl.collision.base import Checker
 from splatrl.curriculum.geodesics import Geodesics, ground
@@ -78,6 +78,7 @@ class NavigationTask(TaskModule):
     """
 
     chooses_episodes = True
+    given_together = ("goal", "goal_row", "start_distance", "distance_to_goal")
     motion: StoppingMotion
 
     def __init__(
@@ -136,7 +137,8 @@ class NavigationTask(TaskModule):
         count = Unbounded(shape=(1,), dtype=torch.int64)
         measures = {key: number.clone() for key in ("distance_to_goal", "start_distance", "path_length")}
         goal = Unbounded(shape=(3,), dtype=torch.float32)
-        return {"goal": goal, "goal_row": count, **measures, "collisions": count.clone()}
+        row = Bounded(0, len(self.geodesics.goals) - 1, shape=(1,), dtype=torch.int64)
+        return {"goal": goal, "goal_row": row, **measures, "collisions": count}
 
     def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
         """Draw a goal for each start; see ``Task.begin``."""

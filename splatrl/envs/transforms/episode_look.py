@@ -14,8 +14,8 @@ from splatrl.envs.transforms.randomness import RandomTransform
 class EpisodeLook(RandomTransform):
     """Changes ``pixels`` by a row of parameters, drawn for each episode and observed under ``KEY``.
 
-    A row given to a reset is kept. Without an env, as in a replay buffer, one is drawn for each image that does not
-    come with one.
+    A row given to a reset is kept, except by robots that are reset after an episode to a start of the env's own.
+    Without an env, as in a replay buffer, one is drawn for each image that does not come with one.
 
     Args:
         seed: seed of the transform's own generator (``RandomTransform``).
@@ -41,9 +41,10 @@ class EpisodeLook(RandomTransform):
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         level = tensordict_reset.get("level", None)
         drawn = self._draw(tensordict_reset.batch_size, level)  # always, so that later draws do not depend on it
-        given = tensordict.get(self.KEY, None)
-        begun = tensordict_reset.set(self.KEY, drawn if given is None else given.clone())
-        return self._change(begun, _wanted(tensordict.get("_reset", None)))
+        given, mask = tensordict.get(self.KEY, None), tensordict.get("_reset", None)
+        if given is not None:  # a masked reset may hand over all that the last episode left; level -1: a given state
+            drawn = given.clone() if mask is None or level is None else torch.where(level == -1, given, drawn)
+        return self._change(tensordict_reset.set(self.KEY, drawn), _wanted(mask))
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         return self._change(next_tensordict.set(self.KEY, tensordict[self.KEY].clone()))

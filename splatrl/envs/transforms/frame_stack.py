@@ -36,3 +36,14 @@ class FrameStack(CatFrames):
             stack.copy_(begun if mask is None else torch.where(mask.view(*mask.shape, 1, 1), begun, stack))
             tensordict_reset.set(out_key, stack.clone())
         return tensordict_reset
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        mask = tensordict.get("_step", None)
+        if mask is None:
+            return super()._step(tensordict, next_tensordict)
+        stacks = [getattr(self, f"_cat_buffers_{key}") for key in self.in_keys]
+        before = [stack.clone() for stack in stacks]
+        after = super()._step(tensordict, next_tensordict)
+        for stack, old in zip(stacks, before, strict=True):  # robots that wait see nothing new
+            stack.copy_(torch.where(mask.view(*mask.shape, 1, 1), stack, old))
+        return after

@@ -28,7 +28,7 @@ class Weather(EpisodeLook):
 
     Each kind of weather occurs at random in some of the episodes. Rain and snow never occur together; if a given
     weather has both, the stronger one is shown. In an env whose curriculum has several levels, the strength rises from
-    the fraction ``easy`` at the first level to its full value at the last.
+    the fraction ``easy`` at the first level to its full value at the last, which given states have too.
 
     Colours, from 0 to 1, pass through dusk and sun, fog, rain or snow, the lens, and rounding. Fog leaves the fraction
     exp(−fog · depth) of the light (Koschmieder's law). It needs the depth of each image: ``view_depth`` of
@@ -95,6 +95,7 @@ class Weather(EpisodeLook):
         levels = 1 if curriculum is None else curriculum.starts.levels
         if level is None or levels < 2:
             return 1.0
+        level = torch.where(level < 0, levels - 1, level)  # given states belong to no level
         return self.easy + (1 - self.easy) * (level / (levels - 1)).clamp(0, 1)
 
     def _changed(self, images: Tensor, look: Tensor, depth: Tensor | None) -> Tensor:

@@ -328,3 +328,26 @@ def test_the_teacher_of_several_scenes_heads_for_each_scenes_own_goal() -> None:
     state = begun.pop("state")
     other = {**begun, "goal_row": begun["goal_row"] + both.geodesics.begins[1]}
     assert torch.equal(task.teach(state, begun), both.teach(state, other))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda memory: memory.pop("goal_row"), "goal, .*: expected goal_row along with it, found none"),
+        (
+            lambda memory: memory.update(goal_row=torch.tensor([[99]])),
+            r"goal_row: expected torch.int64 \[B, 1\] from 0 to",
+        ),
+        (lambda memory: memory.update(goal_row=torch.tensor([[-1]])), "goal_row: expected .* between -1 and -1"),
+        (lambda memory: memory.update(goal=memory["goal"].double()), r"goal: expected torch.float32 \[B, 3\], got"),
+        (lambda memory: memory.update(goal=memory["goal"][:, :2]), r"goal: expected .* got torch.float32 \[1, 2\]"),
+    ],
+)
+def test_a_given_goal_that_is_incomplete_or_invalid_is_refused(change: Any, message: str) -> None:
+    env = env_of(task_of())
+    begun = env.reset()
+    memory = {key: begun[key] for key in env.task.memory_spec}
+    env.reset(TensorDict({"state": begun["state"], **memory}, [1]), set_state=True)
+    change(memory)
+    with pytest.raises(ValueError, match=message):
+        env.reset(TensorDict({"state": begun["state"], **memory}, [1]), set_state=True)

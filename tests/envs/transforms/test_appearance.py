@@ -155,6 +155,17 @@ def test_a_given_appearance_is_kept_by_a_reset() -> None:
     assert not torch.equal(other["appearance"], first["appearance"])
 
 
+def test_a_robot_that_is_reset_after_its_episode_gets_another_appearance_though_it_hands_over_the_last() -> None:
+    env = TransformedEnv(seeing_env(), Appearance())
+    first = env.reset().clone()
+    mask = torch.tensor([[True], [False], [True]])
+    again = env.reset(first.clone().set("_reset", mask), set_state=False)
+    changed = (again["appearance"] != first["appearance"]).any(1)
+    assert torch.equal(changed, mask.flatten())
+    kept = env.reset(first.clone().set("_reset", mask), set_state=True)
+    assert torch.equal(kept["appearance"], first["appearance"])
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

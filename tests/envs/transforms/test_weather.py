@@ -202,6 +202,13 @@ def test_weather_is_weaker_at_the_first_level_of_a_curriculum_and_full_at_the_la
     assert weather_env((400,), often=1.0, fog=0.5).reset()["weather"][:, 0].max() > 0.45  # one level: full strength
 
 
+def test_given_states_have_weather_of_full_strength() -> None:
+    env = weather_env((400,), often=1.0, fog=0.5, easy=0.1, first=2)
+    begun = env.reset()
+    assert begun["weather"][:, 0].max() < 0.1
+    assert env.reset(begun.select("state"), set_state=True)["weather"][:, 0].max() > 0.45
+
+
 def test_an_episode_keeps_its_weather_and_the_next_has_another() -> None:
     batch = seeded_rollout(weather_env((6,)), 12, 0)
     assert torch.equal(batch["next", "weather"], batch["weather"])
