@@ -17,7 +17,7 @@ REFUSED = {"ascii ply, one line", "json, more lists", "episodes", "checkpoint", 
 
 def checked(kind: str, cost: Cost) -> None:
     if kind in NEEDS:
-        pytest.importorskip(NEEDS[kind], reason="needs the extra gsply")
+        pytest.importorskip(NEEDS[kind], reason=f"needs {NEEDS[kind]}")
     assert cost.memory <= COSTLY[kind].most(cost.size), cost
     assert cost.outcome.startswith("refused" if kind in REFUSED else "read"), cost
 

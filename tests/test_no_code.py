@@ -1,6 +1,6 @@
 """Files from strangers run no code; tests/configuration/test_targets.py checks what configs may name.
 
-Each file would create a folder if its content were run, as the readers that most programs use would do.
+Each file would create a folder or file if its content were run, as the readers that most programs use would do.
 """
 
 import json
@@ -67,9 +67,29 @@ def hidden_behind(path: Path, made: Path) -> None:
             archive.writestr(name, content)
 
 
-def traced(path: Path, made: Path) -> None:
+class Program(torch.nn.Module):
+    """Creates a file when TorchScript loads it."""
+
+    made: str
+    training: bool
+
+    def __init__(self, made: str) -> None:
+        super().__init__()
+        self.made = made
+
+    @torch.jit.export
+    def __getstate__(self) -> str:
+        return self.made
+
+    @torch.jit.export
+    def __setstate__(self, made: str) -> None:
+        self.made = made
+        self.training = torch.from_file(made, True, 1).numel() > 1  # used, so that it is not optimised away
+
+
+def scripted(path: Path, made: Path) -> None:
     """Write a TorchScript program, which torch.load would pass to its interpreter."""
-    torch.jit.script(torch.nn.Linear(2, 2)).save(path)
+    torch.jit.script(Program(str(made))).save(path)
 
 
 def memory_mapped(folder: Path, made: Path, header: dict[str, object]) -> None:
@@ -117,7 +137,7 @@ WAYS: dict[str, tuple[str, Write, Read]] = {
     "a pickle as a checkpoint": ("last.pt", bare_pickle, load_checkpoint),
     "a pickle in a checkpoint": ("last.pt", lambda path, made: torch.save({"a": Maker(made)}, path), load_checkpoint),
     "a pickle hidden behind a checkpoint's": ("last.pt", hidden_behind, load_checkpoint),
-    "a program as a checkpoint": ("last.pt", traced, load_checkpoint),
+    "a program as a checkpoint": ("last.pt", scripted, load_checkpoint),
     "a tag in a scene": (
         "scene.yaml",
         lambda path, made: path.write_text(tagged(made)),
@@ -202,6 +222,10 @@ def test_other_readers_do_run_the_code_in_such_files(tmp_path: Path) -> None:
     torch.load(path, weights_only=False)
     assert made.exists()
     made.rmdir()
+    scripted(path, made)
+    torch.load(path, weights_only=False)
+    assert made.exists()
+    made.unlink()
     pickled_array(tmp_path / "a.npz", made, "solid")
     with np.load(tmp_path / "a.npz", allow_pickle=True) as arrays:
         arrays["solid"]

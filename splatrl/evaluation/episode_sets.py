@@ -126,20 +126,23 @@ def _unpacked(path: Path) -> bytes:
 def _episode(where: str, row: Any, scenes: Sequence[str]) -> tuple[list[float], list[float], int]:
     """Parse an episode into start, goal and scene index."""
     if not isinstance(row, dict):
-        raise ValueError(f"{where}: expected keys and values")
+        raise ValueError(f"{where}: expected keys and values, got {row!r:.80}")
     scene = row.get("scene_id")
     if scene not in scenes:
         raise ValueError(f"{where}: expected scene_id to be {' or '.join(scenes)}, got {str(scene)[:80]!r}")
     goals, info = row.get("goals"), row.get("info") or {}
     if not isinstance(goals, list) or not goals or not isinstance(goals[0], dict) or not isinstance(info, dict):
-        raise ValueError(f"{where}: expected a list of goals, each with a position, and info as keys and values")
+        raise ValueError(
+            f"{where}: expected a list of goals, each with a position, and info as keys and values, got {goals!r:.80} "
+            f"and {info!r:.80}"
+        )
     places = [
         _numbers(f"{where}.start_position", row.get("start_position"), 3),
         _numbers(f"{where}.goals[0].position", goals[0].get("position"), 3),
     ]
-    x, y, z, w = _numbers(f"{where}.start_rotation", row.get("start_rotation"), 4)
+    x, y, z, w = rotation = _numbers(f"{where}.start_rotation", row.get("start_rotation"), 4)
     if abs(math.hypot(x, y, z, w) - 1.0) > 1e-3 or math.hypot(x, z) > 1e-3:
-        raise ValueError(f"{where}.start_rotation: expected a unit quaternion about the y axis")
+        raise ValueError(f"{where}.start_rotation: expected a unit quaternion about the y axis, got {rotation!r:.80}")
     (goal_yaw,) = _numbers(f"{where}.info.goal_yaw", [info.get("goal_yaw", 0.0)], 1)
     start, goal = from_habitat(torch.tensor(places, dtype=torch.float64))[:, :2].tolist()
     return [*start, 2.0 * math.atan2(y, w) % math.tau], [*goal, goal_yaw % math.tau], list(scenes).index(str(scene))
@@ -148,9 +151,9 @@ def _episode(where: str, row: Any, scenes: Sequence[str]) -> tuple[list[float], 
 def _numbers(key: str, values: Any, count: int) -> list[float]:
     plain = isinstance(values, list) and len(values) == count
     if not plain or not all(isinstance(one, int | float) and not isinstance(one, bool) for one in values):
-        raise ValueError(f"{key}: expected {count} numbers")
+        raise ValueError(f"{key}: expected {count} numbers, got {values!r:.80}")
     if not all(abs(one) <= FARTHEST for one in values):  # NaN fails this too
-        raise ValueError(f"{key}: expected finite numbers of magnitude at most {FARTHEST:g}")
+        raise ValueError(f"{key}: expected finite numbers of magnitude at most {FARTHEST:g}, got {values!r:.80}")
     return [float(one) for one in values]
 
 

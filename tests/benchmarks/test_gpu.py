@@ -69,11 +69,19 @@ def test_a_dry_run_measures_everything_and_leaves_no_result(
     assert {path: path.stat().st_mtime_ns for path in RESULTS.iterdir()} == before
 
 
-def test_the_figure_can_be_drawn_without_any_results(tmp_path: Path, benchmark: Any) -> None:
-    bench = benchmark("gpu_bench").DryRun()
+def test_panels_of_the_figure_without_results_are_left_empty(
+    tmp_path: Path, benchmark: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench, figure, drawn = benchmark("gpu_bench").DryRun(), benchmark("gpu_figure"), []
+    canvas = figure.FigureCanvasAgg
+    monkeypatch.setattr(figure, "FigureCanvasAgg", lambda each: drawn.append(each) or canvas(each))
     reach = benchmark("gpu_reach").targets(bench)
-    benchmark("gpu_figure").draw(bench, reach, "nothing was measured", tmp_path / "empty.png")
+    figure.draw(bench, reach, "nothing was measured", tmp_path / "empty.png")
     assert (tmp_path / "empty.png").stat().st_size > 10_000
+    panels = drawn[0].axes
+    assert not any(bar.get_width() for panel in panels for bar in panel.patches)
+    lines = [[line for line in panel.lines if len(line.get_xdata())] for panel in panels]
+    assert [len(each) for each in lines] == [0, 2, 0, 1 + len(reach)]  # only what is required or aimed at
 
 
 def test_a_dry_run_refuses_to_write_into_the_folder_of_results(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:

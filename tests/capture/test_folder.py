@@ -87,7 +87,7 @@ def test_haze_is_listed_in_the_folder_and_is_not_solid_to_robots(tmp_path: Path)
     assert build_world(load_config([f"scene={folder}/", *SMALL])).occupancy.contains(place).all()
 
 
-def test_suggested_goals_are_free_and_walkable_and_the_suggested_object_is_free(tmp_path: Path) -> None:
+def test_suggested_goals_are_free_walkable_and_face_near_things_and_the_object_is_free(tmp_path: Path) -> None:
     placed = tiny_capture(tmp_path)
     area = survey_area(tiny_gaussians(), placed)
     found = suggest(seen_by_cameras(placed), area)
@@ -96,6 +96,14 @@ def test_suggested_goals_are_free_and_walkable_and_the_suggested_object_is_free(
     assert not area.occupancy.contains(places).any()
     (x0, y0), (x1, y1) = area.walk
     assert all(x0 <= x <= x1 and y0 <= y <= y1 for x, y, _ in found.goals)
+    for x, y, yaw in found.goals:
+        away = placed.reconstruction.points.numpy()[:, :2] - [x, y]
+        turns = np.degrees(np.arctan2(*away.T[::-1])) - yaw
+        near = np.linalg.norm(away, axis=1) < 2.5
+        ahead, behind = (near & (np.abs((turns - back + 180) % 360 - 180) < 35) for back in (0, 180))
+        assert ahead.sum() > 2 * behind.sum()
+        colors = placed.reconstruction.colors.numpy()
+        assert colors[ahead].std(0).sum() > colors[behind].std(0).sum()
     for (low, high), first, last in zip(zip(*area.walk, strict=True), *area.bounds, strict=False):
         assert first < low < high < last
         assert (high - low) / 0.2 == pytest.approx(round((high - low) / 0.2))

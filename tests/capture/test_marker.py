@@ -1,5 +1,6 @@
 """A printed marker gives the scale, and the page to print it on is A4."""
 
+import io
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -105,6 +106,18 @@ def test_the_marker_page_is_a4_and_impossible_markers_are_refused(tmp_path: Path
         write_marker_page(tmp_path / "x.pdf", 50)
     with pytest.raises(ValueError, match=r"side: expected 0\.02 to 0\.18 m, so that it fits an A4 page, got 0\.5"):
         write_marker_page(tmp_path / "x.pdf", 0, 0.5)
+
+
+@pytest.mark.parametrize(("number", "side"), [(0, MARKER_SIDE), (3, 0.05)])
+def test_the_printed_marker_has_the_stated_side(number: int, side: float, tmp_path: Path) -> None:
+    pytest.importorskip("cv2")
+    write_marker_page(tmp_path / "marker.pdf", number, side)
+    content = (tmp_path / "marker.pdf").read_bytes()
+    page = Image.open(io.BytesIO(content[content.index(b"\xff\xd8\xff") :]))  # a JPEG that fills the page
+    page.save(tmp_path / "page.png")
+    ((found, seen),) = find_markers([tmp_path / "page.png"]).items()
+    sides = np.linalg.norm(seen[0] - np.roll(seen[0], 1, 0), axis=1)
+    assert found == number and sides * 0.210 / page.width == pytest.approx(side, abs=0.0005)
 
 
 def test_the_error_without_opencv_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -80,7 +80,10 @@ def test_malformed_transforms_and_images_outside_the_folder_are_refused(
         read_recording(_write(tmp_path / "a" / "in", **change), tmp_path / "out")
 
 
-def test_a_folder_without_a_recording_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("photos", [0, 3])
+def test_a_folder_without_a_recording_is_refused(photos: int, tmp_path: Path) -> None:
+    for number in range(photos):
+        Image.fromarray(room_image(walk(3)[number])).save(tmp_path / f"{number}.png")
     assert not is_recording(tmp_path)
     with pytest.raises(CaptureError, match="found none of them"):
         read_recording(tmp_path, tmp_path / "out")

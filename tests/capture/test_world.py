@@ -12,7 +12,7 @@ import torch
 from splatrl.capture import world
 from splatrl.capture.base import CaptureError
 from splatrl.capture.ground import Ground, cameras_up, find_ground, on_its_side, upside_down
-from splatrl.capture.scale import Click, Distance, ScaleFrom, clicked_point
+from splatrl.capture.scale import Click, Distance, clicked_point
 from splatrl.capture.world import Placed, place, wall_direction
 from splatrl.evaluation.phone_walk import camera_poses
 from tests.capture.walks import ABOVE, CAMERAS, K, strewn, walk, without_points
@@ -323,7 +323,3 @@ def test_x_runs_along_the_longest_wall(yaw_deg: float) -> None:
     found = math.degrees(wall_direction(room @ turn.T))
     off = (found - yaw_deg + 90.0) % 180.0 - 90.0
     assert abs(off) < 0.5
-
-
-def test_scale_from_lists_every_source_of_scale() -> None:
-    assert set(ScaleFrom.__args__) == {"recorded", "marker", "distance", "camera_height", "gps", "unknown"}

@@ -526,11 +526,12 @@ def test_a_config_of_a_user_may_have_keys_of_its_own(tmp_path: Path) -> None:
     arguments = ["--config-dir", str(tmp_path), "--config-name", "mine", "mykey=4"]
     assert command_line("train", arguments) == arguments
     (tmp_path / "mine.yaml").write_text(
+        f"hydra: {{searchpath: [{conf_dir().as_uri()}]}}\n"
         "defaults: [train, _self_]\nmykey: 3\nnetwork: {_target_: tests.configuration.test_configuration.Wander}\n"
     )
-    cfg = load_config()
-    cfg.network["_target_"] = "tests.configuration.test_configuration.Wander"
     with initialize_config_dir(str(tmp_path), version_base="1.3"):
+        cfg = compose("mine", ["mykey=4"])
+        assert cfg.mykey == 4
         check_config(cfg)  # a user's own config is trusted like ours
         assert GlobalHydra.instance().is_initialized()
     with pytest.raises(ValueError, match="expected a constructor that appears in conf/"):

@@ -59,11 +59,12 @@ def test_a_folder_states_everything_that_a_training_needs(garden: Path, tmp_path
 
 
 def trained(cfg: DictConfig, folder: Path) -> int:
-    """Train for a few batches, and return the number of frames in the config."""
+    """Train for a few batches, and return the number of frames that the policy was trained on."""
     world = build_world(cfg)
     assert len(world.plan.start_rows) > 10
-    build_trainer(cfg, world, folder).fit()
-    return int(cfg.collector.total_frames)
+    trainer = build_trainer(cfg, world, folder)
+    trainer.fit()
+    return trainer.ppo.frames
 
 
 def test_a_policy_trains_in_a_scene_folder_without_further_overrides_of_the_scene(garden: Path, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from PIL import Image
 from splatrl.bodies import Box, Capsule, Sphere
 from splatrl.envs.tasks import Mark, Outcome
 from splatrl.evaluation.chart import COLORS, Chart
-from splatrl.evaluation.figures import BLUE, GOAL, INK, MARKS, MISSED
+from splatrl.evaluation.figures import BLUE, GOAL, MARKS, MISSED
 from splatrl.evaluation.recording import Recording
 from splatrl.evaluation.topdown import MapView, TopDown
 
@@ -110,10 +110,10 @@ def test_the_dots_of_a_long_trail_do_not_merge() -> None:
     steps = torch.linspace(0.0, 3.0, 301)
     planar = torch.stack([steps, torch.full_like(steps, 2.5), torch.zeros_like(steps)], 1)
     one = replace(recording(), planar=planar, action=torch.zeros(300))
-    ink = found(Chart(MapView(GROUND), BODY, (400, 384)).draw(one, 300), INK)
-    ink = ink[(np.abs(ink[:, 1] - 2.5) < 0.02) & (ink[:, 0] > 0.2) & (ink[:, 0] < 2.7)]
-    apart = np.diff(np.unique(ink[:, 0].round(4)))
-    assert apart.max() > 2.5 / SCALE
+    image = np.asarray(Chart(MapView(GROUND), BODY, (400, 384)).draw(one, 300))
+    trail = image[round(2.5 * SCALE), round(1.2 * SCALE) : round(3.7 * SCALE)]  # through the dots, from x = 0.2 to 2.7
+    outlines = (trail[:, 0] > 8).nonzero()[0]
+    assert 26 <= (np.diff(outlines) > 4).sum() <= 28  # the insides of dots, one every 0.09 m
 
 
 def test_solid_areas_are_drawn_dark() -> None:

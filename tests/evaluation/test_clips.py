@@ -123,13 +123,16 @@ def test_a_policy_whose_inputs_are_not_all_given_is_refused(
         match(remembering[0], NAMES, clips(tmp_path, [[[3]]]), (HEIGHT, WIDTH, 3))
 
 
-def test_scoring_is_repeatable_and_leaves_the_global_generator_alone(tmp_path: Path) -> None:
+def test_scoring_is_repeatable_tracks_no_gradients_and_leaves_the_global_generator_alone(tmp_path: Path) -> None:
     policy = actor_critic((HEIGHT, WIDTH, 3), Categorical(4), pool=1).get_policy_operator()
+    tracked: list[bool] = []
+    policy.register_forward_hook(lambda module, given, out: tracked.append(out["logits"].requires_grad))
     some = clips(tmp_path, [[[3]] * 3])
     state = torch.get_rng_state()
     first = match(policy, NAMES, some, (HEIGHT, WIDTH, 3))
     assert torch.equal(torch.get_rng_state(), state)
     assert match(policy, NAMES, some, (HEIGHT, WIDTH, 3)) == first
+    assert tracked == [False] * 6
 
 
 def test_an_image_is_cropped_about_its_centre() -> None:

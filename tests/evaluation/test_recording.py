@@ -5,7 +5,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from splatrl.envs.tasks import Apple, Outcome
+from splatrl.envs.tasks import Apple, Outcome, Snake
 from splatrl.envs.tasks.base import Anywhere, Memory, Step, Verdict
 from splatrl.evaluation.recording import record_episodes
 from splatrl.renderers import Parts
@@ -89,9 +89,10 @@ def test_the_memory_parts_and_marks_of_a_task_are_recorded_at_every_step() -> No
 
 
 def test_reached_goals_are_recorded_only_for_tasks_with_several_goals() -> None:
-    env = painted_env(Several(coarse_forward(), PLACE, max_steps=2), batch=1)
-    (recording,) = record_episodes(env, scripted([0, 2]), torch.tensor([[-1.0, -1.5, 0.0]]))
-    assert recording.goals is not None and recording.goals.tolist() == [0, 0, 0]
+    env = painted_env(Snake(coarse_forward(), PLACE, max_steps=3), batch=1)
+    start, apple = torch.tensor([[0.0, 1.0, 0.0]]), {"target": torch.tensor([PLACE])}
+    (recording,) = record_episodes(env, scripted([0, 0, 2]), start, memory=apple)  # the second step reaches the apple
+    assert recording.goals is not None and recording.goals.tolist() == [0, 0, 1, 1]
     (plain, *_) = record_episodes(tiny_env((3,)), scripted(*ACTIONS), STARTS)
     assert plain.goals is None and plain.goal_image is None
 
@@ -101,12 +102,6 @@ def test_episodes_can_start_with_a_given_memory() -> None:
     given = {"target": torch.tensor([[0.1, 0.2, 0.3]])}
     (recording,) = record_episodes(env, scripted([0, 2]), torch.tensor([[-1.0, -1.5, 0.0]]), memory=given)
     torch.testing.assert_close(recording.memory["target"][0], given["target"][0])
-
-
-class Several(Apple):
-    """An apple task whose episodes may have several goals."""
-
-    goals_for_success = 3
 
 
 class Runaway(Apple):

@@ -200,7 +200,7 @@ def test_a_walk_ends_with_the_first_frame_at_the_goal() -> None:
         walked = walk(found, tiny_robot(), states, Hand(), generator(seed))
         assert torch.equal(walked.states, walked.planar.float())
         there = found.at_goal(walked.states)
-        assert not there[:-1].any()
+        assert there[-1] and not there[:-1].any()
         assert not walked.allowed[there].any()
 
 
@@ -347,6 +347,8 @@ def test_a_walk_needs_a_goal(tmp_path: Path) -> None:
     assert not (tmp_path / "clips").exists()
 
 
-def test_a_recording_of_no_clips_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="at least 1 clip"):
-        record(tmp_path, count=0)
+@pytest.mark.parametrize(("count", "height"), [(0, 24), (2, 0)])
+def test_a_recording_without_clips_or_pixels_is_refused(count: int, height: int, tmp_path: Path) -> None:
+    place = world(planar_plan(), SceneDrawing(Painter()))
+    with pytest.raises(ValueError, match=rf"expected at least 1 clip and 1 pixel, got {count} and {height}"):
+        record_walks(tmp_path, place, count, height=height)

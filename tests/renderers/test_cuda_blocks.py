@@ -124,6 +124,8 @@ def test_tiles_with_more_candidates_than_a_thread_block_has_room_for_are_drawn_c
     tight = make(models, memory=memory)
     assert all(torch.equal(a, b) for a, b in zip(tight.render(cameras, parts), expected, strict=True))
     assert torch.equal(tight.efforts(cameras, parts), efforts)
+    (working,) = tight._working.values()
+    assert efforts[:, 0].max() > 4 * working.key_capacity  # one of a view's four tiles has more candidates than room
     only = torch.tensor([True, False, True, False])
     pixels = tight.pixels(cameras, parts, only)
     assert torch.equal(pixels[only], roomy.pixels(cameras, parts)[only]) and not pixels[~only].any()

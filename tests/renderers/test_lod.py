@@ -284,6 +284,8 @@ def test_classic_images_are_held_to_a_stricter_tolerance(yard: Gaussians) -> Non
     cameras = level_views([-2.5, -2.5, 0.2], [2.5, 2.5, 1.2], 12)
     seen = psnrs(yard, cameras, 0.5, antialiased=False)
     assert seen.min() >= 28.0 and seen.mean() >= 32.0, seen
+    counts = [NativeRenderer(yard, kind, tolerance=0.5).efforts(cameras).projected.sum() for kind in (False, True)]
+    assert counts[0] > 1.2 * counts[1]
 
 
 def test_views_of_a_real_kitchen_reach_the_promised_psnr(kitchen: Gaussians) -> None:
