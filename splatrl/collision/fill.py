@@ -23,6 +23,7 @@ def unreached_voxels(
     opening: float,
     seeds: Tensor | ArrayLike | None = None,
     around: Bounds | None = None,
+    max_voxels: int = MAX_VOXELS,
 ) -> Region | None:
     """Find the free voxels that cannot be reached from the seeds when openings narrower than ``opening`` are closed.
 
@@ -43,6 +44,7 @@ def unreached_voxels(
             this can go only where the ball can.
         seeds: [N, 3] world, metres: places known to be free and reachable. None floods the largest region.
         around: lower and upper corner, metres, of a box that the flooded grid always includes: where robots are.
+        max_voxels: maximum number of voxels in the flooded grid.
 
     Returns:
         The unreached voxels; None if no seed is near a region, because then nothing is known.
@@ -54,7 +56,7 @@ def unreached_voxels(
     if not (math.isfinite(opening) and opening >= 0):
         raise ValueError(f"fill: expected a non-negative, finite number of metres, got {opening}")
     places = None if seeds is None else checked_points("seeds", seeds)
-    padded, origin = _widened(occupied, np.array(origin_key, np.int64), resolution, around)
+    padded, origin = _widened(occupied, np.array(origin_key, np.int64), resolution, around, max_voxels)
     wide = round(opening / resolution)
     clear = _distances(~padded)  # from each free voxel's centre to the nearest solid one's
     touch = 0.5 * (wide + 1) + 1e-6  # bounds the distance from the middle of a gap of `wide` voxels to its walls
@@ -71,7 +73,7 @@ def unreached_voxels(
 
 
 def _widened(
-    occupied: NDArray[np.bool_], origin: NDArray[np.int64], resolution: float, around: Bounds | None
+    occupied: NDArray[np.bool_], origin: NDArray[np.int64], resolution: float, around: Bounds | None, max_voxels: int
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
     """Widen the grid to hold ``around`` and enclose it in a wall one voxel thick.
 
@@ -83,7 +85,7 @@ def _widened(
         corners = checked_box("around", around) / resolution
         first = np.minimum(first, np.floor(corners[0])).astype(np.int64)
         end = np.maximum(end, np.ceil(corners[1])).astype(np.int64)
-    free = np.ones(grid_shape(first, end, resolution, MAX_VOXELS), bool)
+    free = np.ones(grid_shape(first, end, resolution, max_voxels), bool)
     inner = tuple(slice(int(a), int(a) + n) for a, n in zip(origin - first, occupied.shape, strict=True))
     free[inner] = ~occupied
     return np.pad(free, 1), first - 1

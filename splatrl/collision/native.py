@@ -86,7 +86,7 @@ class NativeChecker(NativeQueries):
     column by column, on all separating axes at once. A move at a fixed orientation is tested exactly, as the solid that
     the body sweeps (a zonotope for a box). A move that turns is cut into parts; in each, the body keeps the orientation
     at the middle of the part and is grown by the largest displacement that this causes, at most a tenth of a voxel. So
-    the test never misses a hit, but may report one where the body passes closer than that.
+    the test never misses a hit, but may report one where the body passes within 0.3 voxels.
 
     Tensors on the CPU are read and written in place; others are copied to the CPU and the answers back.
 

@@ -220,8 +220,9 @@ class Occupancy(Voxels):
                     occupancy = occupancy.without(free)
             else:
                 occupancy = cls.from_file(cloud, resolution, within, max_voxels)
-            occupancy = occupancy.carved(cleared[:, 0], cleared[:, 1]).with_boxes(added[:, 0], added[:, 1])
-            return (occupancy if flood is None else occupancy.solid(**flood)).to_arrays()
+            occupancy = occupancy.carved(cleared[:, 0], cleared[:, 1])
+            occupancy = occupancy.with_boxes(added[:, 0], added[:, 1], max_voxels)
+            return (occupancy if flood is None else occupancy.solid(**flood, max_voxels=max_voxels)).to_arrays()
 
         return cls.from_arrays(scene.cached("occupancy", recipe, build, max_voxels // 8 + HEADERS), max_voxels)
 
@@ -234,7 +235,15 @@ class Occupancy(Voxels):
         return digest.hexdigest()
 
     def __or__(self, other: "Occupancy") -> "Occupancy":
+        """Return the union of the solid voxels of two grids; see ``joined``."""
+        return self.joined(other)
+
+    def joined(self, other: "Occupancy", max_voxels: int = MAX_VOXELS) -> "Occupancy":
         """Return the union of the solid voxels of two grids of the same resolution.
+
+        Args:
+            other: the other grid.
+            max_voxels: maximum number of voxels in the grid around both, unless one of them has more.
 
         Raises:
             ValueError: for grids of different resolutions, or so far apart that the grid around both is too large.
@@ -249,15 +258,17 @@ class Occupancy(Voxels):
             return replace(self, floaters=floaters, filled=filled)
         first = np.min([grid.origin_key for grid in grids], 0)
         end = np.max([np.add(grid.origin_key, grid.occupied.shape) for grid in grids], 0)
-        largest = max(MAX_VOXELS, *(grid.occupied.size for grid in (self, other)))
+        largest = max(max_voxels, *(grid.occupied.size for grid in (self, other)))
         occupied = np.zeros(grid_shape(first, end, self.resolution, largest), bool)
         for grid in grids:
             occupied[_window(grid.origin_key - first, grid.occupied.shape)] |= grid.occupied
         return Occupancy(occupied, tuple(first.tolist()), self.resolution, floaters, filled)
 
-    def with_boxes(self, lower: Tensor | ArrayLike, upper: Tensor | ArrayLike) -> "Occupancy":
+    def with_boxes(
+        self, lower: Tensor | ArrayLike, upper: Tensor | ArrayLike, max_voxels: int = MAX_VOXELS
+    ) -> "Occupancy":
         """Return a copy in which boxes, given by corners [N, 3] in metres, are solid: the union with ``from_boxes``."""
-        return self | Occupancy.from_boxes(lower, upper, self.resolution)
+        return self.joined(Occupancy.from_boxes(lower, upper, self.resolution, max_voxels), max_voxels)
 
     def without(self, free: Voxels) -> "Occupancy":
         """Return a copy without the voxels whose centre and corners all lie in occupied voxels of another grid."""
@@ -278,21 +289,23 @@ class Occupancy(Voxels):
         return replace(self, occupied=occupied)
 
     def solid(
-        self, opening: float, seeds: Tensor | ArrayLike | None = None, around: Bounds | None = None
+        self,
+        opening: float,
+        seeds: Tensor | ArrayLike | None = None,
+        around: Bounds | None = None,
+        max_voxels: int = MAX_VOXELS,
     ) -> "Occupancy":
         """Return a copy in which everything that cannot be reached is solid; see ``unreached_voxels``.
 
         If nothing is free near the seeds, nothing changes and a warning is issued.
         """
-        found = unreached_voxels(self.occupied, self.origin_key, self.resolution, opening, seeds, around)
+        found = unreached_voxels(self.occupied, self.origin_key, self.resolution, opening, seeds, around, max_voxels)
         if found is None:
             warn_unfilled(opening)
             return self
         unreached, origin = found
-        filled = replace(
-            self | Occupancy(unreached, origin, self.resolution), filled=self.filled + int(unreached.sum())
-        )
-        return filled.trimmed()
+        whole = self.joined(Occupancy(unreached, origin, self.resolution), max_voxels)
+        return replace(whole, filled=self.filled + int(unreached.sum())).trimmed()
 
     def trimmed(self) -> "Occupancy":
         """Return the same solid voxels in the smallest grid that holds them."""

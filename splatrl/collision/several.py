@@ -1,7 +1,7 @@
 """One body in several scenes: each row of a batch is answered by the checker of its own scene."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -130,6 +130,13 @@ class _Rows:
         return self._ask(lambda checker: lambda poses: checker.ranges(poses, beams, reach), body_to_world)
 
     def _ask(self, query: Callable[[Checker], Callable[..., Any]], *values: Tensor) -> Tensor:
+        scene, count = self._scene, len(self._checkers)
+        if len(scene) != len(values[0]):
+            raise ValueError(f"scene: expected {len(values[0])} scene indices, one per row, got {len(scene)}")
+        if not len(scene):
+            return cast(Tensor, query(self._checkers[0])(*values))
+        if scene.device.type == "cpu" and ((scene < 0) | (scene >= count)).any():
+            raise ValueError(f"scene: expected indices from 0 to {count - 1}, got {scene.tolist()!r:.80}")
         answer: Tensor | None = None
         for number, checker in enumerate(self._checkers):
             mine = self._scene == number
@@ -140,5 +147,5 @@ class _Rows:
                 asked = query(checker)(*(value[rows] for value in values))
                 answer = asked.new_empty(len(mine), *asked.shape[1:]) if answer is None else answer
                 answer[rows] = asked
-        assert answer is not None, "no rows, or none with a valid scene index"
+        assert answer is not None
         return answer

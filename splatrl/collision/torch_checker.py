@@ -49,7 +49,7 @@ class TorchChecker:
     everything outside the grid is free. A move that turns is cut into parts in which no point travels more than a fifth
     of a voxel; in each, the body keeps the orientation at the middle of the part and is grown by the largest
     displacement that this causes, at most a tenth of a voxel. So the test never misses a hit, but may report one where
-    the body passes closer than that.
+    the body passes within 0.3 voxels.
 
     Attributes:
         occupancy: the solid voxels.

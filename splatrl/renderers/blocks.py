@@ -52,6 +52,30 @@ class _Stack(NamedTuple):
     bounds: NDArray[np.float32]  # [N, 6]
     errors: NDArray[np.float32]  # [N]
 
+    @property
+    def sizes(self) -> NDArray[np.int64]:
+        """Bytes of each block, [N]."""
+        return np.array([kept.bytes for kept in self.kept])
+
+
+class _View(NamedTuple):
+    """What some rows need of a scene in blocks that is one of their parts."""
+
+    stack: _Stack
+    part: int
+    rows: Tensor  # [R] int64
+    places: NDArray[np.float32]  # [R, 3], of the cameras, in the scene's frame
+    needs: NDArray[np.uint8]  # [R, N]
+
+    def slots(self, count: int) -> Tensor:
+        """Return the slots that each of ``count`` rows draws, in the order of the blocks: [count, most] int64."""
+        shown, whole = torch.from_numpy(self.needs > 0), torch.from_numpy(self.needs == WHOLE)
+        order = (~shown).to(torch.uint8).sort(dim=1, stable=True).indices[:, : int(shown.sum(1).max())]
+        own = self.stack.first + 2 * torch.arange(len(self.stack.kept)) + whole
+        slots = torch.full((count, order.shape[1]), ABSENT)
+        slots[self.rows] = torch.where(shown, own, ABSENT).gather(1, order)
+        return slots
+
 
 class BlockRenderer(NativeRenderer):
     """A ``NativeRenderer`` that also draws ``BlockScene``, and keeps in memory only the blocks that cameras see.
@@ -215,44 +239,50 @@ class BlockRenderer(NativeRenderer):
         own, K = checked_cameras(cameras)
         poses = in_models(own, parts)
         plain = torch.tensor([ABSENT, *(ABSENT if isinstance(at, _Stack) else at for at in self._models_at)])
+        views: list[_View] = []
+        for part, model in enumerate(parts.model.unbind(1)):
+            for number, stack in enumerate(self._models_at):
+                rows = (model == number).nonzero().squeeze(1)
+                if isinstance(stack, _Stack) and len(rows):
+                    own_poses = poses[rows, part].contiguous()
+                    needs = np.empty((len(rows), len(stack.kept)), np.uint8)
+                    self._core.needs(
+                        stack.bounds, stack.errors, own_poses, K[rows], cameras.width, cameras.height, needs
+                    )
+                    views.append(_View(stack, part, rows, own_poses[:, :3, 3].numpy(), needs))
+        self._spare(views, len(cameras))
         columns = []
         for part, model in enumerate(parts.model.unbind(1)):
             columns.append((plain[model + 1].unsqueeze(1), part))
-            for number, stack in enumerate(self._models_at):
-                rows = model == number
-                if isinstance(stack, _Stack) and rows.any():
-                    seen = self._seen(stack, poses[rows, part], K[rows], cameras)
-                    slots = torch.full((len(model), seen.shape[1]), ABSENT)
-                    slots[rows] = seen
-                    columns.append((slots, part))
+            columns += [(view.slots(len(cameras)), part) for view in views if view.part == part]
         stands = [part for slots, part in columns for _ in range(slots.shape[1])]
         return Parts(torch.cat([slots for slots, _ in columns], 1), parts.model_to_world[:, stands])
 
-    def _seen(self, stack: _Stack, poses: Tensor, K: Tensor, cameras: Cameras) -> Tensor:
-        """Return the slots that each camera draws of a scene in blocks, in the order of the blocks: [R, most] int64."""
-        needs = np.empty((len(poses), len(stack.kept)), np.uint8)
-        self._core.needs(stack.bounds, stack.errors, poses.contiguous(), K, cameras.width, cameras.height, needs)
-        sizes = np.array([kept.bytes for kept in stack.kept])
-        for row in np.flatnonzero((needs == WHOLE) @ sizes > self._room):
-            self._spare(stack, needs[row], sizes, poses[row, :3, 3].numpy())
-        shown = torch.from_numpy(needs > 0)
-        order = (~shown).to(torch.uint8).sort(dim=1, stable=True).indices[:, : int(shown.sum(1).max())]
-        slots = stack.first + 2 * torch.arange(len(stack.kept)) + torch.from_numpy(needs == WHOLE)
-        return torch.where(shown, slots, ABSENT).gather(1, order)
-
-    def _spare(
-        self, stack: _Stack, needs: NDArray[np.uint8], sizes: NDArray[np.int64], camera: NDArray[np.float32]
-    ) -> None:
-        """Change a camera's needs to the tops of all blocks except the nearest ones, as many as fit into memory."""
-        whole = np.flatnonzero(needs == WHOLE)
-        if not self._packing.merge:
-            raise ValueError(
-                f"renderer.budget: expected at least {int(sizes[whole].sum()):,} bytes for the {len(whole)} blocks "
-                f"that one camera sees, all of which tolerance=0 needs, got {self._room:,}"
-            )
-        away = np.linalg.norm(stack.bounds[whole, :3] - camera, axis=1) - stack.bounds[whole, 3]
-        nearest = whole[np.argsort(away, kind="stable")]
-        needs[nearest[np.cumsum(sizes[nearest]) > self._room]] = TOP
+    def _spare(self, views: Sequence[_View], rows: int) -> None:
+        """Change the needs of rows that see too much to the tops of all blocks but the nearest that fit into memory."""
+        needed = np.zeros(rows, np.int64)
+        for view in views:
+            np.add.at(needed, view.rows.numpy(), (view.needs == WHOLE) @ view.stack.sizes)
+        for row in np.flatnonzero(needed > self._room):
+            away: list[float] = []
+            blocks: list[tuple[_View, int, int]] = []
+            for view in views:
+                for line in np.flatnonzero(view.rows.numpy() == row):
+                    whole = np.flatnonzero(view.needs[line] == WHOLE)
+                    apart = view.stack.bounds[whole, :3] - view.places[line]
+                    away += (np.linalg.norm(apart, axis=1) - view.stack.bounds[whole, 3]).tolist()
+                    blocks += [(view, int(line), int(block)) for block in whole]
+            if not self._packing.merge:
+                raise ValueError(
+                    f"renderer.budget: expected at least {needed[row]:,} bytes for the {len(blocks)} blocks "
+                    f"that one camera sees, all of which tolerance=0 needs, got {self._room:,}"
+                )
+            held = 0
+            for at in np.argsort(away, kind="stable"):
+                view, line, block = blocks[at]
+                held += int(view.stack.sizes[block])
+                if held > self._room:
+                    view.needs[line, block] = TOP
 
 
 def _groups(needed: Sequence[set[int]], whole: dict[int, _Kept], room: int) -> Iterator[list[int]]:

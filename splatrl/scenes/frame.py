@@ -1,5 +1,6 @@
 """The similarity from a splat file's own frame to the world, as people write it in YAML."""
 
+import sys
 from collections.abc import Mapping, Sequence
 
 import torch
@@ -104,4 +105,6 @@ def _is_list(values: object, count: int) -> bool:
 def _number(name: str, value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"world_from_splat.{name}: expected numbers, got {value!r}")
+    if isinstance(value, int) and abs(value) > sys.float_info.max:
+        raise ValueError(f"world_from_splat.{name}: expected finite numbers, got {str(value)[:20]}…")
     return float(value)

@@ -102,7 +102,7 @@ def checked_gaussians(
     finite = torch.stack([_finite(v.reshape(count, -1)) for v in (places, quats, scales, opacities, sh)]).all(0)
     norms = quats.double().norm(dim=1, keepdim=True)  # float64: squares neither underflow nor overflow
     finite &= (norms[:, 0] > 0) & (scales > 0).all(1)
-    visible = opacities >= INVISIBLE
+    visible = opacities >= INVISIBLE * (1 - 1e-6)  # the logits of a PLY round
     keep = finite & visible
     if not keep.any():
         raise ValueError(f"{source}: expected at least one finite, visible Gaussian, got none among {count}")

@@ -1,6 +1,6 @@
 """Training settings that a ``scene.yaml`` can propose for its scene: their keys and valid values."""
 
-import math
+import sys
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -29,7 +29,7 @@ def warn_of_scale(place: Path, stated: Mapping[str, Any]) -> None:
 
 
 def _number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def _positive(value: Any) -> bool:

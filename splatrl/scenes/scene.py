@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -123,6 +124,8 @@ def checked_bounds(corners: Sequence[Sequence[float]]) -> Bounds:
     plain = isinstance(corners, Sequence) and [len(c) if isinstance(c, Sequence) else 0 for c in corners] == [3, 3]
     if not plain or not all(isinstance(v, Real) and not isinstance(v, bool) for c in corners for v in c):
         raise ValueError(f"bounds: expected a lower and an upper corner of 3 numbers each, got {corners!r:.200}")
+    if any(isinstance(value, int) and abs(value) > sys.float_info.max for corner in corners for value in corner):
+        raise ValueError(f"bounds: expected finite numbers, got {corners!r:.200}")
     lower, upper = (_point(corner) for corner in corners)
     for axis, low, high in zip("xyz", lower, upper, strict=True):
         if not (math.isfinite(low) and math.isfinite(high) and low < high):

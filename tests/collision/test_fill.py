@@ -106,6 +106,17 @@ def test_without_free_space_near_the_seeds_nothing_is_filled_and_a_warning_says_
         assert Occupancy.empty().solid(0.2).count == 0
 
 
+def test_a_larger_grid_can_be_filled_and_get_boxes_when_it_is_allowed() -> None:
+    box, around = hollow((0.2, 0.2, 0.2), (0.6, 0.6, 0.6)), ((-1.0, -1.0, 0.0), (1.0, 1.0, 1.0))  # 40 × 40 × 20 voxels
+    with pytest.raises(ValueError, match="expected at most 31999 voxels"):
+        box.solid(0.1, [[-0.5, -0.5, 0.5]], around, max_voxels=31_999)
+    assert box.solid(0.1, [[-0.5, -0.5, 0.5]], around, max_voxels=32_000).count > box.count
+    other = [[0.2, 0.2, 1.2]], [[0.3, 0.3, 1.4]]  # 8 × 8 × 24 voxels with it
+    with pytest.raises(ValueError, match="expected at most 1535 voxels"):
+        box.with_boxes(*other, max_voxels=1535)
+    assert box.with_boxes(*other, max_voxels=1536).count > box.count
+
+
 @pytest.mark.parametrize("opening", [-0.1, float("nan"), float("inf")])
 def test_an_opening_that_is_not_a_valid_width_is_refused(opening):
     with pytest.raises(ValueError, match="fill: expected a non-negative, finite number of metres"):

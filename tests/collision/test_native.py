@@ -375,3 +375,19 @@ def test_copies_and_pickles_give_the_same_answers(scenes, body):
     for twin in (pickle.loads(pickle.dumps(checker)), copy.deepcopy(checker)):
         assert (twin.body, twin.threads) == (body, 1)
         assert torch.equal(twin.collides(poses), checker.collides(poses))
+
+
+@pytest.mark.parametrize("length", [0.3, 1.0, 2.0])
+@pytest.mark.parametrize("gap", [1e-4, 1e-3, 5e-3])
+def test_a_capsule_that_glides_past_an_edge_without_touching_it_is_free(length: float, gap: float) -> None:
+    kerb = Occupancy.from_boxes([[2.0, 0.0, -0.05]], [[2.05, 1.0, 0.0]], 0.05)
+    body, across = Capsule(0.1, length), axis_rotations(1, torch.tensor(math.pi / 2))
+    for sign in (1.0, -1.0):
+        aside = (0.1 + sign * gap) / math.sqrt(2)
+        start = rigid(across, torch.tensor([0.2, -aside, aside]))[None]
+        end = start.clone()
+        end[:, 0, 3] = 4.0
+        answers = [checker(kerb, body) for checker in (NativeChecker, TorchChecker)]
+        assert [bool(one.sweeps(start, end)) for one in answers] == [sign < 0] * 2
+        native, oracle = (float(one.free_fraction(start, end)) for one in answers)
+        assert native == pytest.approx(oracle, abs=1e-5) if sign < 0 else native == 1.0

@@ -96,8 +96,18 @@ def test_a_scene_index_out_of_range_is_refused(scene: int) -> None:
 
 def test_a_wrong_number_of_scene_indices_is_refused() -> None:
     several = SeveralCheckers([NativeChecker(occupancy, BODY) for occupancy in occupancies()])
-    with pytest.raises(ValueError, match="scene: expected 3 scene indices, one per row, got 2"):
-        several.at(torch.tensor([0, 1])).collides(poses(3, 0))
+    rows = several.at(torch.tensor([0, 1]))
+    for query in (rows.collides, lambda here: rows.ranges(here, torch.eye(3), 1.0)):
+        with pytest.raises(ValueError, match="scene: expected 3 scene indices, one per row, got 2"):
+            query(poses(3, 0))
+
+
+def test_rays_of_no_rows_and_of_scenes_that_do_not_exist() -> None:
+    several = SeveralCheckers([NativeChecker(occupancy, BODY) for occupancy in occupancies()])
+    none = torch.zeros(0, dtype=torch.int64)
+    assert several.at(none).ranges(poses(0, 0), torch.eye(3), 1.0).shape == (0, 3)
+    with pytest.raises(ValueError, match=r"scene: expected indices from 0 to 2, got \[0, 7\]"):
+        several.at(torch.tensor([0, 7])).ranges(poses(2, 0), torch.eye(3), 1.0)
 
 
 def test_checkers_for_different_bodies_are_refused() -> None:

@@ -194,6 +194,32 @@ def test_a_pickled_renderer_draws_the_same(town: BlockScene) -> None:
     assert again._room == renderer._room
 
 
+def test_a_row_that_sees_several_scenes_in_blocks_keeps_to_the_budget(town: BlockScene) -> None:
+    cameras, two = walkers(batch=2), Parts(torch.tensor([[0, 1], [1, 0]]), torch.eye(4).expand(2, 2, 4, 4).contiguous())
+    alone = BlockRenderer(town, tolerance=0.05)
+    most = max(len(set(row.tolist()) & alone._whole.keys()) for row in placed_blocks(alone, cameras))
+    assert most >= 2
+    roomy = BlockRenderer([town, town], tolerance=0.05)
+    budget = room_for(roomy, most)
+    tight = BlockRenderer([town, town], tolerance=0.05, budget=budget)
+    tight.pixels(cameras, two)
+    assert tight.bytes_held <= budget
+    roomy.pixels(cameras, two)
+    assert roomy.bytes_held > budget
+    with pytest.raises(ValueError, match=r"expected at least [0-9,]+ bytes for the \d+ blocks that one camera sees"):
+        BlockRenderer([town, town], tolerance=0.0, budget=room_for(BlockRenderer([town, town]), most)).pixels(
+            cameras, two
+        )
+
+
+def placed_blocks(renderer: BlockRenderer, cameras: Cameras) -> Tensor:
+    """Return the slots that each camera draws, [B, M]."""
+    here = Parts(
+        torch.zeros(len(cameras), 1, dtype=torch.int64), torch.eye(4).expand(len(cameras), 1, 4, 4).contiguous()
+    )
+    return renderer._placed_blocks(cameras, here).model
+
+
 def test_a_budget_that_is_too_small_is_refused_with_the_bytes_that_are_needed(town: BlockScene) -> None:
     with pytest.raises(
         ValueError, match=r"renderer.budget: expected at least [0-9,]+ bytes, for the top of each block's tree"
@@ -224,7 +250,7 @@ def test_blocks_are_packed_once(town: BlockScene, tmp_path: Path, monkeypatch: p
     for damaged in tmp_path.glob("packed-*"):
         damaged.write_bytes(b"damaged")
     with (
-        pytest.warns(UserWarning, match="expected a whole"),
+        pytest.warns(UserWarning, match="expected a complete"),
         pytest.raises(RuntimeError, match="packed again"),
     ):
         BlockRenderer(town, tolerance=1.0).pixels(walkers(batch=2))

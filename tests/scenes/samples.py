@@ -47,7 +47,7 @@ def assert_valid(gaussians: Gaussians) -> None:
         assert getattr(gaussians, name).dtype == torch.float32
         assert getattr(gaussians, name).isfinite().all(), name
     assert (gaussians.scales > 0).all()
-    assert (gaussians.opacities >= 1 / 255).all() and (gaussians.opacities <= 1).all()
+    assert (gaussians.opacities >= (1 - 1e-6) / 255).all() and (gaussians.opacities <= 1).all()
     torch.testing.assert_close(gaussians.quats.norm(dim=1), torch.ones(count))
 
 

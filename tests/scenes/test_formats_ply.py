@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from splatrl.scenes.formats import read_gaussians, write_gaussians
+from splatrl.scenes.formats.ply import write_ply
 from tests.scenes.samples import assert_same, ply_bytes, ply_fields, sample_gaussians
 
 KINDS = ["ascii", "binary_little_endian", "binary_big_endian"]
@@ -177,9 +178,19 @@ def test_words_in_place_of_numbers_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("degree", [0, 2])
 def test_a_file_without_gaussians_is_refused(tmp_path: Path, degree: int) -> None:
     path = tmp_path / "none.ply"
-    write_gaussians(path, sample_gaussians(4, degree)[:0])
+    write_ply(path, sample_gaussians(4, degree)[:0])
     with pytest.raises(ValueError, match=r"none.ply: expected at least one Gaussian, got none"):
         read_gaussians(path)
+    for ending in ("ply", "spz"):
+        with pytest.raises(ValueError, match=rf"a.{ending}: expected at least one Gaussian to write, got none"):
+            write_gaussians(tmp_path / f"a.{ending}", sample_gaussians(4, degree)[:0])
+
+
+def test_the_faintest_visible_gaussians_are_read_again(tmp_path: Path) -> None:
+    gaussians = sample_gaussians(7, 0)
+    gaussians.opacities[:] = 1 / 255
+    write_gaussians(tmp_path / "faint.ply", gaussians)
+    assert len(read_gaussians(tmp_path / "faint.ply")) == 7
 
 
 def test_gaussians_too_far_from_the_origin_for_single_precision_give_a_warning(tmp_path: Path) -> None:

@@ -227,3 +227,26 @@ def test_the_captured_kitchen_stands_on_its_floor(shared_scenes: Path) -> None:
     opaque = scene.gaussians.means[scene.gaussians.opacities > 0.5]
     on_the_floor = (opaque[:, 2].abs() < 0.03).float().mean()
     assert on_the_floor > 0.2  # nothing else is as large and level
+
+
+HUGE = "1" + 400 * "0"
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (f"voxel_size: {HUGE}", "voxel_size: expected"),
+        (f"goal: [0, {HUGE}, 0]", "goal: expected"),
+        (f"bounds: [[0, 0, 0], [1, 1, {HUGE}]]", "bounds: expected finite numbers"),
+        (f"world_from_splat: {{scale: {HUGE}}}", "world_from_splat.scale: expected finite numbers"),
+        (f"world_from_splat: {{translation: [0, 0, {HUGE}]}}", "world_from_splat.translation: expected finite"),
+        ("world_from_splat: {translation: [0, 0, 1.0e+39]}", "world_from_splat: expected finite positions"),
+        ("world_from_splat: {scale: 1.0e-44}", "world_from_splat: expected finite positions and positive sizes"),
+    ],
+)
+def test_numbers_out_of_any_range_are_refused_in_one_line(tmp_path: Path, line: str, message: str) -> None:
+    write_gaussians(tmp_path / "a.ply", sample_gaussians(5, 0))
+    (tmp_path / "scene.yaml").write_text(f"splat: a.ply\n{line}\n")
+    with pytest.raises(ValueError, match=message) as found:
+        _ = read_scene(tmp_path).gaussians
+    assert len(str(found.value)) < 1000

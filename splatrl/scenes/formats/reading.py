@@ -67,6 +67,11 @@ def read_gaussians(
     if transform is not None:
         gaussians = gaussians.transformed(transform)
     gaussians.means = gaussians.means.float()
+    if not (gaussians.means.isfinite().all() and gaussians.scales.isfinite().all() and (gaussians.scales > 0).all()):
+        raise ValueError(
+            f"{path}: world_from_splat: expected finite positions and positive sizes after it, got others; "
+            "its scale or translation is out of range"
+        )
     _warn_of_distance(path, gaussians)
     return gaussians
 

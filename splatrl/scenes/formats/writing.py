@@ -23,10 +23,12 @@ def write_gaussians(path: str | os.PathLike[str], gaussians: Gaussians, antialia
         antialiased: whether they are to be rendered with antialiasing; only SPZ can store this.
 
     Raises:
-        ValueError: for another file extension, or for values that the format cannot store.
+        ValueError: for another file extension, no Gaussians, or values that the format cannot store.
     """
     path = Path(path)
     ending = path.suffix.lower()
+    if not len(gaussians):
+        raise ValueError(f"{path}: expected at least one Gaussian to write, got none")
     if ending == ".ply":
         write_ply(path, gaussians)
     elif ending == ".spz":
