@@ -126,7 +126,7 @@ def test_a_training_is_run_reported_and_not_run_again(
             ["name=grid", "scenes=[cellar]"],
             "expected names from yards, unseen_yards, backyard, kitchen, recaptured, or existing paths, got cellar",
         ),
-        (["name=grid", "scenes=[kitchen]"], "expected kitchen=<path of its file> as well"),
+        (["name=grid", "scenes=[kitchen]"], "found none; type kitchen=<path of its file>"),
         (["name=grid", "sedes=[0]"], "did you mean seeds"),
     ],
 )

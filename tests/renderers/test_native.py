@@ -285,7 +285,7 @@ def test_a_focal_length_that_is_not_positive_is_refused_by_its_row() -> None:
 
 def test_wrong_settings_are_refused_by_name() -> None:
     scene = random_gaussians(0, 3)
-    with pytest.raises(ValueError, match="threads: expected at least 1"):
+    with pytest.raises(ValueError, match="threads: expected a whole number of at least 1"):
         NativeRenderer(scene, threads=0)
     with pytest.raises(ValueError, match="background"):
         NativeRenderer(scene, background=(0.0, 0.0, 1.5))
