@@ -1,4 +1,7 @@
-"""Finds and edits the solid voxels of a scene."""
+"""Finds and edits the solid voxels of a scene.
+
+All of it is one class, whose documented constructors and edits make the file long; what they compute is elsewhere.
+"""
 
 import math
 import os

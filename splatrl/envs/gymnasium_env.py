@@ -1,4 +1,7 @@
-"""Gymnasium wrappers: one robot as a ``gymnasium.Env``, a batch as a ``gymnasium.vector.VectorEnv``."""
+"""Gymnasium wrappers: one robot as a ``gymnasium.Env``, a batch as a ``gymnasium.vector.VectorEnv``.
+
+Both are here, although that makes the file long, because they convert spaces, actions and observations alike.
+"""
 
 from collections.abc import Sequence
 from typing import Any, Literal

@@ -3,15 +3,14 @@
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.cameras import Cameras
 from splatrl.renderers.base import RenderOutput, checked_background
+from splatrl.renderers.block_needs import KeptBlock, Stack, View, groups, size, spare
 from splatrl.renderers.native import Effort, NativeRenderer, checked_cameras, empty_pixels, in_models
 from splatrl.renderers.packed import packed_bytes, top_of
 from splatrl.renderers.packed_blocks import Packing, for_each_block
@@ -24,57 +23,6 @@ from splatrl.values import require_number
 
 TOP_GROUPS = 512
 """Groups of 16 Gaussians per block that always stay in memory."""
-TOP, WHOLE = 1, 2
-"""Needs of a camera that sees a block, either its top or all of it: ``Need`` of native/renderer.h."""
-
-
-class _Kept(NamedTuple):
-    """Data about a block that is kept even while the block is not in memory.
-
-    Attributes:
-        block: the block.
-        bounds: [6] float32, bounds of its root, as in ``packed``.
-        error: largest error of the nodes where its top ends, metres; infinite if it has no top.
-        bytes: memory that the whole model takes.
-    """
-
-    block: Block
-    bounds: NDArray[np.float32]
-    error: float
-    bytes: int
-
-
-class _Stack(NamedTuple):
-    """The blocks of a scene; slot ``first + 2 k`` of the core holds the top of block k, and the next slot all of it."""
-
-    first: int
-    kept: list[_Kept]
-    bounds: NDArray[np.float32]  # [N, 6]
-    errors: NDArray[np.float32]  # [N]
-
-    @property
-    def sizes(self) -> NDArray[np.int64]:
-        """Bytes of each block, [N]."""
-        return np.array([kept.bytes for kept in self.kept])
-
-
-class _View(NamedTuple):
-    """What some rows need of a scene in blocks that is one of their parts."""
-
-    stack: _Stack
-    part: int
-    rows: Tensor  # [R] int64
-    places: NDArray[np.float32]  # [R, 3], of the cameras, in the scene's frame
-    needs: NDArray[np.uint8]  # [R, N]
-
-    def slots(self, count: int) -> Tensor:
-        """Return the slots that each of ``count`` rows draws, in the order of the blocks: [count, most] int64."""
-        shown, whole = torch.from_numpy(self.needs > 0), torch.from_numpy(self.needs == WHOLE)
-        order = (~shown).to(torch.uint8).sort(dim=1, stable=True).indices[:, : int(shown.sum(1).max())]
-        own = self.stack.first + 2 * torch.arange(len(self.stack.kept)) + whole
-        slots = torch.full((count, order.shape[1]), ABSENT)
-        slots[self.rows] = torch.where(shown, own, ABSENT).gather(1, order)
-        return slots
 
 
 class BlockRenderer(NativeRenderer):
@@ -119,8 +67,8 @@ class BlockRenderer(NativeRenderer):
         self._packing = Packing(tolerance > 0.0, checked_background(background), antialiased)
         self._drawing = threading.Lock()  # blocks in memory must not change while drawing
         self._held: OrderedDict[int, int] = OrderedDict()  # slot of a whole block: bytes; least recently used first
-        self._whole: dict[int, _Kept] = {}  # by slot
-        self._models_at: list[int | _Stack] = []
+        self._whole: dict[int, KeptBlock] = {}  # by slot
+        self._models_at: list[int | Stack] = []
         self._slots = self._tops = 0
         super().__init__(scene, antialiased, background, threads, tolerance)
         self._made_of += (budget,)
@@ -157,13 +105,13 @@ class BlockRenderer(NativeRenderer):
             self._whole[slot + 1] = kept
         every = [self._whole[self._slots + 2 * number + 1] for number in range(len(files))]
         bounds, errors = np.stack([kept.bounds for kept in every]), np.array([kept.error for kept in every], np.float32)
-        self._models_at.append(_Stack(self._slots, every, bounds, errors))
+        self._models_at.append(Stack(self._slots, every, bounds, errors))
         self._slots += 2 * len(files)
 
     def _top_file(self, block: Block) -> str:
         return f"top-{TOP_GROUPS}-{self._packing.name(block)}"
 
-    def _top(self, block: Block) -> tuple[Arrays, _Kept]:
+    def _top(self, block: Block) -> tuple[Arrays, KeptBlock]:
         """Return the top of a block (no arrays if every Gaussian is drawn) and the data that is kept about it."""
 
         def build() -> Arrays:
@@ -172,7 +120,7 @@ class BlockRenderer(NativeRenderer):
             return top | {"root": whole["bounds"][0], "error": np.array(error), "size": np.array(packed_bytes(whole))}
 
         top = cached_arrays(self._top_file(block), build)
-        kept = _Kept(block, top.pop("root"), float(top.pop("error")), int(top.pop("size")))
+        kept = KeptBlock(block, top.pop("root"), float(top.pop("error")), int(top.pop("size")))
         return top, kept
 
     def _rendered(self, cameras: Cameras, parts: Parts | None) -> RenderOutput:
@@ -210,12 +158,12 @@ class BlockRenderer(NativeRenderer):
         placed = self._placed_blocks(cameras, Parts(parts.model.cpu(), parts.model_to_world.cpu()))
         everything = self._whole.keys() & set(placed.model.unique().tolist())
         with self._drawing:
-            if _size(everything, self._whole) <= self._room:
+            if size(everything, self._whole) <= self._room:
                 self._keep(everything)
                 yield torch.arange(len(cameras)), placed
                 return
             needed = [self._whole.keys() & set(row) for row in placed.model.tolist()]
-            for rows in _groups(needed, self._whole, self._room):
+            for rows in groups(needed, self._whole, self._room):
                 self._keep(set().union(*(needed[row] for row in rows)))
                 chosen = torch.tensor(rows, dtype=torch.int64)
                 yield chosen, placed.rows(chosen)
@@ -238,66 +186,22 @@ class BlockRenderer(NativeRenderer):
         """Return parts that refer to slots of the core, with each scene in blocks replaced by its visible blocks."""
         own, K = checked_cameras(cameras)
         poses = in_models(own, parts)
-        plain = torch.tensor([ABSENT, *(ABSENT if isinstance(at, _Stack) else at for at in self._models_at)])
-        views: list[_View] = []
+        plain = torch.tensor([ABSENT, *(ABSENT if isinstance(at, Stack) else at for at in self._models_at)])
+        views: list[View] = []
         for part, model in enumerate(parts.model.unbind(1)):
             for number, stack in enumerate(self._models_at):
                 rows = (model == number).nonzero().squeeze(1)
-                if isinstance(stack, _Stack) and len(rows):
+                if isinstance(stack, Stack) and len(rows):
                     own_poses = poses[rows, part].contiguous()
                     needs = np.empty((len(rows), len(stack.kept)), np.uint8)
                     self._core.needs(
                         stack.bounds, stack.errors, own_poses, K[rows], cameras.width, cameras.height, needs
                     )
-                    views.append(_View(stack, part, rows, own_poses[:, :3, 3].numpy(), needs))
-        self._spare(views, len(cameras))
+                    views.append(View(stack, part, rows, own_poses[:, :3, 3].numpy(), needs))
+        spare(views, len(cameras), self._room, self._packing.merge)
         columns = []
         for part, model in enumerate(parts.model.unbind(1)):
             columns.append((plain[model + 1].unsqueeze(1), part))
             columns += [(view.slots(len(cameras)), part) for view in views if view.part == part]
         stands = [part for slots, part in columns for _ in range(slots.shape[1])]
         return Parts(torch.cat([slots for slots, _ in columns], 1), parts.model_to_world[:, stands])
-
-    def _spare(self, views: Sequence[_View], rows: int) -> None:
-        """Change the needs of rows that see too much to the tops of all blocks but the nearest that fit into memory."""
-        needed = np.zeros(rows, np.int64)
-        for view in views:
-            np.add.at(needed, view.rows.numpy(), (view.needs == WHOLE) @ view.stack.sizes)
-        for row in np.flatnonzero(needed > self._room):
-            away: list[float] = []
-            blocks: list[tuple[_View, int, int]] = []
-            for view in views:
-                for line in np.flatnonzero(view.rows.numpy() == row):
-                    whole = np.flatnonzero(view.needs[line] == WHOLE)
-                    apart = view.stack.bounds[whole, :3] - view.places[line]
-                    away += (np.linalg.norm(apart, axis=1) - view.stack.bounds[whole, 3]).tolist()
-                    blocks += [(view, int(line), int(block)) for block in whole]
-            if not self._packing.merge:
-                raise ValueError(
-                    f"renderer.budget: expected at least {needed[row]:,} bytes for the {len(blocks)} blocks "
-                    f"that one camera sees, all of which tolerance=0 needs, got {self._room:,}"
-                )
-            held = 0
-            for at in np.argsort(away, kind="stable"):
-                view, line, block = blocks[at]
-                held += int(view.stack.sizes[block])
-                if held > self._room:
-                    view.needs[line, block] = TOP
-
-
-def _groups(needed: Sequence[set[int]], whole: dict[int, _Kept], room: int) -> Iterator[list[int]]:
-    """Yield groups of rows whose blocks fit into memory together; rows are grouped in the order of their blocks."""
-    group, union, held = list[int](), set[int](), 0
-    for row in sorted(range(len(needed)), key=lambda row: sorted(needed[row])):
-        held += _size(needed[row] - union, whole)
-        if held > room and group:
-            yield group
-            group, union, held = [], set(), _size(needed[row], whole)
-        group.append(row)
-        union |= needed[row]
-    if group:
-        yield group
-
-
-def _size(slots: set[int], whole: dict[int, _Kept]) -> int:
-    return sum(whole[slot].bytes for slot in slots)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.geometry import axis_rotations, rigid
-from splatrl.renderers import BlockRenderer, NativeRenderer, Parts, blocks, packed_blocks
+from splatrl.renderers import BlockRenderer, NativeRenderer, Parts, block_needs, blocks, packed_blocks
 from splatrl.scenes import Scene
 from splatrl.scenes.blocks import BlockScene
 from tests.renderers.cases import random_gaussians
@@ -164,12 +164,12 @@ def test_a_batch_that_does_not_fit_is_drawn_in_groups(town: BlockScene) -> None:
     cameras = walkers()
     roomy = BlockRenderer(town, tolerance=3.0)
     whole = [frozenset(slot for slot in row if slot in roomy._whole) for row in slots_of(roomy, cameras)]
-    room = max(blocks._size(row, roomy._whole) for row in whole)
-    groups = list(blocks._groups(whole, roomy._whole, room))
+    room = max(block_needs.size(row, roomy._whole) for row in whole)
+    groups = list(block_needs.groups(whole, roomy._whole, room))
     assert 1 < len(groups) < len(cameras)
     assert sorted(row for group in groups for row in group) == list(range(len(cameras)))
     assert all(
-        blocks._size(frozenset().union(*(whole[row] for row in group)), roomy._whole) <= room for group in groups
+        block_needs.size(frozenset().union(*(whole[row] for row in group)), roomy._whole) <= room for group in groups
     )
 
 
@@ -197,7 +197,7 @@ def test_a_pickled_renderer_draws_the_same(town: BlockScene) -> None:
 def test_a_row_that_sees_several_scenes_in_blocks_keeps_to_the_budget(town: BlockScene) -> None:
     cameras, two = walkers(batch=2), Parts(torch.tensor([[0, 1], [1, 0]]), torch.eye(4).expand(2, 2, 4, 4).contiguous())
     alone = BlockRenderer(town, tolerance=0.05)
-    most = max(len(set(row.tolist()) & alone._whole.keys()) for row in placed_blocks(alone, cameras))
+    most = max(len(set(row) & alone._whole.keys()) for row in slots_of(alone, cameras))
     assert most >= 2
     roomy = BlockRenderer([town, town], tolerance=0.05)
     budget = room_for(roomy, most)
@@ -210,14 +210,6 @@ def test_a_row_that_sees_several_scenes_in_blocks_keeps_to_the_budget(town: Bloc
         BlockRenderer([town, town], tolerance=0.0, budget=room_for(BlockRenderer([town, town]), most)).pixels(
             cameras, two
         )
-
-
-def placed_blocks(renderer: BlockRenderer, cameras: Cameras) -> Tensor:
-    """Return the slots that each camera draws, [B, M]."""
-    here = Parts(
-        torch.zeros(len(cameras), 1, dtype=torch.int64), torch.eye(4).expand(len(cameras), 1, 4, 4).contiguous()
-    )
-    return renderer._placed_blocks(cameras, here).model
 
 
 def test_a_budget_that_is_too_small_is_refused_with_the_bytes_that_are_needed(town: BlockScene) -> None:
