@@ -11,6 +11,7 @@ from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
 
 from splatrl.building.envs import worker_seed
+from splatrl.configuration import with_absolute_paths
 from splatrl.datasets import Demonstrations, imitate, planner_episodes, read_demonstrations
 from splatrl.device import AUTO
 from splatrl.envs.world import World, Worlds
@@ -68,7 +69,7 @@ def build_trainer(cfg: DictConfig, world: World | Worlds, folder: Path) -> Train
         logger.test_interval,
         checkpoint.interval,
         make_tracker(logger.backend, folder, logger.exp_name, logger.project, logger.online, plain),
-        made_with(cfg, world.digest),
+        made_with(with_absolute_paths(cfg), world.digest),
         _teaching(cfg, world, ppo),
     )
 

@@ -50,7 +50,7 @@ def evaluate_run(
 def run(cfg: DictConfig) -> None:
     """Evaluate the run folder ``cfg.run`` with its own config."""
     check_config(cfg)
-    folder, results = Path(cfg.run), None
+    folder, results = Path(cfg.run).expanduser(), None
     words = [str(word) for word in cfg.place]
     own = config_elsewhere(folder, words, cfg.allow_targets) if words else run_config(folder, cfg.allow_targets)
     if cfg.episodes:

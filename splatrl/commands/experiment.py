@@ -49,7 +49,7 @@ def experiment(cfg: DictConfig) -> None:
         SystemExit: if trainings failed, once all others are done; the message names them.
     """
     _check(cfg)
-    names, folder = _names(cfg), Path(cfg.folder)
+    names, folder = _names(cfg), Path(cfg.folder).expanduser()
     nodes = _plain(cfg.experiments)
     _prepare(cfg, names, nodes)
     scenes = _scenes(cfg)
@@ -102,7 +102,7 @@ def _prepare(cfg: DictConfig, names: Sequence[str], nodes: Mapping[str, Any]) ->
     for name in names:
         if nodes[name]["prepare"] and not cfg.report_only:
             known = {scene: overrides for scene, overrides in given.items() if overrides is not None}
-            get_method(nodes[name]["prepare"])(Path(cfg.folder) / name, known)
+            get_method(nodes[name]["prepare"])(Path(cfg.folder).expanduser() / name, known)
 
 
 def _overrides(cfg: DictConfig, scene: str) -> list[str] | None:

@@ -84,6 +84,8 @@ def look(options: argparse.Namespace) -> None:
         check_no_scene(out, options.force)
     elif small or not path.is_dir():
         check_absent(out, options.force)
+        if is_in_blocks(out) and not options.force:
+            raise FileExistsError(f"{out / BLOCKS_FILE}: already exists; pass another folder as --out, or --force")
     if path.is_dir():
         look_again(options, path, out, small)
         return

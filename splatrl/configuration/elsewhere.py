@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from splatrl.configuration.checking import check_constructors
-from splatrl.configuration.run_configs import run_config
-from splatrl.configuration.scene_choice import load_config
+from splatrl.configuration.grammar import quoted
+from splatrl.configuration.run_configs import PATHS, run_config
+from splatrl.configuration.scene_choice import load_config, without_proposals
 from splatrl.documents import read_yaml
 
 PLACE = ("scene", "robot", "landmarks", "task", "collision", "renderer")
@@ -35,7 +36,7 @@ def config_elsewhere(folder: Path, words: Sequence[str], allow_targets: Sequence
     Args:
         folder: the run folder, which need not be trusted.
         words: overrides of the place, such as ``scene=kitchen``; choosing a scene also drops the overrides of the
-            original scene's goals and bounds.
+            original scene's goals and bounds, and what that scene proposed.
         allow_targets: see ``run_config``.
 
     Raises:
@@ -48,7 +49,13 @@ def config_elsewhere(folder: Path, words: Sequence[str], allow_targets: Sequence
     typed = read_yaml(path)
     if not isinstance(typed, list) or not all(isinstance(word, str) and "${" not in word for word in typed):
         raise ValueError(f"{path}: expected a list of overrides without ${{...}} references, got {typed!r:.80}")
-    dropped = (*OF_A_RUN, *(OF_A_SCENE if any(word.startswith("scene=") for word in words) else ()))
+    given = {key: OmegaConf.select(own, key) for key in PATHS}
+    paths = {key: f"{key}={quoted(value)}" for key, value in given.items() if isinstance(value, str)}  # absolute
+    typed = [paths.get(_key(word), word) for word in typed]
+    elsewhere = any(word.startswith("scene=") for word in words)
+    if elsewhere:
+        typed = without_proposals(typed, "train")
+    dropped = (*OF_A_RUN, *(OF_A_SCENE if elsewhere else ()))
     kept = [word for word in typed if not f"{_key(word)}.".startswith(tuple(f"{key}." for key in dropped))]
     there = load_config([*kept, *words])
     there.allow_targets = list(allow_targets)

@@ -61,6 +61,11 @@ class WritableFolder(Callback):
         hydra.set_config(config)  # needed to resolve the folder; Hydra sets it later
         try:
             folder = Path(config.hydra[kind].dir)
+            if kind == "run" and not config.get("resume") and any(folder.glob("checkpoints/*.pt")):
+                sys.exit(  # before Hydra overwrites what was typed for the run that is there
+                    f"splatrl-{config.hydra.job.name}: hydra.run.dir: expected a new folder, got a run folder; "
+                    f"continue it with resume={folder}"
+                )
             folder.mkdir(parents=True, exist_ok=True)
             require_room(folder, FIRST_BYTES)
         except OSError as error:
@@ -71,7 +76,7 @@ class WritableFolder(Callback):
 
 def _run_dir(resume: str | None, fresh: str) -> str:
     """Resolve the folder of a run; it is created only when a job runs, not while a config is merely composed."""
-    return resume or (_new_folder(fresh) if HydraConfig.initialized() else fresh)
+    return str(Path(resume).expanduser()) if resume else (_new_folder(fresh) if HydraConfig.initialized() else fresh)
 
 
 def _typed_dir(resume: str | None) -> str:
@@ -87,6 +92,8 @@ FIRST_BYTES = 2**16
 """Least free space for a run, in bytes: its configs, which Hydra writes before the command begins."""
 PATHS = ("scene.path", "collision.occupancy.cloud", "demos", "evaluation.episodes")
 """Keys whose strings are paths, made absolute in a run folder; ``demos`` may also be a number, which is left alone."""
+NAMES_OR_PATHS = ("drawing.sprite", "transforms.sprite.sprite", "task.motion.gait", "robot.path")
+"""Keys whose strings are paths or built-in names; they are made absolute if there is such a file."""
 
 
 def save_config(cfg: DictConfig, folder: Path) -> None:
@@ -110,6 +117,8 @@ def forget_run(folder: Path) -> None:
 def with_absolute_paths(cfg: DictConfig) -> DictConfig:
     """Return a config with absolute paths, valid from any working directory; the same object if nothing changes."""
     given = {key: OmegaConf.select(cfg, key) for key in PATHS}
+    named = {key: OmegaConf.select(cfg, key) for key in NAMES_OR_PATHS}
+    given |= {key: path for key, path in named.items() if isinstance(path, str) and Path(path).expanduser().is_file()}
     absolute = {key: str(Path(path).expanduser().absolute()) for key, path in given.items() if isinstance(path, str)}
     changed = {key: path for key, path in absolute.items() if path != given[key]}
     if changed:
@@ -175,6 +184,7 @@ def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
         raise ValueError(
             f"resume={folder}: expected overrides of single keys, not of config groups, got {', '.join(groups)}"
         )
+    cfg.resume_changed = cfg.view = False  # each resumption has to ask for these itself
     merged = OmegaConf.merge(cfg, OmegaConf.from_dotlist(changes))
     assert isinstance(merged, DictConfig), type(merged)
     return merged

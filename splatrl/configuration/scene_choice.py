@@ -242,6 +242,16 @@ def _whole_configs() -> list[str]:
     return [name for name, node in nodes.items() if "scene._target_" in node and "???" not in node.values()]
 
 
+def without_proposals(overrides: Sequence[str], name: str) -> list[str]:
+    """Return the overrides of a command line without what its scene proposed, which stands before all others."""
+    try:
+        proposed = _proposals(overrides, name)
+    except (OSError, ValueError):  # the scene has gone
+        return list(overrides)
+    begins = list(overrides[: len(proposed)]) == proposed
+    return list(overrides[len(proposed) if begins else 0 :])
+
+
 def _proposals(overrides: Sequence[str], name: str) -> list[str]:
     """Return, as overrides, what the scene's folder, or metadata beside its file, proposes for the chosen task."""
     try:

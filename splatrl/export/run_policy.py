@@ -18,6 +18,8 @@ parser.add_argument("source", help="a video file, or the number of a camera")
 parser.add_argument("--fov", type=float, help="horizontal field of view, degrees; by default that of the policy")
 parser.add_argument("--give", action="append", default=[], metavar="NAME=NUMBERS", help="or NAME=IMAGE; see above")
 options = parser.parse_args()
+if options.fov is not None and not 0 < options.fov < 180:
+    parser.error(f"--fov: expected degrees between 0 and 180, got {options.fov}")
 session = onnxruntime.InferenceSession(str(Path(__file__).with_name("policy.onnx")))
 facts = session.get_modelmeta().custom_metadata_map
 width, height, own = int(facts["image_width"]), int(facts["image_height"]), float(facts["fov_deg"])
@@ -39,6 +41,8 @@ for name, value in told.items():
         given[name] = numbers.reshape(given[name].shape).astype(given[name].dtype)
 begin, names = np.ones(1, np.bool_), json.loads(facts["actions"])
 camera = cv2.VideoCapture(int(options.source) if options.source.isdigit() else options.source)
+if not camera.isOpened():
+    parser.error(f"{options.source}: expected a video file or the number of a camera, which cannot be opened")
 for number in range(10**9):
     found, image = camera.read()
     if not found:

@@ -104,6 +104,10 @@ def test_the_actions_of_policies_are_drawn_beside_a_video_without_labels(
         ),
         (["run=[a,a]", "clips=c"], "run: expected distinct run folders, got a, a"),
         (["run=[]", "clips=c"], "run: expected distinct run folders, got none"),
+        (
+            ["run=[a/0,b/0]", "film=c.mp4"],
+            "run: expected folders of different names, which name the films, got a/0, b/0",
+        ),
         (["clips=c"], "run: expected a value, got none; type run=<run folder>"),
         (["run=nowhere", "clips=c"], "run: expected a run folder with config.yaml, got nowhere"),
     ],

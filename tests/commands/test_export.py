@@ -147,3 +147,25 @@ def test_invalid_arguments_are_reported(
 ) -> None:
     with pytest.raises(SystemExit, match=message):
         command(monkeypatch, *(argument.format(run=run) for argument in arguments))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["none.mp4"], "none.mp4: expected a video file or the number of a camera"),
+        (["none.mp4", "--fov", "0"], "--fov: expected degrees between 0 and 180, got 0"),
+        (["none.mp4", "--fov", "-69"], "--fov: expected degrees between 0 and 180"),
+        (["none.mp4", "--fov", "200"], "--fov: expected degrees between 0 and 180, got 200"),
+    ],
+)
+def test_a_source_or_a_field_of_view_that_cannot_be_used_is_refused(
+    exported: tuple[Path, ...],
+    words: list[str],
+    message: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pytest.importorskip("cv2")
+    with pytest.raises(SystemExit):
+        run_policy(monkeypatch, exported[0], *words)
+    assert message in capsys.readouterr().err

@@ -174,9 +174,12 @@ def test_a_refused_run_deletes_no_files_of_others(places: Path, monkeypatch: pyt
     (places / "mine" / "config.yaml").unlink()
     (places / "mine" / "checkpoints").mkdir()
     (places / "mine" / "checkpoints" / "last.pt").touch()
+    (places / "mine" / ".hydra").mkdir(exist_ok=True)
+    (places / "mine" / ".hydra" / "overrides.yaml").write_text("- seed=7\n")
     with pytest.raises(SystemExit, match=r"hydra\.run\.dir: expected a new folder, got a run"):
         train.main()
     assert (places / "mine" / "checkpoints" / "last.pt").exists()
+    assert (places / "mine" / ".hydra" / "overrides.yaml").read_text() == "- seed=7\n"  # what its run was typed with
 
 
 @pytest.mark.parametrize(

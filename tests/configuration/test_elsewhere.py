@@ -1,0 +1,66 @@
+"""The config of a run, in another place or another working directory."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from splatrl.configuration import command_line, config_elsewhere, load_config, resumed_config, run_config, save_config
+from splatrl.scenes import write_gaussians
+from tests.tiny import tiny_gaussians
+
+PROPOSED = "splat: a.ply\nrobot_height: 0.7\nantialiased: false\nvoxel_size: 0.08\n"
+
+
+def trained(folder: Path, words: list[str]) -> Path:
+    """Write the config and the record of a run that was started with some words."""
+    typed = command_line("train", words)
+    (folder / ".hydra").mkdir(parents=True)
+    (folder / ".hydra" / "overrides.yaml").write_text(json.dumps(typed))  # JSON is YAML
+    save_config(load_config(typed), folder)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def gardens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, proposed in (("garden", PROPOSED), ("elsewhere/garden", "splat: a.ply\n")):
+        (tmp_path / name).mkdir(parents=True)
+        write_gaussians(tmp_path / name / "a.ply", tiny_gaussians())
+        (tmp_path / name / "scene.yaml").write_text(proposed)
+    monkeypatch.chdir(tmp_path)
+
+
+def test_what_a_scene_proposed_does_not_hold_in_another_one(tmp_path: Path) -> None:
+    run = trained(tmp_path / "run", ["robot.fov_deg=70", "scene=garden/", "robot.height=0.5"])
+    assert run_config(run).robot.height == 0.5 and run_config(run).renderer.antialiased is False
+    there, usual = config_elsewhere(run, ["scene=backyard"]), load_config(["scene=backyard"])
+    assert there.renderer.antialiased == usual.renderer.antialiased is True
+    assert there.collision.occupancy.resolution == usual.collision.occupancy.resolution
+    assert (there.robot.height, there.robot.fov_deg) == (0.5, 70)  # these were typed
+    here = config_elsewhere(run, ["robot.fov_deg=60"])
+    assert (here.robot.height, here.robot.fov_deg, here.renderer.antialiased) == (0.5, 60, False)
+
+
+def test_a_run_is_moved_from_any_working_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = trained(tmp_path / "run", ["scene=garden/"])
+    monkeypatch.chdir(tmp_path / "elsewhere")  # where another scene has the same name
+    assert config_elsewhere(run, ["robot.fov_deg=60"]).scene.path == str(tmp_path / "garden")
+    assert config_elsewhere(run, ["scene=backyard"]).robot.height == load_config(["scene=backyard"]).robot.height
+
+
+def test_a_run_keeps_the_path_of_its_sprite_but_not_the_name_of_a_built_in_one(tmp_path: Path) -> None:
+    (tmp_path / "duck.png").touch()
+    words = ["scene=garden/", "task=apple"]
+    assert run_config(trained(tmp_path / "a", [*words, "drawing.sprite=duck.png"])).drawing.sprite == str(
+        tmp_path / "duck.png"
+    )
+    assert run_config(trained(tmp_path / "b", words)).drawing.sprite == "apple"
+
+
+def test_changed_settings_are_allowed_for_one_resumption_only(tmp_path: Path) -> None:
+    run = trained(tmp_path / "run", ["scene=garden/"])
+    changed = resumed_config(run, [f"resume={run}", "resume_changed=true", "loss.gamma=0.9", "view=true"])
+    assert changed.resume_changed and changed.view
+    save_config(changed, run)
+    again = resumed_config(run, [f"resume={run}"])
+    assert again.loss.gamma == 0.9 and not again.resume_changed and not again.view
