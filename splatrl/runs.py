@@ -15,6 +15,7 @@ from splatrl.configuration import run_config
 from splatrl.envs.world import World, Worlds
 from splatrl.files import refusing
 from splatrl.training import load_checkpoint
+from splatrl.training.history import unpacked
 
 CHECKPOINTS = ("last", "best")
 
@@ -27,7 +28,7 @@ class TrainedPolicy:
         cfg: config of the run.
         world: world built from it.
         model: actor and critic with the checkpoint's weights.
-        checkpoint: content of the checkpoint: ``ppo``, ``history``, ``best`` and ``seconds``.
+        checkpoint: content of the checkpoint: ``ppo``, ``history`` (a list of rows), ``best`` and ``seconds``.
     """
 
     cfg: DictConfig
@@ -78,4 +79,6 @@ def load_policy(
     model = build_model(cfg, world.env(1))
     with refusing(path, "the weights of the policy that the run's config describes"):
         model.load_state_dict(state["ppo"]["model"])
+    with refusing(path, "the history of a training"):
+        state["history"] = unpacked(state.get("history", {}))
     return TrainedPolicy(cfg, world, model, state)

@@ -83,6 +83,10 @@ def _check(cfg: DictConfig) -> None:
     seeds = _plain(cfg)["seeds"]
     if seeds is not None and not (isinstance(seeds, list) and all(type(seed) is int for seed in seeds)):
         raise ValueError(f"seeds: expected whole numbers in brackets such as [0,1], got {seeds}")
+    if seeds is not None and len(set(seeds)) < len(seeds):
+        raise ValueError(f"seeds: expected different ones, got {seeds}")
+    if cfg.scenes is not None and not cfg.scenes:
+        raise ValueError("scenes: expected at least one, got none")
     given = not OmegaConf.is_missing(cfg, "kitchen") and not cfg.report_only
     if given and not Path(cfg.kitchen).expanduser().exists():
         raise ValueError(f"kitchen: expected the path of an existing kitchen.spz, got {cfg.kitchen}")

@@ -16,7 +16,6 @@ from splatrl.evaluation.pictures import Pictures
 from splatrl.evaluation.report import by_scene, summarise, write_json
 from splatrl.evaluation.rollouts import given_episodes, run_episodes, save_episodes, spread_starts
 from splatrl.files import refusing
-from splatrl.training.history import unpacked
 from splatrl.values import tenths
 
 EPISODES_IN_VIDEO = 4
@@ -76,7 +75,6 @@ def evaluate(
             "wall_seconds": float(checkpoint["seconds"]),
             "level": int(checkpoint["ppo"]["env"]["curriculum.progress"][0]) + 1,
         }
-        history = unpacked(checkpoint["history"])
     plans = [one.plan for one in world.worlds]
     if settings.episodes is None:
         starts = spread_starts(world, settings.starts)
@@ -105,7 +103,7 @@ def evaluate(
     if isinstance(world.task, NavigationTask) and settings.episodes is None:
         save_episodes(folder / EPISODES, world, starts, world.task.success_distance)
     files = [folder / "learning_curve.png"]
-    learning_curve(history, files[0])
+    learning_curve(checkpoint["history"], files[0])
     if len(names) > 1:
         files.append(folder / "scenes.png")
         scene_bars(names, [row["success_rate"] for row in summary["scenes"]], files[1])

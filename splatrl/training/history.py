@@ -25,8 +25,11 @@ def unpacked(columns: Mapping[str, Any]) -> list[dict[str, float]]:
     """Convert columns back to rows.
 
     Raises:
-        ValueError: for row numbers with gaps, which a damaged or hostile file could make arbitrarily large.
+        ValueError: for anything but columns, or for row numbers with gaps, which a damaged or hostile file could make
+            arbitrarily large.
     """
+    if not isinstance(columns, Mapping):  # as in checkpoints of versions that stored rows
+        raise ValueError(f"history: expected columns, got {type(columns).__name__}; train the run again")
     numbers = torch.cat([rows for rows, _ in columns.values()]).unique() if columns else torch.empty(0)
     if not torch.equal(numbers, torch.arange(len(numbers)).to(numbers)):
         raise ValueError("history: expected rows numbered from 0 without gaps, got others")

@@ -127,6 +127,9 @@ def test_a_training_is_run_reported_and_not_run_again(
             "expected names from yards, unseen_yards, backyard, kitchen, recaptured, or existing paths, got cellar",
         ),
         (["name=grid", "scenes=[kitchen]"], "found none; type kitchen=<path of its file>"),
+        (["name=grid", "scenes=[]"], "scenes: expected at least one, got none"),
+        (["name=grid", "seeds=[0,0]"], "seeds: expected different ones, got [0, 0]"),
+        (["name=grid", "seeds=[true]"], "seeds: expected whole numbers in brackets such as [0,1], got [True]"),
         (["name=grid", "sedes=[0]"], "did you mean seeds"),
     ],
 )

@@ -25,6 +25,11 @@ def test_a_checkpoint_with_a_long_history_can_be_read(tmp_path: Path) -> None:
     assert unpacked(load_checkpoint(tmp_path / "last.pt")["history"])[-1] == history[-1]
 
 
+def test_rows_of_an_older_version_are_refused() -> None:
+    with pytest.raises(ValueError, match="history: expected columns, got list; train the run again"):
+        unpacked(ROWS)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("rows", [[0, 2], [1], [-1, 0], [0, 2**40]])
 def test_row_numbers_with_gaps_are_refused(rows: list[int]) -> None:
     with pytest.raises(ValueError, match="history: expected rows numbered from 0 without gaps"):
