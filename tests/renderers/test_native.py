@@ -18,7 +18,7 @@ def assert_alike(fast: RenderOutput, reference: RenderOutput) -> None:
     assert psnr(fast.alpha, reference.alpha) >= LIKENESS
     covered = reference.alpha > 0.05  # mean depth is unstable where almost nothing is blended
     errors = ((fast.depth - reference.depth).abs() / reference.depth)[covered]
-    few = errors.numel() < 16  # one may see something far away past something right before the camera
+    few = errors.numel() < 64  # all may see something right before the camera, where rounding is a larger part
     assert errors.numel() == 0 or errors.mean() < (1e-3 if few else 1e-4)
 
 
