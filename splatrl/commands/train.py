@@ -21,6 +21,7 @@ from splatrl.commands.faults import USERS, in_one_line
 from splatrl.configuration import (
     RUN_CONFIG,
     check_config,
+    check_new,
     conf_dir,
     forget_run,
     job_config,
@@ -48,10 +49,8 @@ def run(cfg: DictConfig) -> float:
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: expected a run folder, found none")
     with alone_in(folder):
-        if not cfg.resume and any(folder.glob("checkpoints/*.pt")):
-            raise ValueError(
-                f"hydra.run.dir: expected a new folder, got a run folder; continue it with resume={folder}"
-            )
+        if not cfg.resume:
+            check_new(folder)
         new = not cfg.resume and not (folder / RUN_CONFIG).exists()
         try:
             return train(cfg, folder)

@@ -7,6 +7,7 @@ from splatrl.configuration.grammar import quoted
 from splatrl.configuration.run_configs import (
     PATHS,
     RUN_CONFIG,
+    check_new,
     forget_run,
     resumed_config,
     run_config,
@@ -22,6 +23,7 @@ __all__ = [
     "UserError",
     "check_config",
     "check_constructors",
+    "check_new",
     "command_line",
     "conf_dir",
     "config_elsewhere",

@@ -61,13 +61,12 @@ class WritableFolder(Callback):
         hydra.set_config(config)  # needed to resolve the folder; Hydra sets it later
         try:
             folder = Path(config.hydra[kind].dir)
-            if kind == "run" and not config.get("resume") and any(folder.glob("checkpoints/*.pt")):
-                sys.exit(  # before Hydra overwrites what was typed for the run that is there
-                    f"splatrl-{config.hydra.job.name}: hydra.run.dir: expected a new folder, got a run folder; "
-                    f"continue it with resume={folder}"
-                )
+            if kind == "run" and not config.get("resume"):
+                check_new(folder)  # before Hydra overwrites what was typed for a run that is there
             folder.mkdir(parents=True, exist_ok=True)
             require_room(folder, FIRST_BYTES)
+        except ValueError as error:
+            sys.exit(f"splatrl-{config.hydra.job.name}: {error}")
         except OSError as error:
             _refuse(folder, error, f"hydra.{kind}.dir")
         finally:
@@ -100,6 +99,12 @@ def save_config(cfg: DictConfig, folder: Path) -> None:
     """Write ``config.yaml`` into a run folder: all that is needed to resume and evaluate from any working directory."""
     with replacing(folder / RUN_CONFIG) as stream:
         stream.write(OmegaConf.to_yaml(with_absolute_paths(cfg)).encode())
+
+
+def check_new(folder: Path) -> None:
+    """Refuse a folder in which a training has already saved a checkpoint, with a ValueError."""
+    if any(folder.glob("checkpoints/*.pt")):
+        raise ValueError(f"hydra.run.dir: expected a new folder, got a run folder; continue it with resume={folder}")
 
 
 def forget_run(folder: Path) -> None:

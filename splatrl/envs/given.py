@@ -53,10 +53,10 @@ def given_state(given: TensorDictBase, spec: TensorSpec, only: Tensor | None) ->
     return state.clone()
 
 
-def given_memory(
+def check_memory(
     given: TensorDictBase, specs: Mapping[str, TensorSpec], together: Sequence[str], only: Tensor | None
-) -> dict[str, Tensor]:
-    """Return the given memory of a task after checking it: values that contradict each other give wrong rewards.
+) -> None:
+    """Check the given memory of a task: values that contradict each other give wrong rewards.
 
     Args:
         given: [B], with any of the keys, [B, ...] each.
@@ -78,7 +78,6 @@ def given_memory(
             limits = f" from {spec.low.min().item()} to {spec.high.max().item()}" if isinstance(spec, Bounded) else ""
             wanted = f"{spec.dtype} [{', '.join(map(str, ('B', *spec.shape)))}]{limits}"
             raise ValueError(f"{key}: expected {wanted}, got {value.dtype} {list(value.shape)}, {_shown(asked)}")
-    return found
 
 
 def check_seeds(seeds: Sequence[int | None], count: int) -> None:

@@ -54,9 +54,8 @@ def restart_from(env: EnvBase, after: TensorDictBase, rows: Tensor, given: Mappi
     """
     mask = torch.zeros(env.batch_size, dtype=torch.bool, device=env.device).index_fill_(0, rows, True).unsqueeze(1)
     asked = {key: after[key].index_copy(0, rows, value) for key, value in given.items()}
-    fresh = env._reset(TensorDict({**asked, "_reset": mask}, env.batch_size, device=env.device), set_state=True)
     values = dict(after.items())
-    for key, value in fresh.items():
+    for key, value in _reset_where(env, mask, asked).items():
         values[key] = _with_rows_of(values.get(key), rows, value)
     return TensorDict._new_unsafe(values, batch_size=after.batch_size, device=after.device)
 
@@ -87,9 +86,10 @@ def maybe_reset(env: EnvBase, after: TensorDictBase) -> TensorDictBase:
     return TensorDict._new_unsafe(values, batch_size=after.batch_size, device=after.device)
 
 
-def _reset_where(env: EnvBase, mask: Tensor) -> TensorDictBase:
+def _reset_where(env: EnvBase, mask: Tensor, given: Mapping[str, Tensor] | None = None) -> TensorDictBase:
     """Reset the rows of an env that a mask selects, [B, 1] bool; in other rows the result [B] may hold anything."""
-    return env._reset(TensorDict({"_reset": mask}, env.batch_size, device=env.device), set_state=False)
+    asked = TensorDict({**(given or {}), "_reset": mask}, env.batch_size, device=env.device)
+    return env._reset(asked, set_state=given is not None)
 
 
 def _with_rows_of(old: Tensor | TensorDictBase | None, rows: Tensor, fresh: Tensor | TensorDictBase) -> Any:

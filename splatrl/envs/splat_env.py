@@ -17,7 +17,7 @@ from splatrl.collision.nothing import NoChecker
 from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum.starts import Curriculum
 from splatrl.envs.drawing.base import Drawing
-from splatrl.envs.given import check_actions, check_seeds, given_memory, given_scene, given_state
+from splatrl.envs.given import check_actions, check_memory, check_seeds, given_scene, given_state
 from splatrl.envs.lattice_steps import LatticeSteps, Taken, suits
 from splatrl.envs.restart import maybe_reset, with_rows
 from splatrl.envs.robot import Robot
@@ -170,7 +170,7 @@ class SplatEnv(EnvBase):
             state = given_state(given, self.task.motion.state_spec, only)
             level = torch.full((self.numel(), 1), -1, device=self.device)  # given states belong to no level
             memory = {**self._at(scene)[0].begin(state, self._chance(scene))}
-            memory |= given_memory(given, self.task.memory_spec, self.task.given_together, only)
+            check_memory(given, self.task.memory_spec, self.task.given_together, only)
         else:
             scene, state, memory = self._drawn(seeds)
             level = self.curriculum.level.expand(self.numel(), 1).clone()
