@@ -15,7 +15,8 @@ from splatrl.configuration import with_absolute_paths
 from splatrl.datasets import Demonstrations, imitate, planner_episodes, read_demonstrations
 from splatrl.device import AUTO
 from splatrl.envs.world import World, Worlds
-from splatrl.evaluation.rollouts import run_episodes, spread_starts
+from splatrl.evaluation.rollouts import run_episodes
+from splatrl.evaluation.starts import spread_starts
 from splatrl.made_with import made_with
 from splatrl.training import PPO, Actor, Cloner, Matcher, Trainer, inputs_of, make_tracker, views
 from splatrl.values import require_number

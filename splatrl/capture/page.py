@@ -1,5 +1,6 @@
 """The report of a capture, ``report.html``: figures, what went wrong, and pictures, on one static page."""
 
+import shlex
 from collections.abc import Sequence
 from html import escape
 
@@ -53,7 +54,7 @@ def report_page(
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(name)}</title>'
         f"<style>{STYLE}</style></head><body><h1>{escape(name)}</h1>"
-        f"<p>Train here: <code>splatrl-train scene={escape(name)}/</code></p>"
+        f"<p>Train here: <code>splatrl-train {escape(shlex.quote(f'scene={name}/'))}</code></p>"
         f"{f'<h2>Problems and notes</h2><ul>{wrong}</ul>' if wrong else ''}<table>{rows}</table>{shown}</body></html>\n"
     )
 

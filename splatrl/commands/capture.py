@@ -1,6 +1,7 @@
 """``splatrl-capture``: turn a phone video or a folder of photos into a scene to train in."""
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 
@@ -39,7 +40,7 @@ def run(options: argparse.Namespace) -> None:
     except KeyboardInterrupt:
         print("\nstopped; finished work is kept; run the same command again to continue", file=sys.stderr)
         sys.exit(INTERRUPTED)
-    print(f"report: {folder / 'report.html'}\ntrain in it: splatrl-train scene={folder}/")
+    print(f"report: {folder / 'report.html'}\ntrain in it: splatrl-train {shlex.quote(f'scene={folder}/')}")
 
 
 def _beside(source: Path) -> Path:

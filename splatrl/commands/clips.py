@@ -27,13 +27,12 @@ def run(cfg: DictConfig) -> None:
         )
     if len(set(runs)) < len(runs) or not runs:
         raise ValueError(f"run: expected distinct run folders, got {', '.join(runs) or 'none'}")
-    runs = [str(Path(run).expanduser()) for run in runs]
     if cfg.film is not None:
-        film = Path(cfg.film).expanduser()
+        film = Path(cfg.film)
         names = [Path(run).absolute().name for run in runs]
         if len(set(names)) < len(names):
             raise ValueError(f"run: expected folders of different names, which name the films, got {', '.join(runs)}")
-        folder = Path(cfg.output or film.parent).expanduser()
+        folder = Path(cfg.output or film.parent)
         for name in runs:
             output = folder / f"{film.stem}-{Path(name).absolute().name}"
             for path in film_run(Path(name), film, output, cfg.checkpoint, cfg.device, cfg.allow_targets):
@@ -44,14 +43,13 @@ def run(cfg: DictConfig) -> None:
         torch.set_num_threads(own.threads)
         world = build_one_world(altered(own, cfg.seed))
         settings = (cfg.count, cfg.seed, cfg.height, instantiate(cfg.hand), instantiate(cfg.lens))
-        written = record_clips(world, Path(cfg.record).expanduser(), *settings)
+        written = record_clips(world, Path(cfg.record), *settings)
         print(f"{len(written)} clips in {cfg.record}")
     if cfg.clips is not None:
         results = {
-            name: score_run(Path(name), Path(cfg.clips).expanduser(), cfg.checkpoint, cfg.device, cfg.allow_targets)
-            for name in runs
+            name: score_run(Path(name), Path(cfg.clips), cfg.checkpoint, cfg.device, cfg.allow_targets) for name in runs
         }
-        folder = Path(cfg.output or cfg.clips).expanduser()
+        folder = Path(cfg.output or cfg.clips)
         print(write_report(results, folder))
         print(f"{folder / REPORT}.md, {folder / REPORT}.json")
 

@@ -1,8 +1,9 @@
 """``splatrl-evaluate``: evaluate a finished or interrupted run over its start set."""
 
+import itertools
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,17 @@ from omegaconf import DictConfig, OmegaConf
 
 from splatrl.commands.entries import evaluate as main
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import check_config, conf_dir, config_elsewhere, run_config
+from splatrl.configuration import PATHS, check_config, conf_dir, config_elsewhere, options, quoted, run_config
+from splatrl.configuration.grammar import bare
+from splatrl.documents import read_yaml
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.evaluate import EvaluationSettings, evaluate, summary_lines
-from splatrl.files import require_room
+from splatrl.files import replacing, require_room
 from splatrl.runs import load_policy
 from splatrl.training import Actor
+
+PLACE = "place.yaml"
+"""File in a folder of results: the overrides of the place in which the policy was evaluated."""
 
 
 def evaluate_run(
@@ -50,46 +56,60 @@ def evaluate_run(
 def run(cfg: DictConfig) -> None:
     """Evaluate the run folder ``cfg.run`` with its own config."""
     check_config(cfg)
-    folder, results = Path(cfg.run).expanduser(), None
-    words = [str(word) for word in cfg.place]
+    folder, results = Path(cfg.run), None
+    words = [_absolute(str(word)) for word in cfg.place]
     own = config_elsewhere(folder, words, cfg.allow_targets) if words else run_config(folder, cfg.allow_targets)
     if cfg.episodes:
-        words.append(f"episodes={Path(str(cfg.episodes)).name.split('.')[0]}")
+        words.append(f"episodes={Path(str(cfg.episodes)).absolute()}")
     if words:
-        results = folder / "places" / _name(words)
+        results = _results_folder(folder / "places", words)
     for key in ("checkpoint", "starts", "repeats", "seed", "episodes"):
         if cfg[key] is not None:
             OmegaConf.update(own, f"evaluation.{key}", cfg[key])
     own.logger.video = cfg.video
     own.device = cfg.device or own.device
     torch.set_num_threads(own.threads)
-    with _made(results):
+    with nullcontext() if results is None else _made(results, words):
         evaluate_run(own, folder, results=results)
 
 
+def _absolute(word: str) -> str:
+    """Return an override, with its value made absolute if it is the path of a scene or of another file."""
+    key, _, value = word.partition("=")
+    path = bare(value)
+    is_path = key in ("scene", *PATHS) and path and path not in options(key) and Path(path).exists()
+    return f"{key}={quoted(Path(path).absolute())}" if is_path else word
+
+
+def _results_folder(places: Path, words: Sequence[str]) -> Path:
+    """Return the folder for the results at a place: named after its scene or file, and whatever else was typed.
+
+    Another place of the same name gets a number.
+    """
+    known = []
+    for word in words:
+        key, _, value = word.partition("=")
+        text = Path(bare(value)).stem.removesuffix(".json") if "/" in value else value
+        known.append(text if key == "scene" else f"{key}={text}")
+    name = re.sub(r"[^\w.=-]+", "-", "-".join(dict.fromkeys(known)))[:100]
+    numbered = (places / name if number == 1 else places / f"{name}-{number}" for number in itertools.count(1))
+    return next(path for path in numbered if not (path / PLACE).exists() or read_yaml(path / PLACE) == list(words))
+
+
 @contextmanager
-def _made(folder: Path | None) -> Iterator[None]:
-    """Create a results folder for the block, and remove it afterwards if it is still empty."""
-    if folder is None:
-        yield
-        return
+def _made(folder: Path, words: Sequence[str]) -> Iterator[None]:
+    """Create a results folder with a record of its place for the block, and remove both if nothing else was added."""
     folder.mkdir(parents=True, exist_ok=True)
+    with replacing(folder / PLACE) as stream:
+        stream.write(OmegaConf.to_yaml(OmegaConf.create(list(words))).encode())
     try:
         yield
     finally:
+        if [path.name for path in folder.iterdir()] == [PLACE]:
+            (folder / PLACE).unlink()
         with suppress(OSError):  # rmdir fails on folders with content, which stay
             for path in (folder, folder.parent):
                 path.rmdir()
-
-
-def _name(words: Sequence[str]) -> str:
-    """Derive a folder name for a place from its overrides: its scene or file, and whatever else was typed."""
-    values = [word.partition("=")[2].strip("'\"") for word in words]
-    known = [
-        Path(value).resolve().stem if Path(value).expanduser().exists() else word.removeprefix("scene=")
-        for word, value in zip(words, values, strict=True)
-    ]
-    return re.sub(r"[^\w.=-]+", "-", "-".join(dict.fromkeys(known)))[:100]
 
 
 if __name__ == "__main__":

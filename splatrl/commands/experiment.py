@@ -49,7 +49,7 @@ def experiment(cfg: DictConfig) -> None:
         SystemExit: if trainings failed, once all others are done; the message names them.
     """
     _check(cfg)
-    names, folder = _names(cfg), Path(cfg.folder).expanduser()
+    names, folder = _names(cfg), Path(cfg.folder)
     nodes = _plain(cfg.experiments)
     _prepare(cfg, names, nodes)
     scenes = _scenes(cfg)
@@ -88,7 +88,7 @@ def _check(cfg: DictConfig) -> None:
     if cfg.scenes is not None and not cfg.scenes:
         raise ValueError("scenes: expected at least one, got none")
     given = not OmegaConf.is_missing(cfg, "kitchen") and not cfg.report_only
-    if given and not Path(cfg.kitchen).expanduser().exists():
+    if given and not Path(cfg.kitchen).exists():
         raise ValueError(f"kitchen: expected the path of an existing kitchen.spz, got {cfg.kitchen}")
 
 
@@ -106,7 +106,7 @@ def _prepare(cfg: DictConfig, names: Sequence[str], nodes: Mapping[str, Any]) ->
     for name in names:
         if nodes[name]["prepare"] and not cfg.report_only:
             known = {scene: overrides for scene, overrides in given.items() if overrides is not None}
-            get_method(nodes[name]["prepare"])(Path(cfg.folder).expanduser() / name, known)
+            get_method(nodes[name]["prepare"])(Path(cfg.folder) / name, known)
 
 
 def _overrides(cfg: DictConfig, scene: str) -> list[str] | None:
@@ -119,7 +119,7 @@ def _overrides(cfg: DictConfig, scene: str) -> list[str] | None:
 
 def _scene_name(scene: str) -> str:
     """Return a scene's name; one given as a path is named after its folder or file."""
-    return Path(scene).expanduser().resolve().stem if "/" in scene or Path(scene).suffix else scene
+    return Path(scene).resolve().stem if "/" in scene or Path(scene).suffix else scene
 
 
 def _scenes(cfg: DictConfig) -> dict[str, list[str]]:
@@ -132,12 +132,12 @@ def _scenes(cfg: DictConfig) -> dict[str, list[str]]:
     result: dict[str, list[str]] = {}
     for scene in map(str, cfg.scenes or known):
         if scene not in known:
-            if not Path(scene).expanduser().exists():
+            if not Path(scene).exists():
                 raise ValueError(f"scenes: expected names from {', '.join(known)}, or existing paths, got {scene}")
             name = _scene_name(scene)
             if name in known or name in result:
                 raise ValueError(f"scenes={scene}: expected a unique name, got {name} twice; rename the folder")
-            path = str(Path(scene).expanduser().absolute())
+            path = str(Path(scene).absolute())
             result[name] = ["scene=file", f"scene.path={quoted(path)}", f"device={cfg.device}"]
             continue
         overrides = _overrides(cfg, scene)

@@ -32,7 +32,7 @@ def run(cfg: DictConfig) -> None:
     check_config(cfg)
     if cfg.by not in BY:
         raise ValueError(f"by: expected {' or '.join(BY)}, got {cfg.by}")
-    folders = {key: Path(cfg[key]).expanduser() for key in ("out", "lerobot") if cfg[key] is not None}
+    folders = {key: Path(cfg[key]) for key in ("out", "lerobot") if cfg[key] is not None}
     if cfg.lerobot is not None:
         out, other = (folders[key].resolve() for key in ("out", "lerobot"))
         if out.is_relative_to(other) or other.is_relative_to(out):

@@ -20,7 +20,7 @@ from splatrl.datasets import read_demonstrations, replay
 def run(cfg: DictConfig) -> None:
     """Replay the folder ``cfg.demos``; exit with an error if anything other than the views differs."""
     check_config(cfg)
-    folder = Path(cfg.demos).expanduser()
+    folder = Path(cfg.demos)
     demonstrations = read_demonstrations(folder)
     own = run_config(folder, cfg.allow_targets)
     own.device = "cpu"

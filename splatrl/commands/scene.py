@@ -1,6 +1,7 @@
 """``splatrl-scene``: inspect a captured scene, guess its orientation, and write a ``scene.yaml`` to edit."""
 
 import argparse
+import shlex
 import shutil
 import sys
 import warnings
@@ -118,7 +119,7 @@ def look(options: argparse.Namespace) -> None:
         name = beside_description(path, out, gaussians)
         print(f"wrote       {write_description(out, name, scene.name, frame, bounds, options.force, proposals)}")
     words = [word for key, word in STILL_TO_TYPE.items() if key not in proposals]
-    print(" ".join([f"train in it: splatrl-train scene={out}/", *words]))
+    print(" ".join(["train in it: splatrl-train", shlex.quote(f"scene={out}/"), *words]))
 
 
 def propose(

@@ -45,7 +45,7 @@ def run(cfg: DictConfig) -> float:
     job = HydraConfig.get()
     if job.mode == RunMode.MULTIRUN:
         cfg = job_config(cfg, job.overrides.task)
-    folder = Path(cfg.resume or job.runtime.output_dir).expanduser()
+    folder = Path(cfg.resume or job.runtime.output_dir)
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: expected a run folder, found none")
     with alone_in(folder):

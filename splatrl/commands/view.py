@@ -69,7 +69,7 @@ def _config_of_run(cfg: DictConfig, typed: Sequence[str]) -> tuple[DictConfig, C
     others = [word for word, key in zip(typed, keys, strict=True) if key not in OF_A_RUN]
     if others:
         raise ValueError(f"run={cfg.run}: expected only {', '.join(OF_A_RUN)} with it, got {', '.join(others)}")
-    folder = Path(cfg.run).expanduser()
+    folder = Path(cfg.run)
     own = run_config(folder, cfg.allow_targets)
     own.device = own.device if cfg.device == "auto" else cfg.device
     if "evaluation.checkpoint" in keys:

@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from splatrl.configuration.elsewhere import words_of_place
-from splatrl.configuration.grammar import quoted
+from splatrl.configuration.grammar import quoted, readable
 from splatrl.configuration.key_help import help_page
 from splatrl.configuration.run_configs import RUN_CONFIG
 from splatrl.configuration.scene_choice import SEEDED, SWEEP, load_config, with_scene_paths
@@ -53,7 +53,7 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
         SystemExit: with one line that names the argument, what was expected and what was given; or after printing the
             page for ``--help``.
     """
-    arguments = SPELLED.get(name, list)(arguments)
+    arguments = SPELLED.get(name, list)([readable(word) for word in arguments])
     try:
         _check_words(name, arguments)
         result = _options_first(with_scene_paths(arguments, name))
@@ -96,7 +96,7 @@ def with_key(arguments: Sequence[str]) -> list[str]:
     result = list(arguments)
     for place, word in enumerate(result):
         if "=" not in word and not word.startswith(("-", "+", "~")):
-            is_run = (Path(word).expanduser() / RUN_CONFIG).is_file()
+            is_run = (Path(word) / RUN_CONFIG).is_file()
             plain = word.replace("_", "").isalnum()
             result[place] = f"{'run' if is_run else 'scene'}={word if plain else quoted(word)}"
             break
@@ -173,7 +173,7 @@ def _check_overrides(name: str, overrides: Sequence[Override], sweeps: bool) -> 
 def _check_run(override: Override) -> None:
     """Refuse a path that is not a run folder, because Hydra would create a folder of that name."""
     folder = override.value()
-    if isinstance(folder, str) and not (Path(folder).expanduser() / RUN_CONFIG).is_file():
+    if isinstance(folder, str) and not (Path(folder) / RUN_CONFIG).is_file():
         raise UserError(f"{override.key_or_group}: expected a run folder with {RUN_CONFIG}, got {folder}")
 
 
@@ -195,7 +195,7 @@ def _check_choice(key: str, choice: str) -> None:
         return
     near = difflib.get_close_matches(choice.lower(), valid, 1)
     hint = f"; did you mean {key}={near[0]}?" if near else ""
-    if group == "scene" and (SEEDED.fullmatch(choice) or Path(choice).expanduser().exists()):
+    if group == "scene" and (SEEDED.fullmatch(choice) or Path(choice).exists()):
         kinds = "only names of configs, only existing paths, or only seeds such as yard:1,yard:2"
         raise UserError(f"{key}: expected {kinds}, got {choice} among others")
     paths = ", or an existing path" if group == "scene" else ""

@@ -1,17 +1,48 @@
 """Writing, reading and nesting values and overrides in Hydra's override grammar."""
 
+import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import QuotedString
 from hydra.errors import HydraException
 
+HOME = re.compile(r"(?<=[=\[,:'\"])~(?=/|$)")
+"""The tilde at the beginning of a path in an override."""
+
+
+def readable(word: str) -> str:
+    """Return an override in Hydra's grammar, with ``~`` at the beginning of paths replaced by the home directory.
+
+    Text that the grammar does not know, such as a path with an umlaut or parentheses, is quoted if it exists as a path,
+    or if it contains none of the characters that have a meaning there. Options, such as ``--cfg``, stay as they are.
+    """
+    if word.startswith("-"):
+        return word
+    word = HOME.sub(lambda _: str(Path.home()), word)
+    key, equals, value = word.partition("=")
+    try:
+        OverridesParser.create().parse_override(word)
+    except HydraException:
+        if equals and (Path(value).exists() or not set("[]{}'\",").intersection(value)):
+            return f"{key}={quoted(value)}"
+    return word
+
 
 def quoted(value: object) -> str:
     """Quote any value for Hydra's grammar."""
     text = str(value).replace("'", "\\'")
     return f"'{text}'"
+
+
+def bare(text: str) -> str:
+    """Return the text of a value without its quotes, if it has any."""
+    quote = text[:1]
+    if len(text) > 1 and quote in ("'", '"') and text.endswith(quote):
+        return text[1:-1].replace(f"\\{quote}", quote)
+    return text
 
 
 def written(value: object) -> str:

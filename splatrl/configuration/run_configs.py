@@ -75,7 +75,7 @@ class WritableFolder(Callback):
 
 def _run_dir(resume: str | None, fresh: str) -> str:
     """Resolve the folder of a run; it is created only when a job runs, not while a config is merely composed."""
-    return str(Path(resume).expanduser()) if resume else (_new_folder(fresh) if HydraConfig.initialized() else fresh)
+    return resume if resume else (_new_folder(fresh) if HydraConfig.initialized() else fresh)
 
 
 def _typed_dir(resume: str | None) -> str:

@@ -14,7 +14,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from splatrl.configuration.grammar import is_swept, last_typed, nested, quoted, unquoted
+from splatrl.configuration.grammar import bare, is_swept, last_typed, nested, quoted, readable, unquoted
 from splatrl.configuration.scene_overrides import scene_overrides
 from splatrl.configuration.search_path import composed, group_choices, group_node, is_group, options
 from splatrl.values import flat, require_number
@@ -35,7 +35,7 @@ def load_config(overrides: Sequence[str] = (), name: str = "train") -> DictConfi
             path.
         name: name of the root config.
     """
-    return composed(with_scene_paths(overrides, name), name)
+    return composed(with_scene_paths([readable(override) for override in overrides], name), name)
 
 
 def job_config(cfg: DictConfig, overrides: Sequence[str]) -> DictConfig:
@@ -74,13 +74,13 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
     sweeps = name == "train" and bool(SWEEP.intersection(overrides))
     for override in overrides:
         key, _, value = override.partition("=")
-        path = value.strip("'\"")
-        if key == "scene" and path and Path(path).expanduser().exists() and path not in options("scene"):
+        path = bare(value)
+        if key == "scene" and path and Path(path).exists() and path not in options("scene"):
             from splatrl.configuration.scene_files import check_scene, is_in_blocks
 
-            check_scene(Path(path).expanduser())
+            check_scene(Path(path))
             result += ["scene=file", f"scene.path={quoted(path)}"]
-            in_blocks |= is_in_blocks(Path(path).expanduser())
+            in_blocks |= is_in_blocks(Path(path))
         elif key == "scene" and sweeps and (several := _several(value)):
             result += ["scene=file", f"scene.path={','.join(map(quoted, several))}"]
         elif key == "scene" and sweeps and (seeds := _seeds(value)):
@@ -106,19 +106,19 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
 
 def _seeds(value: str) -> list[str]:
     """Return the seeds in a list of yards such as yard:1,yard:2; empty if it is not one."""
-    yards = [SEEDED.fullmatch(one.strip("'\"")) for one in value.split(",")]
+    yards = [SEEDED.fullmatch(bare(one)) for one in value.split(",")]
     return [yard[2] for yard in yards if yard] if all(yard and yard[1] == "yard" for yard in yards) else []
 
 
 def _several(value: str) -> list[str]:
     """Return the paths in a comma-separated list of existing paths; empty if it is not one."""
-    paths = [path.strip("'\"") for path in value.split(",")]
-    if not all(paths) or any(path in options("scene") or not Path(path).expanduser().exists() for path in paths):
+    paths = [bare(path) for path in value.split(",")]
+    if not all(paths) or any(path in options("scene") or not Path(path).exists() for path in paths):
         return []
     from splatrl.configuration.scene_files import check_scene
 
     for path in paths:
-        check_scene(Path(path).expanduser())
+        check_scene(Path(path))
     return paths
 
 
@@ -200,7 +200,7 @@ def _in_blocks(text: str) -> bool:
         return group_choices("scene", config).get("renderer") == "blocks"
     from splatrl.configuration.scene_files import is_in_blocks
 
-    return is_in_blocks(Path(text).expanduser())
+    return is_in_blocks(Path(text))
 
 
 def _yard_paths(overrides: Sequence[str]) -> list[str]:
@@ -227,13 +227,13 @@ def _chosen(text: str, key: str = "scene.paths") -> list[str]:
         return [f"scene={config}", f"scene.seed={seed}"]
     if text in known:
         return [f"scene={text}"]
-    if not Path(text).expanduser().exists():
+    if not Path(text).exists():
         expected = f"one of {', '.join(known)}, one with a seed such as yard:3, or an existing path"
         raise ValueError(f"{key}: expected {expected}, got {text}")
     from splatrl.configuration.scene_files import check_scene
 
-    check_scene(Path(text).expanduser())
-    return ["scene=file", f"scene.path={quoted(Path(text).expanduser().absolute())}"]
+    check_scene(Path(text))
+    return ["scene=file", f"scene.path={quoted(Path(text).absolute())}"]
 
 
 def _whole_configs() -> list[str]:
@@ -263,7 +263,7 @@ def _proposals(overrides: Sequence[str], name: str) -> list[str]:
             return []
         from splatrl.configuration.scene_files import described
 
-        stated = described(Path(str(last_typed(overrides, "scene.path", ""))).expanduser())
+        stated = described(Path(str(last_typed(overrides, "scene.path", ""))))
         configs = _choices(overrides, name) if stated else []
     except HydraException:
         return []  # Hydra will report what is wrong

@@ -14,7 +14,8 @@ from splatrl.evaluation.episode_sets import EPISODES
 from splatrl.evaluation.figures import learning_curve, scene_bars
 from splatrl.evaluation.pictures import Pictures
 from splatrl.evaluation.report import by_scene, summarise, write_json
-from splatrl.evaluation.rollouts import given_episodes, run_episodes, save_episodes, spread_starts
+from splatrl.evaluation.rollouts import run_episodes
+from splatrl.evaluation.starts import given_episodes, save_episodes, spread_starts
 from splatrl.files import refusing
 from splatrl.values import tenths
 

@@ -15,7 +15,8 @@ from splatrl.curriculum import Plan
 from splatrl.evaluation.chase import chase_cameras
 from splatrl.evaluation.figures import start_map, success_map
 from splatrl.evaluation.recording import Recording, record_episodes
-from splatrl.evaluation.rollouts import Chosen, Episodes
+from splatrl.evaluation.rollouts import Episodes
+from splatrl.evaluation.starts import Chosen
 from splatrl.evaluation.topdown import MapView, footprint, map_window, top_down
 from splatrl.evaluation.video import PANEL, rollout_video
 from splatrl.motions import Motion, PhysicsMotion

@@ -1,11 +1,8 @@
 """Runs episodes from given starts, and computes their statistics."""
 
-import copy
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
-from typing import NamedTuple, cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -15,15 +12,11 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from splatrl.envs.nesting import layers
 from splatrl.envs.restart import restart_from
-from splatrl.envs.tasks import NavigationTask, Outcome
-from splatrl.envs.tasks.base import ChoosingTask, Memory
-from splatrl.envs.world import World, Worlds
-from splatrl.evaluation.episode_sets import places_of, read_episodes, write_episodes
+from splatrl.envs.tasks import Outcome
+from splatrl.envs.tasks.base import Memory
 
 MEASURES = ("distance_to_goal", "start_distance", "path_length", "collisions")
 """Observations of navigation tasks from which their measures are computed."""
-EPISODES_SEED = 3000
-"""Seed of the starts and goals drawn for tests; each scene adds its index."""
 
 
 @dataclass(frozen=True)
@@ -89,116 +82,6 @@ class Episodes:
         """
         ratio = shortest.double() / torch.maximum(shortest, self.length).double()
         return (self.success * ratio).mean().item()
-
-
-def spread(rows: Tensor, most: int) -> Tensor:
-    """Return an evenly spaced subset of the rows of a start set: [N] -> [min(N, most)]."""
-    count = min(most, len(rows))
-    return rows[torch.linspace(0, len(rows) - 1, count, dtype=torch.float64).round().long()]
-
-
-class Chosen(NamedTuple):
-    """N chosen starts in a world.
-
-    Attributes:
-        state: [N, D] states.
-        scene: [N] int64, index of the scene; None in a world with one scene.
-        distance: [N] int64, length of the shortest path from each, steps; unused if each episode has its own goal.
-        memory: the task's memory at each start, by key, for tasks whose episodes have goals of their own.
-    """
-
-    state: Tensor
-    scene: Tensor | None
-    distance: Tensor
-    memory: Mapping[str, Tensor] = {}
-
-    def repeated(self, times: int) -> "Chosen":
-        """Repeat each start ``times`` times in a row."""
-        scene = None if self.scene is None else self.scene.repeat_interleave(times, 0)
-        memory = {key: value.repeat_interleave(times, 0) for key, value in self.memory.items()}
-        return Chosen(self.state.repeat_interleave(times, 0), scene, self.distance.repeat_interleave(times, 0), memory)
-
-
-def given_episodes(world: World | Worlds, path: Path) -> tuple[World | Worlds, Chosen]:
-    """Read episodes from a file, and give the world a task that knows the shortest paths to their goals.
-
-    Returns:
-        The world with that task, and the starts of the episodes with the task's memory at each.
-
-    Raises:
-        ValueError: for a task whose episodes have no goals of their own, starts that are not free, or a file that
-            ``read_episodes`` or ``Geodesics.with_goals`` refuses.
-    """
-    task = world.task
-    if not isinstance(task, NavigationTask):
-        raise ValueError(
-            f"evaluation.episodes: expected a navigation task, such as task=pointnav, got {type(task).__name__}"
-        )
-    state, goal, scene = read_episodes(path, world.names)
-    for number, (name, one) in enumerate(zip(world.names, world.worlds, strict=True)):
-        mine = (scene == number).nonzero().squeeze(1)
-        blocked = one.plan.checker.collides(one.task.motion.body_to_world(state[mine]))
-        wrong = mine[blocked | ~one.task.motion.inside(state[mine])].tolist()
-        if wrong:
-            place = [round(value, 3) for value in state[wrong[0], :2].tolist()]
-            raise ValueError(
-                f"{path}: episode {wrong[0]}: expected a start where the robot fits, got {place} in scene {name}"
-            )
-    task = copy.copy(task)
-    task._modules = dict(task._modules)
-    try:
-        task.geodesics, rows = task.geodesics.with_goals(places_of(goal), scene.numpy())
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
-    memory = task.episode(state, rows, goal[:, 2:])
-    chosen = Chosen(state, scene if len(world.worlds) > 1 else None, torch.zeros(len(state), dtype=torch.int64), memory)
-    return replace(world, task=task, made_by=None), chosen
-
-
-def save_episodes(path: Path, world: World | Worlds, chosen: Chosen, radius: float) -> None:
-    """Write the episodes of a navigation task in the format that ``given_episodes`` reads.
-
-    Args:
-        path: file to write.
-        world: world in which they take place.
-        chosen: starts of the episodes, with the task's memory at each.
-        radius: distance from the goal within which a stop is a success, metres.
-    """
-    numbers = [0] * len(chosen.state) if chosen.scene is None else chosen.scene.tolist()
-    heights = torch.tensor([world.worlds[number].robot.height for number in numbers])
-    write_episodes(path, chosen.state, chosen.memory, [world.names[number] for number in numbers], heights, radius)
-
-
-def spread_starts(world: World | Worlds, most: int) -> Chosen:
-    """Choose up to ``most`` starts, evenly spaced over the start set.
-
-    With several scenes, each gets an equal number, at least one, spaced over its own start set. If each episode of the
-    task has its own goal, starts and goals are drawn at random instead, with a fixed seed.
-    """
-    if world.task.chooses_episodes:
-        return _drawn_episodes(world, most)
-    plans = [one.plan for one in world.worlds]
-    rows = [spread(plan.start_rows, max(1, most // len(plans))) for plan in plans]
-    scene = torch.arange(len(plans)).repeat_interleave(torch.tensor([len(own) for own in rows]))
-    states = torch.cat([plan.states[own] for plan, own in zip(plans, rows, strict=True)])
-    distance = torch.cat([plan.distance[own] for plan, own in zip(plans, rows, strict=True)])
-    return Chosen(states, scene if len(plans) > 1 else None, distance)
-
-
-def _drawn_episodes(world: World | Worlds, most: int) -> Chosen:
-    """Draw starts and goals for tests, equally many in each scene."""
-    count = max(1, most // len(world.worlds))
-    drawn: list[dict[str, Tensor]] = []
-    for number, one in enumerate(world.worlds):
-        task = cast(ChoosingTask, one.task)
-        drawn.append(task.episodes(one.plan.starts.cpu(), count, EPISODES_SEED + number))
-        if len(world.worlds) > 1:  # goals of all scenes are numbered consecutively
-            assert isinstance(world.task, NavigationTask)
-            drawn[-1]["goal_row"] = drawn[-1]["goal_row"] + world.task.geodesics.begins[number].cpu()
-    episodes = {key: torch.cat([each[key] for each in drawn]) for key in drawn[0]}
-    scene = torch.arange(len(drawn)).repeat_interleave(count)
-    state = episodes.pop("state")
-    return Chosen(state, scene if len(drawn) > 1 else None, torch.zeros(len(state), dtype=torch.int64), episodes)
 
 
 def knowing(env: EnvBase, act: Callable[[Tensor, Memory], Tensor | None]) -> Callable[[TensorDictBase], TensorDictBase]:

@@ -11,7 +11,8 @@ from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.envs.tasks import NavigationTask
 from splatrl.evaluation.report import summarise, write_json
-from splatrl.evaluation.rollouts import knowing, run_episodes, spread_starts
+from splatrl.evaluation.rollouts import knowing, run_episodes
+from splatrl.evaluation.starts import spread_starts
 from splatrl.experiments.experiment import Run
 from splatrl.experiments.transfer import kept, score_in
 

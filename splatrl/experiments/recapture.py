@@ -32,7 +32,7 @@ from splatrl.envs.world import World
 from splatrl.evaluation.phone_video import Phone, phone_video
 from splatrl.evaluation.phone_walk import Stroll, phone_walk
 from splatrl.evaluation.report import write_json
-from splatrl.evaluation.rollouts import spread
+from splatrl.evaluation.starts import spread
 from splatrl.experiments.report import FIGURES, VIEWS
 from splatrl.files import new_folder, replacing
 from splatrl.renderers import NativeRenderer

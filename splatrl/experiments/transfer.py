@@ -12,7 +12,8 @@ from splatrl.building import build_world
 from splatrl.configuration import placed, run_config
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.report import summarise
-from splatrl.evaluation.rollouts import run_episodes, spread_starts
+from splatrl.evaluation.rollouts import run_episodes
+from splatrl.evaluation.starts import spread_starts
 from splatrl.experiments.experiment import Run
 from splatrl.runs import load_policy
 

@@ -6,7 +6,8 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 
 from splatrl.envs.tasks.base import Outcome
-from splatrl.evaluation.rollouts import acting, spread
+from splatrl.evaluation.rollouts import acting
+from splatrl.evaluation.starts import spread
 from splatrl.runs import TrainedPolicy
 from splatrl.viewer.goals import GoalsShown
 from splatrl.viewer.page import Page

@@ -239,6 +239,23 @@ def test_an_evaluation_in_another_scene_has_its_own_folder(
     assert words_of_place(["motion@task.motion=drive", "task.max_steps=9", "starts=6"])[1] == ["starts=6"]
 
 
+def test_places_of_one_name_have_separate_folders_of_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "room.ply").touch()
+    monkeypatch.chdir(tmp_path)
+    seen: list[Path] = []
+    for typed in ("scene=a/room.ply", "scene=b/room.ply", "scene='a/room.ply'", "scene=./b/room.ply", "scene=kitchen"):
+        place = [evaluate._absolute(typed)]
+        seen.append(evaluate._results_folder(tmp_path / "places", place))
+        with evaluate._made(seen[-1], place):
+            (seen[-1] / "evaluation.json").touch()
+    assert [path.name for path in seen] == ["room", "room-2", "room", "room-2", "kitchen"]
+    with evaluate._made(tmp_path / "places" / "none", ["scene=none"]):
+        assert (tmp_path / "places" / "none").is_dir()
+    assert not (tmp_path / "places" / "none").exists()
+
+
 @pytest.mark.parametrize("typed", ["scene=tiny", "- scene.path=${oc.env:HOME}", "- +task.motion._target_=os.system"])
 def test_the_overrides_saved_in_a_strangers_run_are_treated_as_data(
     run: tuple[Path, str], tmp_path: Path, typed: str

@@ -13,7 +13,8 @@ import splatrl
 from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.envs.world import World, Worlds
-from splatrl.evaluation.rollouts import given_episodes, run_episodes, save_episodes, spread_starts
+from splatrl.evaluation.rollouts import run_episodes
+from splatrl.evaluation.starts import given_episodes, save_episodes, spread_starts
 from tests.two_rooms import in_both, overrides, two_rooms
 
 FEW = ["task.goals=5", "task.test_goals=4", "task.nearest=0.3", "task.cell=0.1", "robot.body.radius=0.1"]

@@ -64,7 +64,7 @@ def test_a_refused_evaluation_leaves_the_run_unchanged(
 def test_an_episode_file_is_refused_by_a_task_without_navigation(run: Path, tmp_path: Path) -> None:
     cfg = run_config(run)
     world = build_world(cfg)
-    from splatrl.evaluation.rollouts import given_episodes
+    from splatrl.evaluation.starts import given_episodes
 
     path = run / "episodes.json.gz"
     assert len(given_episodes(world, path)[1].state) == 6
