@@ -14,6 +14,9 @@ from splatrl.configuration import check_config, conf_dir, run_config
 from splatrl.evaluation.clips import REPORT, write_report
 from splatrl.experiments.clip_scores import altered, film_run, record_clips, score_run
 
+FILMS = "films"
+"""Folder in a run folder for films with its policy's actions."""
+
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="clips")
 @in_one_line("splatrl-clips")
@@ -30,11 +33,10 @@ def run(cfg: DictConfig) -> None:
     if cfg.film is not None:
         film = Path(cfg.film)
         names = [Path(run).absolute().name for run in runs]
-        if len(set(names)) < len(names):
+        if cfg.output is not None and len(set(names)) < len(names):
             raise ValueError(f"run: expected folders of different names, which name the films, got {', '.join(runs)}")
-        folder = Path(cfg.output or film.parent)
-        for name in runs:
-            output = folder / f"{film.stem}-{Path(name).absolute().name}"
+        for name, last in zip(runs, names, strict=True):
+            output = Path(name, FILMS, film.stem) if cfg.output is None else Path(cfg.output, f"{film.stem}-{last}")
             for path in film_run(Path(name), film, output, cfg.checkpoint, cfg.device, cfg.allow_targets):
                 print(path)
     if cfg.record is not None:

@@ -50,6 +50,8 @@ def experiment(cfg: DictConfig) -> None:
     """
     _check(cfg)
     names, folder = _names(cfg), Path(cfg.folder)
+    if cfg.report_only and not any((folder / name).is_dir() for name in names):
+        raise ValueError(f"folder: expected a folder with finished trainings of {', '.join(names)}, got {folder}")
     nodes = _plain(cfg.experiments)
     _prepare(cfg, names, nodes)
     scenes = _scenes(cfg)

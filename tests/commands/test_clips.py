@@ -89,6 +89,10 @@ def test_the_actions_of_policies_are_drawn_beside_a_video_without_labels(
     written = {f"walk-{run}.{kind}" for run in ("forward", "back") for kind in ("mp4", "csv")}
     assert {path.name for path in (tmp_path / "out").iterdir()} == written
     assert all(str(tmp_path / "out" / name) in printed for name in written)
+    command(monkeypatch, f"run={runs / 'forward'}", f"film={film}")
+    for kind in ("mp4", "csv"):
+        own = runs / "forward" / "films" / f"walk.{kind}"
+        assert own.read_bytes() == (tmp_path / "out" / f"walk-forward.{kind}").read_bytes()
     for action, run in enumerate(("forward", "back")):
         rows = (tmp_path / "out" / f"walk-{run}.csv").read_text().splitlines()
         assert rows[0] == f"frame,action,{','.join(NAMES)}" and len(rows) == 1 + len(list(film.iterdir()))
@@ -105,7 +109,7 @@ def test_the_actions_of_policies_are_drawn_beside_a_video_without_labels(
         (["run=[a,a]", "clips=c"], "run: expected distinct run folders, got a, a"),
         (["run=[]", "clips=c"], "run: expected distinct run folders, got none"),
         (
-            ["run=[a/0,b/0]", "film=c.mp4"],
+            ["run=[a/0,b/0]", "film=c.mp4", "output=d"],
             "run: expected folders of different names, which name the films, got a/0, b/0",
         ),
         (["clips=c"], "run: expected a value, got none; type run=<run folder>"),

@@ -194,6 +194,7 @@ def test_a_full_or_read_only_disk_loses_no_file_and_leaves_none_half_written(
 ) -> None:
     for name in ("garden", "run", "walks"):
         shutil.copytree(made / name, tmp_path / name)
+    (tmp_path / "found" / "grid").mkdir(parents=True)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(onnx_file, "onnx_bytes", lambda *_: b"a policy")
     monkeypatch.setattr(onnx_file, "largest_difference", lambda *_: 0.0)

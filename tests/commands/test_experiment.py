@@ -201,6 +201,7 @@ def test_an_experiment_is_prepared_first_unless_only_a_report_is_made(
     monkeypatch.setattr(conduct, "train", lambda *_: [])
     monkeypatch.setattr(recapture, "recapture", lambda folder, scenes: made.append((folder, list(scenes))))
     words = ["name=loop", f"folder={tmp_path}", "jobs=1"]
+    (tmp_path / "loop").mkdir()
     experiment(load_config([*words, "report_only=true"], "experiment"))
     assert not made
     experiment(load_config(words, "experiment"))

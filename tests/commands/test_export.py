@@ -137,6 +137,10 @@ def test_other_observations_of_a_policy_are_given_on_the_command_line(
     [
         (["run=nowhere"], "splatrl-export: run: expected a run folder"),
         ([], "splatrl-export: run: expected a value, got none"),
+        (
+            ["run={run}", "output={run}/config.yaml"],
+            "splatrl-export: output: expected a folder, got .*config.yaml, a file",
+        ),
         (["run={run}", "frames=none"], "splatrl-export: frames: expected a number"),
         (["run={run}", "checkpoint=first"], "splatrl-export: checkpoint: expected last or best, got 'first'"),
         (["run={run}", "out=x"], "out: no such key, did you mean output"),

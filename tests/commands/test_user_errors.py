@@ -61,7 +61,7 @@ ERRORS = [
     ("train grid", "grid: expected key=value; did you mean task=grid?"),
     ("train --task=fps", "--task=fps: expected task=fps, without --"),
     ("train landmarks.goal=[0.4,0.4", "landmarks.goal=[0.4,0.4: expected landmarks.goal=value with balanced brackets"),
-    ("train 'hydra.run.dir=a = b'", "hydra.run.dir=a = b: expected hydra.run.dir=value with balanced brackets"),
+    ("train 'hydra.run.dir=a = [b'", "hydra.run.dir=a = [b: expected hydra.run.dir=value with balanced brackets"),
     ("train landmarks.goal=0.4,0.4,0", "landmarks.goal: expected one value, got 0.4,0.4,0; type landmarks.goal=[0.4"),
     ("train -m seed=0,x", "seed: expected a number such as 0, got x"),
     # Values of the wrong type or out of range.
@@ -118,6 +118,10 @@ ERRORS = [
     ("experiment name=grid seeds=abc", "seeds: expected whole numbers in brackets such as [0,1], got abc"),
     ("experiment name=grid scenes=[nowhere]", "scenes: expected names from "),
     ("experiment name=grid kitchen=no.spz", "kitchen: expected the path of an existing kitchen.spz, got no.spz"),
+    (
+        "experiment name=grid report_only=true folder=empty",
+        "folder: expected a folder with finished trainings of grid, got empty",
+    ),
     ("scene", "the following arguments are required: file"),
     ("scene nowhere.ply", "nowhere.ply: no such splat file"),
     ("scene room.ply --scale wide", "--scale: invalid float value: 'wide'"),
