@@ -16,10 +16,11 @@ from splatrl.configuration.targets import targets
 from splatrl.curriculum.field import Field, Reached, cost_field
 from splatrl.files import digest_of
 from splatrl.motions.base import PlannedMotion
+from splatrl.native import _core
 from splatrl.scenes.cache import cached_arrays
 
-DEPENDS_ON = ("collision", "curriculum", "envs/tasks", "motions", "native", "physics")
-"""Sub-packages whose code the costs depend on."""
+DEPENDS_ON = ("collision", "curriculum", "envs/tasks", "motions", "physics")
+"""Sub-packages whose Python code the costs depend on."""
 
 
 def remembering(cfg: DictConfig, occupancy: Occupancy) -> Callable[[PlannedMotion, Checker, Reached], Field]:
@@ -50,10 +51,7 @@ def remembering(cfg: DictConfig, occupancy: Occupancy) -> Callable[[PlannedMotio
 
 @cache
 def _code() -> str:
-    """Return a digest of the code that the costs depend on."""
+    """Return a digest of the code that the costs depend on: Python modules and the compiled core."""
     package = Path(__file__).parent
-    return digest_of(
-        path
-        for room in DEPENDS_ON
-        for path in sorted([*package.glob(f"{room}/*.py"), *package.glob(f"{room}/collision*.h")])
-    )
+    modules = [*package.glob("*.py"), *(path for name in DEPENDS_ON for path in package.joinpath(name).rglob("*.py"))]
+    return digest_of([*sorted(modules), Path(_core.__file__)])

@@ -34,12 +34,13 @@ def test_the_library_snippet_runs(capsys: pytest.CaptureFixture[str]) -> None:
     assert "[8, 20, 64, 64, 3]" in capsys.readouterr().out.replace("torch.Size", "")
 
 
-def test_every_path_that_the_readme_names_exists() -> None:
-    tree = README.split("## Where things are")[1]
-    names = re.findall(r"^(  )?([a-z_]+(?:/[a-z_]+)?(?:\.py|/|\.md))", tree, re.MULTILINE)
-    assert len(names) > 10
-    for indent, name in names:
-        assert (ROOT / ("splatrl" if indent else "") / name).exists(), name
+def test_the_readme_lists_every_package_and_every_page() -> None:
+    listed = README.split("## Where things are")[1]
+    packages = {path.parent.name for path in (ROOT / "splatrl").glob("*/__init__.py")}
+    assert set(re.findall(r"^\| `splatrl/(\w+)/`", listed, re.MULTILINE)) == packages
+    for name in re.findall(r"`(\w+)/`", listed):
+        assert (ROOT / name).is_dir(), name
+    assert set(re.findall(r"\]\(docs/(\w+\.md)\)", listed)) == {path.name for path in (ROOT / "docs").glob("*.md")}
     for link in re.findall(r"\]\(([^)#]+)", README):
         hosted = ("http", "../../actions/")  # pages of the site that hosts the README
         assert link.startswith(hosted) or (ROOT / link).exists(), link

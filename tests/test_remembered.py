@@ -1,11 +1,13 @@
 """Costs of shortest paths are computed once, and again whenever something that they depend on has changed."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+import splatrl
 import splatrl.remembered
 from splatrl.building import build_one_world
 from splatrl.configuration import load_config
@@ -70,3 +72,23 @@ def grid(**settings: object) -> object:
     from splatrl.envs.tasks import Grid
 
     return Grid(**settings)  # type: ignore[arg-type]
+
+
+def test_a_change_of_the_python_code_or_the_compiled_core_computes_costs_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = splatrl.remembered._code.__wrapped__()
+    (tmp_path / "core").write_bytes(b"another build")
+    with monkeypatch.context() as patch:
+        patch.setattr(splatrl.remembered._core, "__file__", str(tmp_path / "core"))
+        assert splatrl.remembered._code.__wrapped__() != before
+    assert splatrl.remembered._code.__wrapped__() == before
+    copy = shutil.copytree(Path(splatrl.__file__).parent, tmp_path / "splatrl", ignore=shutil.ignore_patterns("conf"))
+    monkeypatch.setattr(splatrl.remembered, "__file__", str(copy / "remembered.py"))
+    assert splatrl.remembered._code.__wrapped__() == before
+    for name in ("geometry.py", "collision/several.py", "envs/tasks/grid.py"):
+        source = copy / name
+        source.write_text(source.read_text() + "# changed\n")
+        now = splatrl.remembered._code.__wrapped__()
+        assert now != before, name
+        before = now

@@ -33,10 +33,10 @@ def run(cfg: DictConfig) -> None:
     if cfg.film is not None:
         film = Path(cfg.film)
         names = [Path(run).absolute().name for run in runs]
-        if cfg.output is not None and len(set(names)) < len(names):
+        if cfg.out is not None and len(set(names)) < len(names):
             raise ValueError(f"run: expected folders of different names, which name the films, got {', '.join(runs)}")
         for name, last in zip(runs, names, strict=True):
-            output = Path(name, FILMS, film.stem) if cfg.output is None else Path(cfg.output, f"{film.stem}-{last}")
+            output = Path(name, FILMS, film.stem) if cfg.out is None else Path(cfg.out, f"{film.stem}-{last}")
             for path in film_run(Path(name), film, output, cfg.checkpoint, cfg.device, cfg.allow_targets):
                 print(path)
     if cfg.record is not None:
@@ -51,7 +51,7 @@ def run(cfg: DictConfig) -> None:
         results = {
             name: score_run(Path(name), Path(cfg.clips), cfg.checkpoint, cfg.device, cfg.allow_targets) for name in runs
         }
-        folder = Path(cfg.output or cfg.clips)
+        folder = Path(cfg.out or cfg.clips)
         print(write_report(results, folder))
         print(f"{folder / REPORT}.md, {folder / REPORT}.json")
 

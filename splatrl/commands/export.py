@@ -22,16 +22,16 @@ def run(cfg: DictConfig) -> None:
     check_config(cfg)
     require_number("frames", cfg.frames, 1, 10**7, whole=True)
     folder = Path(cfg.run)
-    output = Path(cfg.output or folder / "export")
-    if output.is_file():
-        raise ValueError(f"output: expected a folder, got {output}, a file")
+    out = Path(cfg.out or folder / "export")
+    if out.is_file():
+        raise ValueError(f"out: expected a folder, got {out}, a file")
     own = run_config(folder, cfg.allow_targets)
     torch.set_num_threads(own.threads)
     trained = load_policy(folder, cfg.checkpoint, "cpu", own)
     facts = {"task": own.task._target_, "scene": trained.world.name, "run": folder.absolute().name}
-    found = export_policy(trained.model, trained.world, output, cfg.frames, facts)
-    print(f"{output / POLICY}: outputs differ from PyTorch by at most {found:.1e} on {cfg.frames:,} views")
-    print(f"{output / RUNNER}: runs the policy on a video or a camera")
+    found = export_policy(trained.model, trained.world, out, cfg.frames, facts)
+    print(f"{out / POLICY}: outputs differ from PyTorch by at most {found:.1e} on {cfg.frames:,} views")
+    print(f"{out / RUNNER}: runs the policy on a video or a camera")
 
 
 if __name__ == "__main__":

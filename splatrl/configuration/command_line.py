@@ -64,7 +64,7 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
         for word in result:
             if "=" in word and word.startswith(("+", "~", "hydra")):
                 _parsed(word, sweeps=True)
-        _check_overrides(name, overrides, sweeps)
+        _check_overrides(name, overrides)
         if any(argument in HELP for argument in arguments):
             single = [str(override.input_line) for override in overrides if not override.is_sweep_override()]
             _print_page(help_page(name, single))
@@ -148,7 +148,7 @@ def _parsed(word: str, sweeps: bool) -> Override:
     return override
 
 
-def _check_overrides(name: str, overrides: Sequence[Override], sweeps: bool) -> None:
+def _check_overrides(name: str, overrides: Sequence[Override]) -> None:
     """Refuse options that a group lacks, unknown keys, and values of a different kind from the default."""
     groups = [override for override in overrides if is_group(override.key_or_group)]
     for override in groups:

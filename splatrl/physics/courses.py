@@ -13,7 +13,6 @@ from typing import ClassVar
 import numpy as np
 
 from splatrl.files import digest_of
-from splatrl.physics import room as room_module
 from splatrl.physics.room import Floats, Room
 from splatrl.physics.terrain import Terrain
 from splatrl.scenes.cache import cached_arrays
@@ -111,7 +110,7 @@ def draw_courses(
             raise ValueError(complaint)
         return course
 
-    code = digest_of([Path(__file__), Path(room_module.__file__), Path(inspect.getfile(type(settings)))])
+    code = digest_of([*sorted(Path(__file__).parent.glob("*.py")), Path(inspect.getfile(type(settings)))])
     known = [list(lower), list(upper), ceiling, asdict(settings), count, seed, code]
     digest = blake2b(json.dumps(known, default=list).encode(), digest_size=16)
     for part in (terrain.plane, terrain.boxes):

@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 
 from splatrl.collision.occupancy import Occupancy
 from splatrl.files import digest_of
+from splatrl.native import _core
 from splatrl.physics.boxes import merged_boxes, solid_above
 from splatrl.physics.ground import Ground, fit_ground
 from splatrl.physics.terrain import Terrain
 from splatrl.renderers.native import NativeRenderer
 from splatrl.scenes.scene import Scene
 
-CODE = [Path(__file__).with_name(f"{name}.py") for name in ("survey", "ground", "places", "boxes")]
-"""Source files that compute a terrain; any change to them invalidates cached terrains."""
+CODE = [*sorted(Path(__file__).parent.glob("*.py")), Path(_core.__file__)]
+"""Code that computes a terrain; any change to it invalidates cached terrains."""
 
 
 class Surveyed(NamedTuple):

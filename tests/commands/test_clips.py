@@ -64,7 +64,7 @@ def test_clips_can_be_recorded_and_scored_in_one_command(
         f"run={runs / 'forward'}",
         f"record={record}",
         f"clips={record}",
-        f"output={output}",
+        f"out={output}",
         "checkpoint=best",
         "count=2",
         "height=24",
@@ -84,7 +84,7 @@ def test_the_actions_of_policies_are_drawn_beside_a_video_without_labels(
     film = tmp_path / "walk"
     shutil.copytree(clips / "walk-00", film)
     (film / "actions.csv").unlink()
-    command(monkeypatch, f"run=[{runs / 'forward'},{runs / 'back'}]", f"film={film}", f"output={tmp_path / 'out'}")
+    command(monkeypatch, f"run=[{runs / 'forward'},{runs / 'back'}]", f"film={film}", f"out={tmp_path / 'out'}")
     printed = capsys.readouterr().out
     written = {f"walk-{run}.{kind}" for run in ("forward", "back") for kind in ("mp4", "csv")}
     assert {path.name for path in (tmp_path / "out").iterdir()} == written
@@ -109,7 +109,7 @@ def test_the_actions_of_policies_are_drawn_beside_a_video_without_labels(
         (["run=[a,a]", "clips=c"], "run: expected distinct run folders, got a, a"),
         (["run=[]", "clips=c"], "run: expected distinct run folders, got none"),
         (
-            ["run=[a/0,b/0]", "film=c.mp4", "output=d"],
+            ["run=[a/0,b/0]", "film=c.mp4", "out=d"],
             "run: expected folders of different names, which name the films, got a/0, b/0",
         ),
         (["clips=c"], "run: expected a value, got none; type run=<run folder>"),

@@ -100,7 +100,7 @@ def made(trained: Training) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         run(patch, DEMOS)
-        run(patch, "clips run=run record=walks clips=walks output=walked count=1 height=12")
+        run(patch, "clips run=run record=walks clips=walks out=walked count=1 height=12")
     return folder
 
 
@@ -182,8 +182,8 @@ def says_so(monkeypatch: pytest.MonkeyPatch, typed: str, path: str, reason: str)
     [
         ("evaluate run=run", "run", *FULL),
         ("evaluate run=run", "run", *READ_ONLY),
-        ("clips run=run clips=walks output=out", "out", *FULL),
-        ("clips run=run film=walks/walk-00 output=out", "out", *FULL),
+        ("clips run=run clips=walks out=out", "out", *FULL),
+        ("clips run=run film=walks/walk-00 out=out", "out", *FULL),
         ("export run=run frames=2", "export", *FULL),
         (DEMOS.replace("new/", "other/"), "other", *FULL),
         ("experiment name=grid folder=found report_only=true", "found", *FULL),

@@ -96,7 +96,7 @@ def test_the_checkpoint_and_the_folder_can_be_chosen(
         return 0.0
 
     monkeypatch.setattr(export, "export_policy", export_policy)
-    command(monkeypatch, f"run={run}", f"output={tmp_path / 'new'}", "frames=8", "checkpoint=best")
+    command(monkeypatch, f"run={run}", f"out={tmp_path / 'new'}", "frames=8", "checkpoint=best")
     command(monkeypatch, f"run={run}", "frames=9")
     assert given == [(BEST, tmp_path / "new", 8), (1, run / "export", 9)]
 
@@ -138,12 +138,12 @@ def test_other_observations_of_a_policy_are_given_on_the_command_line(
         (["run=nowhere"], "splatrl-export: run: expected a run folder"),
         ([], "splatrl-export: run: expected a value, got none"),
         (
-            ["run={run}", "output={run}/config.yaml"],
-            "splatrl-export: output: expected a folder, got .*config.yaml, a file",
+            ["run={run}", "out={run}/config.yaml"],
+            "splatrl-export: out: expected a folder, got .*config.yaml, a file",
         ),
         (["run={run}", "frames=none"], "splatrl-export: frames: expected a number"),
         (["run={run}", "checkpoint=first"], "splatrl-export: checkpoint: expected last or best, got 'first'"),
-        (["run={run}", "out=x"], "out: no such key, did you mean output"),
+        (["run={run}", "output=x"], "output: no such key, did you mean out"),
     ],
 )
 def test_invalid_arguments_are_reported(
