@@ -13,7 +13,7 @@ from torch import Tensor
 
 from splatrl.capture.truth import closest_similarity
 from splatrl.capture.world import Placed
-from splatrl.evaluation.figures import BLUE, DPI, INK, MISSED
+from splatrl.evaluation.figure_style import BLUE, DPI, INK, MISSED
 from splatrl.files import replacing
 
 SHOWN = 4

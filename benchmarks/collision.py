@@ -32,7 +32,7 @@ from splatrl.bodies import Body, Box, Capsule, Sphere
 from splatrl.collision import FclChecker, Occupancy, TorchChecker, verify, verify_sweeps
 from splatrl.collision.fcl import fcl_octrees, fcl_shape
 from splatrl.collision.native import NativeChecker
-from splatrl.evaluation.figures import BLUE, DPI, INK, PURPLE
+from splatrl.evaluation.figure_style import BLUE, DPI, INK, PURPLE
 from splatrl.files import replacing
 from splatrl.geometry import quats_to_rotations, rigid
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 from torch import Tensor
 
-from splatrl.evaluation.figures import BLUE, DPI, INK, MISSED, PARTLY, PURPLE, REACHED
+from splatrl.evaluation.figure_style import BLUE, DPI, INK, MISSED, PARTLY, PURPLE, REACHED
 from splatrl.files import replacing
 
 COLORS = (INK, BLUE, REACHED, PARTLY, MISSED, PURPLE)  # exact, then each tolerance

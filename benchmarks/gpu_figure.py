@@ -16,7 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
-from splatrl.evaluation.figures import BLUE, DPI, INK, MISSED, PURPLE, REACHED
+from splatrl.evaluation.figure_style import BLUE, DPI, INK, MISSED, PURPLE, REACHED
 from splatrl.files import replacing
 
 BODY_COLORS = {"box": INK, "sphere": BLUE, "capsule": PURPLE}

@@ -1,4 +1,4 @@
-"""Untrusted YAML and JSON: only plain values of limited size, and nothing that expands a few bytes to gigabytes."""
+"""YAML and JSON: read from untrusted files as plain values of limited size, and written atomically."""
 
 import json
 import re
@@ -9,6 +9,8 @@ from typing import Any
 import yaml
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+
+from splatrl.files import replacing
 
 MAX_YAML = 128 * 2**10
 """Maximum size of a YAML file in bytes, ten times that of the files that splatrl writes."""
@@ -91,6 +93,12 @@ def parsed_json(source: str, text: str | bytes) -> Any:
         return json.loads(text)
     except (ValueError, RecursionError) as error:  # invalid JSON or UTF-8, or numbers with thousands of digits
         raise ValueError(f"{source}: expected JSON, got {error}") from error
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write JSON atomically."""
+    with replacing(path) as stream:
+        stream.write(f"{json.dumps(content, indent=2)}\n".encode())
 
 
 def _text(path: Path, limit: int) -> str:

@@ -5,8 +5,9 @@ import time
 from pathlib import Path
 
 import pytest
+import torch
 
-from splatrl.documents import MAX_DEPTH, MAX_YAML, read_config, read_json, read_yaml
+from splatrl.documents import MAX_DEPTH, MAX_YAML, read_config, read_json, read_yaml, write_json
 
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"{name}: &{name} [{', '.join([f'*{before}'] * 9)}]\n" for before, name in zip("abcdefg", "bcdefgh", strict=True)
@@ -106,3 +107,12 @@ def test_yaml_that_is_a_bare_number_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "a.yaml").write_text("5")
     with pytest.raises(ValueError, match=r"a\.yaml: expected plain YAML"):
         read_yaml(tmp_path / "a.yaml")
+
+
+def test_json_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "evaluation.json"
+    write_json(path, {"success_rate": 0.5})
+    with pytest.raises(TypeError):
+        write_json(path, {"success_rate": torch.zeros(1)})
+    assert json.loads(path.read_text()) == {"success_rate": 0.5}
+    assert list(tmp_path.iterdir()) == [path]

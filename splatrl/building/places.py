@@ -16,6 +16,7 @@ from tqdm import tqdm
 from splatrl.bodies import Body
 from splatrl.collision import NativeChecker, Occupancy
 from splatrl.collision.base import Checker
+from splatrl.cost_cache import remembering
 from splatrl.curriculum import Plan, plan
 from splatrl.device import KINDS
 from splatrl.envs.drawing import Drawing
@@ -27,7 +28,6 @@ from splatrl.misfits import check_goal, check_height
 from splatrl.motions import PhysicsMotion
 from splatrl.native.threads import threads_of
 from splatrl.physics.survey import survey_terrain
-from splatrl.remembered import remembering
 from splatrl.scenes.scene import Bounds, Scene
 
 BEYOND = 1.0

@@ -14,8 +14,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from splatrl.datasets.demonstrations import AFTER, Demonstrations
-from splatrl.documents import read_json
-from splatrl.evaluation.report import write_json
+from splatrl.documents import read_json, write_json
 from splatrl.files import checked_name, require_room
 
 FACTS, MEMMAP = "demonstrations.json", "memmap"

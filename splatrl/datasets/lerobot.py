@@ -15,8 +15,8 @@ from PIL import Image
 from torch import Tensor
 
 from splatrl.datasets.demonstrations import Demonstrations
+from splatrl.documents import write_json
 from splatrl.envs.tasks.base import Outcome
-from splatrl.evaluation.report import write_json
 from splatrl.evaluation.video import encode
 
 VIEW = "observation.images.front"

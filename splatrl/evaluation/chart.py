@@ -12,8 +12,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 from splatrl.bodies import Body, Box, Sphere
 from splatrl.envs.tasks import Mark, Outcome
-from splatrl.evaluation.figures import ARROW, BLUE, INK, MISSED, PARTLY, REACHED, mark_styles
+from splatrl.evaluation.figure_style import BLUE, INK, MISSED, PARTLY, REACHED, mark_styles
 from splatrl.evaluation.recording import Recording
+from splatrl.evaluation.start_maps import ARROW
 from splatrl.evaluation.topdown import MapView
 
 FINE = 2

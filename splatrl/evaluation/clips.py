@@ -16,8 +16,8 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from splatrl.documents import write_json
 from splatrl.evaluation.clip_files import Clip
-from splatrl.evaluation.report import write_json
 from splatrl.evaluation.rollouts import acting
 from splatrl.files import replacing
 

@@ -8,14 +8,15 @@ from typing import Any
 from tensordict import TensorDictBase
 from tqdm import tqdm
 
+from splatrl.documents import write_json
 from splatrl.envs.tasks import NavigationTask
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.episode_sets import EPISODES
-from splatrl.evaluation.figures import learning_curve, scene_bars
 from splatrl.evaluation.pictures import Pictures
-from splatrl.evaluation.report import by_scene, summarise, write_json
+from splatrl.evaluation.report import by_scene, summarise
 from splatrl.evaluation.rollouts import run_episodes
 from splatrl.evaluation.starts import given_episodes, save_episodes, spread_starts
+from splatrl.evaluation.training_figures import learning_curve, scene_bars
 from splatrl.files import refusing
 from splatrl.values import tenths
 

@@ -13,9 +13,9 @@ from splatrl.cameras import Cameras
 from splatrl.collision.occupancy import Occupancy
 from splatrl.curriculum import Plan
 from splatrl.evaluation.chase import chase_cameras
-from splatrl.evaluation.figures import start_map, success_map
 from splatrl.evaluation.recording import Recording, record_episodes
 from splatrl.evaluation.rollouts import Episodes
+from splatrl.evaluation.start_maps import start_map, success_map
 from splatrl.evaluation.starts import Chosen
 from splatrl.evaluation.topdown import MapView, footprint, map_window, top_down
 from splatrl.evaluation.video import PANEL, rollout_video

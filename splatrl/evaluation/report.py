@@ -1,15 +1,12 @@
 """Numerical results of an evaluation, for ``evaluation.json``."""
 
-import json
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
 from splatrl.envs.tasks import Outcome
 from splatrl.evaluation.rollouts import Episodes
-from splatrl.files import replacing
 
 
 def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None) -> dict[str, float]:
@@ -65,9 +62,3 @@ def by_scene(names: Sequence[str], sampled: Episodes, argmax: Episodes) -> list[
         }
         for number, name in enumerate(names)
     ]
-
-
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write JSON atomically."""
-    with replacing(path) as stream:
-        stream.write(f"{json.dumps(content, indent=2)}\n".encode())

@@ -17,7 +17,7 @@ from splatrl.envs.drawing import Drawing
 from splatrl.envs.robot import Robot
 from splatrl.envs.tasks import Outcome
 from splatrl.evaluation.chart import COLORS, Chart, font
-from splatrl.evaluation.figures import INK
+from splatrl.evaluation.figure_style import INK
 from splatrl.evaluation.recording import Recording
 from splatrl.evaluation.topdown import MapView
 from splatrl.files import replacing

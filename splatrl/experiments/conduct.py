@@ -5,8 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from splatrl.documents import read_yaml
-from splatrl.evaluation.report import write_json
+from splatrl.documents import read_yaml, write_json
 from splatrl.experiments.experiment import Experiment, Run
 from splatrl.experiments.folders import status
 from splatrl.experiments.machine import machine

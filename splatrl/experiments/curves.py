@@ -11,7 +11,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
 
-from splatrl.evaluation.figures import BLUE, DPI, GOAL, MISSED, PARTLY, REACHED, column, save_figure
+from splatrl.evaluation.figure_style import BLUE, DPI, GOAL, MISSED, PARTLY, REACHED, save_figure
+from splatrl.evaluation.training_figures import column
 from splatrl.experiments.results import Entry
 
 COLORS = (BLUE, MISSED, REACHED, PARTLY, GOAL)

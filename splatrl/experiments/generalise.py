@@ -9,8 +9,9 @@ from omegaconf import DictConfig
 
 from splatrl.building import build_world
 from splatrl.configuration import load_config
+from splatrl.documents import write_json
 from splatrl.envs.tasks import NavigationTask
-from splatrl.evaluation.report import summarise, write_json
+from splatrl.evaluation.report import summarise
 from splatrl.evaluation.rollouts import knowing, run_episodes
 from splatrl.evaluation.starts import spread_starts
 from splatrl.experiments.experiment import Run

@@ -28,10 +28,10 @@ from splatrl.capture.truth import Deviation, deviation, read_truth
 from splatrl.collision import Occupancy
 from splatrl.collision.point_clouds import read_points, write_points
 from splatrl.configuration import load_config
+from splatrl.documents import write_json
 from splatrl.envs.world import World
 from splatrl.evaluation.phone_video import Phone, phone_video
 from splatrl.evaluation.phone_walk import Stroll, phone_walk
-from splatrl.evaluation.report import write_json
 from splatrl.evaluation.starts import spread
 from splatrl.experiments.report import FIGURES, VIEWS
 from splatrl.files import new_folder, replacing

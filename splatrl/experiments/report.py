@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from splatrl.evaluation.report import write_json
+from splatrl.documents import write_json
 from splatrl.experiments.curves import learning_curves
 from splatrl.experiments.experiment import Experiment
 from splatrl.experiments.results import Entry, Spread, comparable, entries

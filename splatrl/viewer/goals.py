@@ -10,7 +10,7 @@ from torch import Tensor
 from splatrl.envs.sensors.goals import ImageGoal
 from splatrl.envs.tasks.base import Mark
 from splatrl.envs.world import World
-from splatrl.evaluation.figures import mark_styles
+from splatrl.evaluation.figure_style import mark_styles
 from splatrl.viewer.robot import FACES, enlarged, rgb, wedge
 
 if TYPE_CHECKING:

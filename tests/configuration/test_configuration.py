@@ -445,7 +445,8 @@ def test_a_task_without_goal_states_is_planned_trained_and_evaluated(
 def test_a_snake_is_tested_by_the_number_of_its_apples(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("splatrl.evaluation.figures.save_figure", lambda *_: None)
+    for module in ("start_maps", "training_figures"):
+        monkeypatch.setattr(f"splatrl.evaluation.{module}.save_figure", lambda *_: None)
     settings = ["task.red_share=0.001", "task.reach=9.0", "env.num_envs=8", "logger.num_test_episodes=4"]
     settings += ["task.motion.step=0.25", "task.motion.angle_step_deg=45.0", "task.apples=2", "logger.video=false"]
     settings += ["collector.total_frames=128", "collector.frames_per_batch=128", "evaluation.starts=16"]

@@ -12,7 +12,7 @@ from PIL import Image
 from splatrl.bodies import Box, Capsule, Sphere
 from splatrl.envs.tasks import Mark, Outcome
 from splatrl.evaluation.chart import COLORS, Chart
-from splatrl.evaluation.figures import BLUE, GOAL, MARKS, MISSED
+from splatrl.evaluation.figure_style import BLUE, GOAL, MARKS, MISSED
 from splatrl.evaluation.recording import Recording
 from splatrl.evaluation.topdown import MapView, TopDown
 

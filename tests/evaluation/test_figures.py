@@ -15,9 +15,11 @@ from PIL import Image
 from torch import Tensor
 
 from splatrl.envs.tasks import Mark
-from splatrl.evaluation import figures
-from splatrl.evaluation.figures import GOAL, MISSED, PARTLY, REACHED, learning_curve, start_map, success_map
+from splatrl.evaluation import start_maps, training_figures
+from splatrl.evaluation.figure_style import GOAL, MISSED, PARTLY, REACHED
+from splatrl.evaluation.start_maps import start_map, success_map
 from splatrl.evaluation.topdown import MapView, TopDown
+from splatrl.evaluation.training_figures import learning_curve
 
 GROUND = TopDown(torch.full((80, 120, 3), 200, dtype=torch.uint8), (-1.5, 1.5, -0.5, 1.5))
 PLACE = torch.tensor([0.3, 0.7, 0.5], dtype=torch.float64)
@@ -28,7 +30,8 @@ VIEW = MapView(GROUND, marks=[Mark("goal pose", PLACE)])
 def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
     """Collects figures instead of writing them."""
     collected: list[Figure] = []
-    monkeypatch.setattr(figures, "save_figure", lambda figure, path: collected.append(figure))
+    for module in (start_maps, training_figures):
+        monkeypatch.setattr(module, "save_figure", lambda figure, path: collected.append(figure))
     return collected
 
 
@@ -228,7 +231,7 @@ def test_starts_that_are_too_dense_to_be_seen_are_thinned_evenly(drawn: list[Fig
     starts = torch.cartesian_prod(steps, steps, torch.zeros(1, dtype=torch.float64))
     start_map(starts, torch.ones(len(starts), dtype=torch.bool), VIEW, Path("unused.png"))
     arrows = polygons(drawn[0], REACHED)
-    cell = 3.0 / figures.MOST_ARROWS  # the map is 3 m wide
+    cell = 3.0 / start_maps.MOST_ARROWS  # the map is 3 m wide
     assert len(arrows) == math.ceil(1.0 / cell) ** 2
     assert np.ptp(arrows[:, :, 0], axis=1).min() > 0.4 * cell
     title = drawn[0].axes[0].get_title()

@@ -1,14 +1,10 @@
 """Summaries of episodes, and the JSON files that hold them."""
 
-import json
-from pathlib import Path
-
 import pytest
 import torch
 
 from splatrl.envs.tasks import Outcome
 from splatrl.evaluation import Episodes, summarise
-from splatrl.evaluation.report import write_json
 
 
 def episodes(outcomes: list[Outcome], lengths: list[int]) -> Episodes:
@@ -30,12 +26,3 @@ def test_rates_are_over_all_episodes_and_each_episode_has_the_shortest_path_of_i
         0.5,
         0.5,
     )
-
-
-def test_json_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
-    path = tmp_path / "evaluation.json"
-    write_json(path, {"success_rate": 0.5})
-    with pytest.raises(TypeError):
-        write_json(path, {"success_rate": torch.zeros(1)})
-    assert json.loads(path.read_text()) == {"success_rate": 0.5}
-    assert list(tmp_path.iterdir()) == [path]

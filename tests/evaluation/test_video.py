@@ -14,7 +14,7 @@ from splatrl.cameras import Cameras
 from splatrl.envs.drawing import SceneDrawing, View
 from splatrl.envs.tasks import Mark, Outcome
 from splatrl.envs.tasks.base import NOTHING, Memory
-from splatrl.evaluation.figures import BLUE, MISSED, REACHED
+from splatrl.evaluation.figure_style import BLUE, MISSED, REACHED
 from splatrl.evaluation.recording import Recording
 from splatrl.evaluation.topdown import MapView, TopDown
 from splatrl.evaluation.video import fitting, rollout_video

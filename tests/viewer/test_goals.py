@@ -9,7 +9,7 @@ import torch
 
 from splatrl.envs.tasks import Mark
 from splatrl.envs.world import World
-from splatrl.evaluation.figures import GOAL
+from splatrl.evaluation.figure_style import GOAL
 from splatrl.viewer.driving import Driving
 from splatrl.viewer.goals import whereabouts
 from splatrl.viewer.page import Page

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 import splatrl
-import splatrl.remembered
+import splatrl.cost_cache
 from splatrl.building import build_one_world
 from splatrl.configuration import load_config
 from splatrl.files import cache_dir
@@ -20,8 +20,8 @@ def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[int]:
     """A list that gets an entry each time that costs are computed."""
     monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path / "cache"))
     count: list[int] = []
-    original = splatrl.remembered.cost_field
-    monkeypatch.setattr(splatrl.remembered, "cost_field", lambda *parts: count.append(0) or original(*parts))
+    original = splatrl.cost_cache.cost_field
+    monkeypatch.setattr(splatrl.cost_cache, "cost_field", lambda *parts: count.append(0) or original(*parts))
     return count
 
 
@@ -61,7 +61,7 @@ def test_costs_in_a_damaged_cache_are_computed_again(found: list[int], tmp_path:
 
 
 def test_costs_are_not_cached_for_a_task_from_another_package(found: list[int], tmp_path: Path) -> None:
-    words = [*tiny_overrides(tmp_path), "task._target_=tests.test_remembered.grid", "allow_targets=[tests]"]
+    words = [*tiny_overrides(tmp_path), "task._target_=tests.test_cost_cache.grid", "allow_targets=[tests]"]
     for _ in range(2):
         build_one_world(load_config(words))
     assert len(found) == 2
@@ -77,18 +77,18 @@ def grid(**settings: object) -> object:
 def test_a_change_of_the_python_code_or_the_compiled_core_computes_costs_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = splatrl.remembered._code.__wrapped__()
+    before = splatrl.cost_cache._code.__wrapped__()
     (tmp_path / "core").write_bytes(b"another build")
     with monkeypatch.context() as patch:
-        patch.setattr(splatrl.remembered._core, "__file__", str(tmp_path / "core"))
-        assert splatrl.remembered._code.__wrapped__() != before
-    assert splatrl.remembered._code.__wrapped__() == before
+        patch.setattr(splatrl.cost_cache._core, "__file__", str(tmp_path / "core"))
+        assert splatrl.cost_cache._code.__wrapped__() != before
+    assert splatrl.cost_cache._code.__wrapped__() == before
     copy = shutil.copytree(Path(splatrl.__file__).parent, tmp_path / "splatrl", ignore=shutil.ignore_patterns("conf"))
-    monkeypatch.setattr(splatrl.remembered, "__file__", str(copy / "remembered.py"))
-    assert splatrl.remembered._code.__wrapped__() == before
+    monkeypatch.setattr(splatrl.cost_cache, "__file__", str(copy / "cost_cache.py"))
+    assert splatrl.cost_cache._code.__wrapped__() == before
     for name in ("geometry.py", "collision/several.py", "envs/tasks/grid.py"):
         source = copy / name
         source.write_text(source.read_text() + "# changed\n")
-        now = splatrl.remembered._code.__wrapped__()
+        now = splatrl.cost_cache._code.__wrapped__()
         assert now != before, name
         before = now

@@ -1,32 +1,25 @@
-"""Figures of a finished training: its learning curve, and from which starts it succeeds."""
+"""Maps of an evaluation: from which starts a policy reaches its goal, over a picture of the ground."""
 
-import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
+from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.envs.tasks.base import Mark
+from splatrl.evaluation.figure_style import DPI, GOAL, INK, MISSED, PARTLY, REACHED, mark_styles, save_figure
 from splatrl.evaluation.topdown import MapView, TopDown
-from splatrl.files import replacing
 
-REACHED, PARTLY, MISSED = "#009e73", "#e69f00", "#d55e00"  # distinguishable with any colour vision
-GOAL, TEST, BLUE, PURPLE, INK = "#e0409f", "#f0e442", "#0072b2", "#8a5a99", "#222222"
-MARKS = ((GOAL, 0), (TEST, 4), ("#56b4e9", 3))
-"""Colour and number of corners (0 is a dot) of marks, assigned to their names in order of first appearance."""
-DPI = 160
 MAP_SIZE = 5.8
 """Longer side of a map, inches."""
 OVERVIEW = 0.4
@@ -37,76 +30,6 @@ FOOT = 1.1
 """Space below a map for its axis labels and legend, inches."""
 ARROW = np.array([[0.2, 0.22], [0.68, 0.42], [0.68, 1.0], [1.0, 0.0], [0.68, -1.0], [0.68, -0.42], [0.2, -0.22]])
 """Outline of an arrow along +x that is thin at its tail, [7, 2]: x in arrow lengths, y in half widths of the head."""
-
-
-def learning_curve(history: Sequence[Mapping[str, float]], path: Path) -> None:
-    """Plot success, curriculum level and return over the frames of a training.
-
-    Args:
-        history: one row per iteration with ``frames`` and any of ``success``, ``test_success``, ``level`` (from 0),
-            ``return`` and ``episodes``; missing values and NaN leave a gap.
-        path: file of the figure; its suffix sets the format.
-    """
-    figure = Figure(figsize=(7.2, 5.4), dpi=DPI, layout="constrained")
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    frames, episodes = column(history, "frames"), np.nan_to_num(column(history, "episodes"), nan=1.0)
-    tests = column(history, "test_success")
-    levels = above.twinx()
-    level = column(history, "level") + 1
-    begun, held = np.append(0.0, frames), np.append(level[:1], level)  # a row's level applies to the frames before it
-    levels.fill_between(begun[: len(held)], 0, held, step="pre", color=PURPLE, alpha=0.12, linewidth=0)
-    levels.step(begun[: len(held)], held, where="pre", color=PURPLE, linewidth=1.2)
-    levels.set_ylim(0, max([1.0, *level[~np.isnan(level)]]) * 1.05)
-    levels.yaxis.set_major_locator(MaxNLocator(integer=True))
-    levels.set_ylabel("curriculum level", color=PURPLE)
-    levels.tick_params(axis="y", colors=PURPLE)
-    above.set_zorder(levels.get_zorder() + 1)
-    above.patch.set_visible(False)
-    _curve(above, frames, column(history, "success"), episodes, BLUE)
-    above.plot(frames, tests, "D", color=INK, markersize=4.5, markerfacecolor=TEST, clip_on=False)
-    above.set(ylabel="success", ylim=(-0.02, 1.02))
-    above.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-    handles = [
-        Line2D([], [], color=BLUE, linewidth=2, label="training episodes"),
-        Line2D([], [], color=INK, marker="D", markersize=4.5, markerfacecolor=TEST, linewidth=0, label="test"),
-        Line2D([], [], color=PURPLE, linewidth=1.2, label="curriculum level"),
-    ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False)
-    _curve(below, frames, column(history, "return"), episodes, BLUE)
-    below.set(xlabel="frames", ylabel="episode return")
-    below.xaxis.set_major_formatter(EngFormatter(sep=""))
-    for axes in (above, below):
-        axes.grid(color="0.9", linewidth=0.8)
-        axes.set_axisbelow(True)
-        axes.margins(x=0.01)
-    below.set_xlim(left=0)
-    save_figure(figure, path)
-
-
-def scene_bars(names: Sequence[str], success: Sequence[float], path: Path) -> None:
-    """Plot the success rate in each of several scenes as bars, the best scene first.
-
-    Args:
-        names: names of the scenes.
-        success: success rates in [0, 1], one per scene.
-        path: file of the figure; its suffix sets the format.
-    """
-    order = np.argsort(-np.asarray(success), kind="stable")
-    figure = Figure(figsize=(7.2, 0.9 + 0.19 * len(names)), dpi=DPI, layout="constrained")
-    axes, rates = figure.subplots(), np.asarray(success)[order]
-    axes.barh(np.arange(len(names)), rates, 0.72, color=BLUE)
-    for row, rate in enumerate(rates):
-        label = axes.text(rate + 0.008, row, f"{rate:.0%}", va="center", fontsize=8, color=INK)
-        label.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 1})  # covers the line of the average
-    axes.axvline(float(np.mean(rates)), color=INK, linewidth=1, linestyle="--", zorder=0)
-    axes.set_title(f"success rate in {len(names)} scenes, {np.mean(rates):.1%} on average", fontsize=11)
-    axes.set_yticks(np.arange(len(names)), [names[i] for i in order], fontsize=8)
-    axes.set(xlim=(0, 1.08), ylim=(len(names) - 0.4, -0.6), xlabel="success")
-    axes.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-    for side in ("top", "right", "left"):
-        axes.spines[side].set_visible(False)
-    axes.tick_params(axis="y", length=0)
-    save_figure(figure, path)
 
 
 def start_map(
@@ -189,28 +112,6 @@ def success_map(planar: Tensor, success: Tensor, view: MapView, path: Path) -> N
     mean = np.asarray(success, dtype=np.float64).mean()
     axes.set_title(f"success by start position (all starts {mean:.1%})", fontsize=10)
     _finish(figure, _marks(axes, view.marks, 0.5 * cell), view, path)
-
-
-def mark_styles(marks: Iterable[Mark]) -> dict[str, tuple[str, int]]:
-    """Assign a look to the marks of each name: colour and number of corners."""
-    names = dict.fromkeys(mark.name for mark in marks)
-    return dict(zip(names, itertools.cycle(MARKS)))
-
-
-def column(history: Sequence[Mapping[str, float]], key: str) -> NDArray[np.float64]:
-    return np.array([row.get(key, math.nan) for row in history], dtype=np.float64)
-
-
-def _curve(
-    axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], weights: NDArray[np.float64], color: str
-) -> None:
-    """Plot raw values faintly, and their weighted running mean over 1/12 of the rows; few rows are marked by dots."""
-    known = ~np.isnan(y)
-    x, y, weights = x[known], y[known], weights[known]
-    axes.plot(x, y, ".-", color=color, linewidth=0.8, markersize=4, alpha=0.35)
-    rows = math.ceil(len(y) / 12)
-    sums = [np.convolve(values, np.ones(rows))[: len(y)] for values in (weights * y, weights)] if len(y) else [y, y]
-    axes.plot(x, sums[0] / sums[1], color=color, linewidth=2, marker="o" if rows == 1 else "", markersize=5)
 
 
 def _mean_by_row(rows: Tensor | NDArray[np.float64], values: Tensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -313,9 +214,3 @@ def _finish(figure: Figure, handles: list[Patch | Line2D], view: MapView, path: 
     top = (FOOT - 0.5) / figure.get_figheight()
     figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, top), ncols=3, frameon=False, fontsize=9)
     save_figure(figure, path)
-
-
-def save_figure(figure: Figure, path: Path) -> None:
-    FigureCanvasAgg(figure)
-    with replacing(path) as stream:
-        figure.savefig(stream, format=path.suffix.removeprefix("."), bbox_inches="tight")

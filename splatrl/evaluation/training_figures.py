@@ -1,0 +1,101 @@
+"""Figures of a training: its learning curve, and its success in each of several scenes."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
+from numpy.typing import NDArray
+
+from splatrl.evaluation.figure_style import BLUE, DPI, INK, PURPLE, TEST, save_figure
+
+
+def learning_curve(history: Sequence[Mapping[str, float]], path: Path) -> None:
+    """Plot success, curriculum level and return over the frames of a training.
+
+    Args:
+        history: one row per iteration with ``frames`` and any of ``success``, ``test_success``, ``level`` (from 0),
+            ``return`` and ``episodes``; missing values and NaN leave a gap.
+        path: file of the figure; its suffix sets the format.
+    """
+    figure = Figure(figsize=(7.2, 5.4), dpi=DPI, layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    frames, episodes = column(history, "frames"), np.nan_to_num(column(history, "episodes"), nan=1.0)
+    tests = column(history, "test_success")
+    levels = above.twinx()
+    level = column(history, "level") + 1
+    begun, held = np.append(0.0, frames), np.append(level[:1], level)  # a row's level applies to the frames before it
+    levels.fill_between(begun[: len(held)], 0, held, step="pre", color=PURPLE, alpha=0.12, linewidth=0)
+    levels.step(begun[: len(held)], held, where="pre", color=PURPLE, linewidth=1.2)
+    levels.set_ylim(0, max([1.0, *level[~np.isnan(level)]]) * 1.05)
+    levels.yaxis.set_major_locator(MaxNLocator(integer=True))
+    levels.set_ylabel("curriculum level", color=PURPLE)
+    levels.tick_params(axis="y", colors=PURPLE)
+    above.set_zorder(levels.get_zorder() + 1)
+    above.patch.set_visible(False)
+    _curve(above, frames, column(history, "success"), episodes, BLUE)
+    above.plot(frames, tests, "D", color=INK, markersize=4.5, markerfacecolor=TEST, clip_on=False)
+    above.set(ylabel="success", ylim=(-0.02, 1.02))
+    above.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    handles = [
+        Line2D([], [], color=BLUE, linewidth=2, label="training episodes"),
+        Line2D([], [], color=INK, marker="D", markersize=4.5, markerfacecolor=TEST, linewidth=0, label="test"),
+        Line2D([], [], color=PURPLE, linewidth=1.2, label="curriculum level"),
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False)
+    _curve(below, frames, column(history, "return"), episodes, BLUE)
+    below.set(xlabel="frames", ylabel="episode return")
+    below.xaxis.set_major_formatter(EngFormatter(sep=""))
+    for axes in (above, below):
+        axes.grid(color="0.9", linewidth=0.8)
+        axes.set_axisbelow(True)
+        axes.margins(x=0.01)
+    below.set_xlim(left=0)
+    save_figure(figure, path)
+
+
+def scene_bars(names: Sequence[str], success: Sequence[float], path: Path) -> None:
+    """Plot the success rate in each of several scenes as bars, the best scene first.
+
+    Args:
+        names: names of the scenes.
+        success: success rates in [0, 1], one per scene.
+        path: file of the figure; its suffix sets the format.
+    """
+    order = np.argsort(-np.asarray(success), kind="stable")
+    figure = Figure(figsize=(7.2, 0.9 + 0.19 * len(names)), dpi=DPI, layout="constrained")
+    axes, rates = figure.subplots(), np.asarray(success)[order]
+    axes.barh(np.arange(len(names)), rates, 0.72, color=BLUE)
+    for row, rate in enumerate(rates):
+        label = axes.text(rate + 0.008, row, f"{rate:.0%}", va="center", fontsize=8, color=INK)
+        label.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 1})  # covers the line of the average
+    axes.axvline(float(np.mean(rates)), color=INK, linewidth=1, linestyle="--", zorder=0)
+    axes.set_title(f"success rate in {len(names)} scenes, {np.mean(rates):.1%} on average", fontsize=11)
+    axes.set_yticks(np.arange(len(names)), [names[i] for i in order], fontsize=8)
+    axes.set(xlim=(0, 1.08), ylim=(len(names) - 0.4, -0.6), xlabel="success")
+    axes.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    for side in ("top", "right", "left"):
+        axes.spines[side].set_visible(False)
+    axes.tick_params(axis="y", length=0)
+    save_figure(figure, path)
+
+
+def column(history: Sequence[Mapping[str, float]], key: str) -> NDArray[np.float64]:
+    """Return one value of each row of a history, NaN where a row lacks it: [rows]."""
+    return np.array([row.get(key, math.nan) for row in history], dtype=np.float64)
+
+
+def _curve(
+    axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], weights: NDArray[np.float64], color: str
+) -> None:
+    """Plot raw values faintly, and their weighted running mean over 1/12 of the rows; few rows are marked by dots."""
+    known = ~np.isnan(y)
+    x, y, weights = x[known], y[known], weights[known]
+    axes.plot(x, y, ".-", color=color, linewidth=0.8, markersize=4, alpha=0.35)
+    rows = math.ceil(len(y) / 12)
+    sums = [np.convolve(values, np.ones(rows))[: len(y)] for values in (weights * y, weights)] if len(y) else [y, y]
+    axes.plot(x, sums[0] / sums[1], color=color, linewidth=2, marker="o" if rows == 1 else "", markersize=5)
