@@ -20,7 +20,7 @@ from splatrl.scenes.yard.sky import RADIUS, sky
 from splatrl.scenes.yard.surfels import Array, Rectangle, Surfels, faces, join
 from splatrl.scenes.yards.ground import country, ground
 from splatrl.scenes.yards.kinds import IN_THE_WAY, UNDER_THE_EGG, Size, box, gable
-from splatrl.scenes.yards.layout import EGG_HEIGHT, Egg, Piece
+from splatrl.scenes.yards.pieces import EGG_HEIGHT, Egg, Piece
 from splatrl.scenes.yards.sides import SIDES
 from splatrl.scenes.yards.style import Style
 from splatrl.scenes.yards.turning import turned, turned_solid

@@ -15,17 +15,8 @@ from splatrl.scenes.yard.light import Light
 from splatrl.scenes.yard.materials import Rng
 from splatrl.scenes.yard.sky import SkyLook
 from splatrl.scenes.yards.ground import Laid, Rect
-from splatrl.scenes.yards.layout import (
-    FRINGE,
-    House,
-    Piece,
-    Side,
-    drawn_beds,
-    drawn_core,
-    drawn_edge,
-    drawn_laid,
-    drawn_trees,
-)
+from splatrl.scenes.yards.layout import FRINGE, drawn_beds, drawn_core, drawn_edge, drawn_laid, drawn_trees
+from splatrl.scenes.yards.pieces import House, Piece, Side
 from splatrl.scenes.yards.sides import SIDES
 from splatrl.scenes.yards.style import MOODS, Style, drawn_style
 

@@ -16,7 +16,8 @@ from splatrl.scenes.yard.sky import sky
 from splatrl.scenes.yard.surfels import Surfels, join
 from splatrl.scenes.yards.ground import country, ground
 from splatrl.scenes.yards.kinds import UNDER_THE_EGG
-from splatrl.scenes.yards.layout import Layout, drawn_layout
+from splatrl.scenes.yards.layout import drawn_layout
+from splatrl.scenes.yards.pieces import Layout
 from splatrl.scenes.yards.sides import SIDES, neighbour
 from splatrl.scenes.yards.solvable import Difficulty, difficulty, place_near, solvable
 from splatrl.scenes.yards.style import LEAVES, Style, drawn_style
