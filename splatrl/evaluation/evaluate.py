@@ -36,7 +36,7 @@ class EvaluationSettings:
         starts: maximum number of starts, evenly spaced over the start set.
         repeats: number of sampled episodes from each start.
         batch_size: number of robots in parallel.
-        seed: seed of the action sampling.
+        seed: seed of the sampled actions, and of what the env draws, such as looks and apples.
         episodes: file of episodes for a navigation task; None draws them, and writes them into the run folder.
     """
 
@@ -84,7 +84,7 @@ def evaluate(
         world, starts = given_episodes(world, Path(settings.episodes))
     repeated = starts.repeated(settings.repeats)
     count, total = len(starts.state), len(repeated.state) + len(starts.state)
-    env = world.env(min(settings.batch_size, len(repeated.state)))
+    env = world.env(min(settings.batch_size, len(repeated.state)), seed=settings.seed)
     with tqdm(total=total, unit="episode", desc="evaluate", dynamic_ncols=True) as bar:
         sampled, argmax = (
             run_episodes(env, policy, chosen.state, how, settings.seed, bar.update, chosen.scene, chosen.memory)

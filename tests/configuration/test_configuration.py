@@ -2,6 +2,7 @@
 
 from itertools import zip_longest
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 import torch
@@ -9,7 +10,7 @@ from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
-from torchrl.envs import RewardScaling
+from torchrl.envs import EnvBase, RewardScaling
 
 from splatrl.building import build_trainer, build_world, make_env
 from splatrl.building.places import constructor
@@ -27,6 +28,7 @@ from splatrl.configuration import (
     with_scene_paths,
 )
 from splatrl.configuration.search_path import group_node
+from splatrl.envs.nesting import layers
 from splatrl.envs.tasks.base import Anywhere, Outcome, Step, TaskModule, Verdict
 from splatrl.envs.transforms import FrameStack, PoseNoise
 from splatrl.motions import LatticeMotion
@@ -459,6 +461,18 @@ def test_a_snake_is_tested_by_the_number_of_its_apples(
     summary = evaluate_run(cfg, tmp_path, world)
     assert summary["mean_goals"] > summary["success_rate"] and "step_spl" not in summary
     assert f"{summary['mean_goals']:.2f} goals per episode" in capsys.readouterr().out
+    seeds: list[int] = []
+
+    def begun(env: EnvBase, *_: object) -> NoReturn:
+        seeds.append(layers(env)[0].generator.initial_seed())
+        raise InterruptedError
+
+    monkeypatch.setattr("splatrl.evaluation.evaluate.run_episodes", begun)
+    for seed in (7, 8):  # which decides where further apples appear
+        cfg.evaluation.seed = seed
+        with pytest.raises(InterruptedError):
+            evaluate_run(cfg, tmp_path, world)
+    assert seeds == [7, 8]
 
 
 def test_a_resumed_config_is_the_saved_one_with_single_keys_changed(tmp_path: Path) -> None:

@@ -3,9 +3,10 @@
 import pytest
 import torch
 from tensordict import TensorDictBase
-from torchrl.envs import CatFrames, Compose, EnvBase, TransformedEnv
+from torchrl.envs import CatFrames, Compose, EnvBase, Transform, TransformedEnv
 from torchrl.objectives.value.functional import generalized_advantage_estimate
 
+from splatrl.envs.transforms import FrameSkip, FrameStack, Latency
 from splatrl.evaluation.rollouts import run_episodes
 from splatrl.training import PPO, memory_transforms
 from splatrl.training.memory import STATE, gru
@@ -49,6 +50,23 @@ def test_learning_recomputes_the_hidden_states_of_collection(ppo: PPO) -> None:
     torch.testing.assert_close(ppo.learner._hidden(seen), batch["hidden"], atol=1e-5, rtol=1e-5)
     forgot = {**seen, STATE: torch.zeros_like(seen[STATE])}
     assert not torch.allclose(ppo.learner._hidden(forgot), batch["hidden"], atol=1e-2)
+
+
+@pytest.mark.parametrize("transform", [FrameSkip(2), Latency((1, 3)), FrameStack(2)], ids=str)
+def test_memory_is_carried_through_the_transforms_of_an_env(transform: Transform) -> None:
+    env = TransformedEnv(tiny_env([6], max_steps=9), Compose(transform, *memory_transforms(MEMORY)))
+    ppo = learner(env, frames_per_batch=6 * 13, memory=MEMORY)
+    for parameter in ppo.model.parameters():
+        parameter.data += 0.2 * torch.randn_like(parameter)
+    ppo.collect()
+    batch = ppo.collect()
+    goes_on = ~batch["is_init"][:, 1:].squeeze(-1)
+    assert 0 < goes_on.sum() < goes_on.numel()
+    assert (batch["hidden"].abs() > 0.01).any(-1).all()
+    assert torch.equal(batch["next", STATE][..., 0, :], batch["hidden"])
+    assert torch.equal(batch[STATE][:, 1:][goes_on], batch["next", STATE][:, :-1][goes_on])
+    seen = {key: batch[key] for key in ("image", STATE, "is_init")}
+    torch.testing.assert_close(ppo.learner._hidden(seen), batch["hidden"], atol=1e-5, rtol=1e-5)
 
 
 def test_gradients_reach_earlier_images_through_the_memory(ppo: PPO) -> None:

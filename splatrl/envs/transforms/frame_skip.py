@@ -54,7 +54,7 @@ class FrameSkip(Transform):
             following = parent._step(inputs)
             following["reward"] = last["reward"] + following["reward"]
             values = {key: _rows(done, last[key], value) for key, value in following.items(True, True)}
-            next_tensordict = following.empty().update(values)
+            next_tensordict = last.clone(False).update(values)  # with what the policy wrote, such as its memory
         return next_tensordict
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
