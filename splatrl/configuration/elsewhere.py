@@ -2,14 +2,18 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, cast
 
+from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
 from splatrl.configuration.checking import check_constructors
 from splatrl.configuration.grammar import quoted
-from splatrl.configuration.run_configs import PATHS, run_config
-from splatrl.configuration.scene_choice import load_config, without_proposals
+from splatrl.configuration.run_configs import PATHS, run_config, with_absolute_paths
+from splatrl.configuration.scene_choice import has_key, load_config, without_proposals
+from splatrl.configuration.search_path import composed
 from splatrl.documents import read_yaml
+from splatrl.values import flat
 
 PLACE = ("scene", "robot", "landmarks", "task", "collision", "renderer")
 """Nodes of a run's config that describe the place in which it was trained."""
@@ -36,7 +40,7 @@ def config_elsewhere(folder: Path, words: Sequence[str], allow_targets: Sequence
     Args:
         folder: the run folder, which need not be trusted.
         words: overrides of the place, such as ``scene=kitchen``; choosing a scene also drops the overrides of the
-            original scene's goals and bounds, and what that scene proposed.
+            original scene's goals and bounds, and what that scene proposed. Settings that a resumption changed hold.
         allow_targets: see ``run_config``.
 
     Raises:
@@ -52,15 +56,38 @@ def config_elsewhere(folder: Path, words: Sequence[str], allow_targets: Sequence
     given = {key: OmegaConf.select(own, key) for key in PATHS}
     paths = {key: f"{key}={quoted(value)}" for key, value in given.items() if isinstance(value, str)}  # absolute
     typed = [paths.get(_key(word), word) for word in typed]
+    recorded = typed
     elsewhere = any(word.startswith("scene=") for word in words)
     if elsewhere:
         typed = without_proposals(typed, "train")
     dropped = (*OF_A_RUN, *(OF_A_SCENE if elsewhere else ()))
     kept = [word for word in typed if not f"{_key(word)}.".startswith(tuple(f"{key}." for key in dropped))]
     there = load_config([*kept, *words])
+    chosen = {_key(word) for word in words}
+    for key, value in _changed_later(own, recorded).items():
+        if not any(f"{key}.".startswith(f"{one}.") for one in (*dropped, *chosen)) and has_key(there, key):
+            OmegaConf.update(there, key, value)
     there.allow_targets = list(allow_targets)
     check_constructors(there)
     return placed(own, there)
+
+
+def _changed_later(own: DictConfig, typed: Sequence[str]) -> dict[str, Any]:
+    """Return the settings of a run's place that a resumption changed, by dotted key.
+
+    Args:
+        own: the config of the run.
+        typed: the overrides with which the run began, including what its scene proposed.
+    """
+    try:
+        then = with_absolute_paths(composed(typed, "train"))
+    except HydraException:  # typed for other configs than those of today
+        return {}
+    nodes = [
+        cast(dict[str, Any], OmegaConf.to_container(OmegaConf.masked_copy(cfg, list(PLACE)))) for cfg in (then, own)
+    ]
+    began, now = (dict(flat(node)) for node in nodes)
+    return {key: value for key, value in now.items() if key in began and value != began[key]}
 
 
 def words_of_place(words: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -267,7 +267,7 @@ def _proposals(overrides: Sequence[str], name: str) -> list[str]:
         configs = _choices(overrides, name) if stated else []
     except HydraException:
         return []  # Hydra will report what is wrong
-    return scene_overrides(stated, lambda key: all(_has(cfg, key) for cfg in configs))
+    return scene_overrides(stated, lambda key: all(has_key(cfg, key) for cfg in configs))
 
 
 def _yard_seed(overrides: Sequence[str]) -> int:
@@ -280,7 +280,7 @@ def _yard_seed(overrides: Sequence[str]) -> int:
     return int(seeds[-1]) if seeds else 0
 
 
-def _has(cfg: DictConfig, key: str) -> bool:
+def has_key(cfg: DictConfig, key: str) -> bool:
     """Whether a config has a key, even one without a value."""
     parent, _, leaf = key.rpartition(".")
     node = OmegaConf.select(cfg, parent)

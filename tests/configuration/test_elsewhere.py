@@ -64,3 +64,16 @@ def test_changed_settings_are_allowed_for_one_resumption_only(tmp_path: Path) ->
     save_config(changed, run)
     again = resumed_config(run, [f"resume={run}"])
     assert again.loss.gamma == 0.9 and not again.resume_changed and not again.view
+
+
+def test_settings_changed_on_a_resumption_hold_elsewhere_too(tmp_path: Path) -> None:
+    run = trained(tmp_path / "run", ["scene=garden/", "robot.fov_deg=70", "task.max_steps=99"])
+    words = ["robot.fov_deg=80", "task.max_steps=50", "landmarks.goal=[1,2,0]", "robot.image_width=32"]
+    save_config(resumed_config(run, [f"resume={run}", "resume_changed=true", *words]), run)
+    there = config_elsewhere(run, ["scene=backyard", "robot.image_width=16"])
+    assert (there.robot.fov_deg, there.task.max_steps, there.robot.image_width) == (80, 50, 16)
+    assert there.landmarks.goal == load_config(["scene=backyard"]).landmarks.goal
+    assert there.robot.height == load_config(["scene=backyard"]).robot.height
+    here = config_elsewhere(run, ["robot.image_width=16"])
+    assert (here.robot.fov_deg, here.robot.height, list(here.landmarks.goal)) == (80, 0.7, [1, 2, 0])
+    assert config_elsewhere(run, ["task=fps"]).task.max_steps == 99, "what was changed in another task does not hold"
