@@ -89,7 +89,7 @@ def measure(name: str, overrides: list[str], rounds: int) -> list[Row]:
     state = episodes.pop("state")
     action = motion.action_spec.rand((BATCH,))
     plain = PhysicsMotion("wheels", "eye", {"ball": "ball"}, ["ball"], threads=1)
-    plain.settle(level_ground())
+    plain.stand_on(level_ground())
     cameras, links = world.robot.cameras(motion.body_to_world(state)), links_ahead(world, motion, state)
     exact = build_world(load_config([*settings, "renderer.tolerance=0"]))
     assert isinstance(exact, World)

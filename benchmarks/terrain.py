@@ -129,10 +129,10 @@ def measure(name: str, scene: Scene, seeds: list[list[float]], rounds: int) -> l
         boxes = torch.from_numpy(merged_boxes(solid_above(occupancy, ground, (-reach, -reach), (reach, reach), top)))
         made = perf_counter() - begin
         motion = robot()
-        motion.settle(Terrain(plane, boxes))
+        motion.stand_on(Terrain(plane, boxes))
         motions[kind] = motion, len(boxes), made
     bare = robot()
-    bare.settle(Terrain(plane, torch.zeros(0, 6, dtype=torch.float64)))
+    bare.stand_on(Terrain(plane, torch.zeros(0, 6, dtype=torch.float64)))
     states = standing(motions["all"][0], ROBOTS)
     times: dict[str, list[float]] = {kind: [] for kind in ["plane", *motions]}
     for _ in range(rounds):

@@ -156,6 +156,19 @@ def rotations_to_quats(rotations: Tensor) -> Tensor:
     return torch.where(quats[..., :1] < 0, -quats, quats)
 
 
+def planar_of(body_to_world: Tensor) -> Tensor:
+    """Return position and heading of poses.
+
+    Args:
+        body_to_world: [N, 4, 4].
+
+    Returns:
+        [N, 3] float64, x and y in metres, and the yaw of the body's x axis in radians in [-π, π].
+    """
+    x_axis, place = body_to_world[:, :2, 0], body_to_world[:, :2, 3]
+    return torch.cat([place, torch.atan2(x_axis[:, 1:], x_axis[:, :1])], 1).double()
+
+
 def axis_rotations(axis: int, angles: Tensor) -> Tensor:
     """Return right-handed rotations about one coordinate axis.
 

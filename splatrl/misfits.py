@@ -1,20 +1,9 @@
-"""Checks that scene, robot, goal and sprite fit together; errors name the key to change, before anything is trained."""
-
-import math
+"""Checks that scene, robot and goal fit together; errors name the key to change, before anything is trained."""
 
 from torch import Tensor
 
-from splatrl.envs.drawing import SpriteDrawing
-from splatrl.envs.drawing.base import Drawing
-from splatrl.envs.robot import Robot
-from splatrl.envs.tasks.apple import Apple
 from splatrl.envs.tasks.base import Task
 from splatrl.scenes.scene import Bounds
-
-NEAREST = 0.5
-"""Distance to which a robot can be sure to approach an object, in steps."""
-ROUND = math.pi / 4
-"""Fraction of its picture that an apple covers: a disc in a square."""
 
 
 def check_height(bounds: Bounds, task: Task) -> None:
@@ -57,26 +46,3 @@ def check_goal(task: Task, reached: Tensor) -> None:
                 f"type another {landmark}, or wider task.motion.lower and upper"
             )
     raise ValueError(f"task: expected a goal in the walkable area, x from {x} and y from {y} m, found none")
-
-
-def check_sprite(drawing: Drawing, robot: Robot, task: Task) -> None:
-    """Refuse an apple that is too small to ever fill the fraction of the view that its task requires.
-
-    Args:
-        drawing: the drawing, which may contain the sprite.
-        robot: the robot, for its camera.
-        task: the task.
-
-    Raises:
-        ValueError: names ``drawing.size``, the smallest size that fits and what was given.
-    """
-    if not isinstance(task, Apple) or not isinstance(drawing, SpriteDrawing) or task.mean_red is not None:
-        return
-    across = 2 * NEAREST * task.motion.step * math.tan(math.radians(robot.fov_deg) / 2)  # seen from there, metres
-    down = across * robot.image_height / robot.image_width
-    needed = math.sqrt(task.red_share * across * down / (ROUND * drawing.sprite.aspect))
-    if drawing.size < needed:
-        raise ValueError(
-            f"drawing.size: expected at least {needed:.2g} m, so that red fills {task.red_share:.0%} of the view of a "
-            f"robot that gets no closer than half of task.motion.step={task.motion.step:g}, got {drawing.size:g}"
-        )

@@ -1,7 +1,8 @@
-"""Values of settings: checks of numbers and colours, formatting, and dotted keys."""
+"""Values of settings: checks of numbers and colours, keys of errors, formatting, and dotted keys."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 
@@ -37,6 +38,17 @@ def require_rgb(name: str, value: Sequence[float]) -> None:
     """
     if len(value) != 3 or not all(isinstance(one, int | float) and 0.0 <= one <= 1.0 for one in value):
         raise ValueError(f"{name}: expected red, green and blue in [0, 1], got {list(value)}")
+
+
+@contextmanager
+def under_key(key: str) -> Iterator[None]:
+    """Prefix a ``ValueError`` raised in the block with a config key."""
+    try:
+        yield
+    except ValueError as error:
+        if str(error).startswith(f"{key}."):  # it already names the key
+            raise
+        raise ValueError(f"{key}: {error}") from error
 
 
 def tenths(value: float) -> str:

@@ -8,18 +8,24 @@ from pathlib import Path
 import pytest
 import torch
 
+from splatrl.building import build_world
+from splatrl.configuration import load_config
 from splatrl.envs import SplatEnv
 from splatrl.motions import ForwardMotion
 from tests.envs.contract import EnvContract
 from tests.envs.rooms import BOUNDS
 from tests.preloaded import start
-from tests.tiny import HEIGHT, BlockChecker, tiny_renderer, tiny_robot
+from tests.tiny import HEIGHT, BlockChecker, tiny_overrides, tiny_renderer, tiny_robot
+from tests.two_rooms import in_both
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "tests" / "example_package"
 PAGE = (ROOT / "docs" / "extending.md").read_text()
-SHOWN = sorted([*PACKAGE.rglob("tasks.py"), *PACKAGE.rglob("transforms.py"), *PACKAGE.rglob("networks.py")])
+SHOWN = [PACKAGE / "explorer" / f"{name}.py" for name in ("clearing", "networks", "tasks", "transforms")]
 SHOWN += sorted([*PACKAGE.rglob("hydra_plugins/*/__init__.py"), *PACKAGE.rglob("*.yaml")])
+CLEARING = ["task.goal=0", "~task.goal", "~task.rewards", "allow_targets=[explorer]"]
+CLEARING += ["task._target_=explorer.clearing.Clearing"]
+"""Overrides that replace the task of ``task=grid`` by the package's, without its config."""
 
 
 @pytest.fixture
@@ -36,8 +42,33 @@ def test_the_page_shows_the_package_as_it_is(path: Path) -> None:
     assert path.read_text().rstrip() in PAGE
 
 
-def test_a_custom_task_takes_at_most_forty_lines() -> None:
-    assert len((PACKAGE / "explorer" / "tasks.py").read_text().splitlines()) <= 40
+@pytest.mark.parametrize("name", ["tasks.py", "clearing.py"])
+def test_a_custom_task_takes_at_most_forty_lines(name: str) -> None:
+    assert len((PACKAGE / "explorer" / name).read_text().splitlines()) <= 40
+
+
+@pytest.mark.usefixtures("example")
+def test_a_custom_task_settles_in_every_scene_before_paths_are_planned_there(tmp_path: Path) -> None:
+    world = build_world(load_config([*in_both(tmp_path), *CLEARING]))
+    west, east = (one.task.place for one in world.worlds)
+    assert abs(west[0]) <= 1.0 and 4.0 <= east[0] <= 6.0
+    for one in world.worlds:
+        away = (one.task.motion.planar(one.plan.states)[:, :2] - one.task.place).norm(dim=1)
+        assert one.plan.field is not None and torch.equal(one.plan.at_goal(one.plan.states), away <= 0.3)
+        assert away[one.plan.start_rows].min() >= 1.0 and ((away > 0.3) & (away < 1.0)).any()
+    assert world.env(4).rollout(2, break_when_any_done=False)["scene"].shape == (4, 2, 1)
+
+
+@pytest.mark.usefixtures("example")
+def test_a_custom_task_settles_after_its_robot_with_physics(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    robot = ["robot=wheels", "motion@task.motion=physics", "task.motion.threads=1"]
+    robot += ["task.motion.time_step=0.5", "task.motion.angular_deg=180.0", "task.motion.spacing=0.25"]  # coarse paths
+    room = [one for one in tiny_overrides(tmp_path) if not one.startswith(("robot.", "task.motion."))]
+    world = build_world(load_config([*room, *robot, *CLEARING]))
+    task, starts = world.task, world.plan.starts
+    assert len(task.motion.terrain.boxes) > 0 and task.motion.clear(starts).all()
+    assert (task.motion.planar(starts)[:, :2] - task.place).norm(dim=1).min() >= 0.99
 
 
 def test_the_package_trains_from_the_command_line(tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ from splatrl.configuration import check_config, place_configs, place_names, with
 from splatrl.device import chosen_device
 from splatrl.envs.drawing import Drawing
 from splatrl.envs.world import World, Worlds
-from splatrl.misfits import check_sprite
 from splatrl.renderers.one_scene import OneScene
 from splatrl.several import stacked
 from splatrl.training import memory_transforms
@@ -44,7 +43,7 @@ def build_world(cfg: DictConfig) -> World | Worlds:
     drawing, robot = instantiate(configs[0].drawing)(renderer), places[0].robot
     sensors = {str(key): instantiate(node) for key, node in (cfg.get("sensors") or {}).items()}
     for place in places:
-        check_sprite(drawing, place.robot, place.task)
+        place.task.check_picture(drawing, place.robot)
     drawing = _around(configs[0], drawing)
     made_by = partial(build_world, given)
     if len(places) == 1:

@@ -27,7 +27,6 @@ from splatrl.envs.specs import env_specs
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks.base import NOTHING, Anywhere, Outcome, Step, Task
 from splatrl.faults import Faulty
-from splatrl.motions.physics import PhysicsMotion
 
 
 class SplatEnv(EnvBase):
@@ -123,7 +122,7 @@ class SplatEnv(EnvBase):
     def capturable(self) -> bool:
         """Whether a step can be captured in a CUDA graph: parts that record errors on the device never synchronise."""
         checkers = self.checker.checkers if isinstance(self.checker, SeveralCheckers) else [self.checker]
-        if isinstance(self.task.motion, PhysicsMotion):  # it steps on the host
+        if self.task.motion.steps_on_host:
             return False
         return isinstance(self.drawing.renderer, Faulty) and all(isinstance(c, (Faulty, NoChecker)) for c in checkers)
 

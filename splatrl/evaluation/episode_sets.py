@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -155,8 +154,3 @@ def _numbers(key: str, values: Any, count: int) -> list[float]:
     if not all(abs(one) <= FARTHEST for one in values):  # NaN fails this too
         raise ValueError(f"{key}: expected finite numbers of magnitude at most {FARTHEST:g}, got {values!r:.80}")
     return [float(one) for one in values]
-
-
-def places_of(goal: Tensor) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return the positions of goals [N, 3] in the form that ``Geodesics.with_goals`` takes: [N, 2]."""
-    return goal[:, :2].double().numpy()

@@ -9,7 +9,6 @@ from tensordict import TensorDictBase
 from tqdm import tqdm
 
 from splatrl.documents import write_json
-from splatrl.envs.tasks import NavigationTask
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.episode_sets import EPISODES
 from splatrl.evaluation.pictures import Pictures
@@ -102,8 +101,8 @@ def evaluate(
     if len(names) > 1:
         summary["scenes"] = by_scene(names, sampled, argmax)
     write_json(folder / "evaluation.json", summary)
-    if isinstance(world.task, NavigationTask) and settings.episodes is None:
-        save_episodes(folder / EPISODES, world, starts, world.task.success_distance)
+    if world.task.goal_radius is not None and settings.episodes is None:
+        save_episodes(folder / EPISODES, world, starts, world.task.goal_radius)
     files = [folder / "learning_curve.png"]
     learning_curve(checkpoint["history"], files[0])
     if len(names) > 1:

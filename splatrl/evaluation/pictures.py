@@ -19,13 +19,13 @@ from splatrl.evaluation.start_maps import start_map, success_map
 from splatrl.evaluation.starts import Chosen
 from splatrl.evaluation.topdown import MapView, footprint, map_window, top_down
 from splatrl.evaluation.video import PANEL, rollout_video
-from splatrl.motions import Motion, PhysicsMotion
+from splatrl.motions import Motion
 from splatrl.scenes.gaussians import Gaussians
 
 FASTEST = 60
 """Maximum frame rate of a video, frames per second."""
 PACE = 6
-"""Steps per second in a video of robots without physics, whose steps have no duration."""
+"""Steps per second in a video of robots whose steps have no duration."""
 HEADROOM = 0.4
 """Height above the robot's body at which maps cut the scene open, metres."""
 
@@ -93,7 +93,7 @@ class Pictures:
         states, memory = (start, {}) if chosen is None else (chosen.state, chosen.memory)
         recordings = record_episodes(env, policy, states, seed=seed, memory=memory)
         motion = env.task.motion
-        outside = partial(self._outside, env) if isinstance(motion, PhysicsMotion) else None
+        outside = partial(self._outside, env) if motion.models else None  # without a body, there is nothing to see
         rollout_video(
             [recordings[row] for row in shown([len(recording.action) for recording in recordings], frames)],
             env.robot,
@@ -142,5 +142,6 @@ def _spread(length: int, count: int) -> Tensor:
 
 
 def steps_a_second(motion: Motion) -> int:
-    """Return the playback speed, steps per second: real time with physics, otherwise a pace that is easy to follow."""
-    return min(max(1, round(1.0 / motion.time_step)), FASTEST) if isinstance(motion, PhysicsMotion) else PACE
+    """Return the playback speed, steps per second: real time if steps take time, otherwise an easy pace."""
+    seconds = motion.seconds_per_step
+    return PACE if seconds is None else min(max(1, round(1.0 / seconds)), FASTEST)

@@ -1,6 +1,5 @@
 """Chooses the starts and goals of evaluations: spread over a start set, drawn with a seed, or read from a file."""
 
-import copy
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -9,10 +8,10 @@ from typing import NamedTuple, cast
 import torch
 from torch import Tensor
 
-from splatrl.envs.tasks import NavigationTask
-from splatrl.envs.tasks.base import ChoosingTask
+from splatrl.envs.tasks.base import ChoosingTask, GoalTask
 from splatrl.envs.world import World, Worlds
-from splatrl.evaluation.episode_sets import places_of, read_episodes, write_episodes
+from splatrl.evaluation.episode_sets import read_episodes, write_episodes
+from splatrl.values import under_key
 
 EPISODES_SEED = 3000
 """Seed of the starts and goals drawn for tests; each scene adds its index."""
@@ -47,19 +46,18 @@ class Chosen(NamedTuple):
 
 
 def given_episodes(world: World | Worlds, path: Path) -> tuple[World | Worlds, Chosen]:
-    """Read episodes from a file, and give the world a task that knows the shortest paths to their goals.
+    """Read episodes from a file, and give the world a task that knows their goals.
 
     Returns:
         The world with that task, and the starts of the episodes with the task's memory at each.
 
     Raises:
         ValueError: for a task whose episodes have no goals of their own, starts that are not free, or a file that
-            ``read_episodes`` or ``Geodesics.with_goals`` refuses.
+            ``read_episodes`` or ``GoalTask.with_goals`` refuses.
     """
-    task = world.task
-    if not isinstance(task, NavigationTask):
+    if world.task.goal_radius is None:
         raise ValueError(
-            f"evaluation.episodes: expected a navigation task, such as task=pointnav, got {type(task).__name__}"
+            f"evaluation.episodes: expected a navigation task, such as task=pointnav, got {type(world.task).__name__}"
         )
     state, goal, scene = read_episodes(path, world.names)
     for number, (name, one) in enumerate(zip(world.names, world.worlds, strict=True)):
@@ -71,19 +69,14 @@ def given_episodes(world: World | Worlds, path: Path) -> tuple[World | Worlds, C
             raise ValueError(
                 f"{path}: episode {wrong[0]}: expected a start where the robot fits, got {place} in scene {name}"
             )
-    task = copy.copy(task)
-    task._modules = dict(task._modules)
-    try:
-        task.geodesics, rows = task.geodesics.with_goals(places_of(goal), scene.numpy())
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
-    memory = task.episode(state, rows, goal[:, 2:])
+    with under_key(str(path)):
+        task, memory = cast(GoalTask, world.task).with_goals(state, goal, scene)
     chosen = Chosen(state, scene if len(world.worlds) > 1 else None, torch.zeros(len(state), dtype=torch.int64), memory)
     return replace(world, task=task, made_by=None), chosen
 
 
 def save_episodes(path: Path, world: World | Worlds, chosen: Chosen, radius: float) -> None:
-    """Write the episodes of a navigation task in the format that ``given_episodes`` reads.
+    """Write the episodes of a ``GoalTask`` in the format that ``given_episodes`` reads.
 
     Args:
         path: file to write.
@@ -114,14 +107,12 @@ def spread_starts(world: World | Worlds, most: int) -> Chosen:
 
 def _drawn_episodes(world: World | Worlds, most: int) -> Chosen:
     """Draw starts and goals for tests, equally many in each scene."""
-    count = max(1, most // len(world.worlds))
+    count, together = max(1, most // len(world.worlds)), cast(ChoosingTask, world.task)
     drawn: list[dict[str, Tensor]] = []
     for number, one in enumerate(world.worlds):
         task = cast(ChoosingTask, one.task)
-        drawn.append(task.episodes(one.plan.starts.cpu(), count, EPISODES_SEED + number))
-        if len(world.worlds) > 1:  # goals of all scenes are numbered consecutively
-            assert isinstance(world.task, NavigationTask)
-            drawn[-1]["goal_row"] = drawn[-1]["goal_row"] + world.task.geodesics.begins[number].cpu()
+        own = task.episodes(one.plan.starts.cpu(), count, EPISODES_SEED + number)
+        drawn.append(together.in_scene(own, number))
     episodes = {key: torch.cat([each[key] for each in drawn]) for key in drawn[0]}
     scene = torch.arange(len(drawn)).repeat_interleave(count)
     state = episodes.pop("state")

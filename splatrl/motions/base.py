@@ -1,6 +1,7 @@
 """The interface of all motions, which define how actions change a robot's state."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import torch
@@ -8,6 +9,9 @@ from torch import Tensor, nn
 from torchrl.data import TensorSpec
 
 from splatrl.collision.base import Checker
+from splatrl.motions.site import Fits, Site
+from splatrl.renderers.parts import Parts
+from splatrl.scenes.gaussians import Gaussians
 
 
 class Move(NamedTuple):
@@ -44,19 +48,28 @@ class Taps(NamedTuple):
 class Motion(Protocol):
     """Defines how actions change a robot's state; states are [B, ...] tensors of any dtype.
 
+    ``MotionModule`` has defaults for everything that only a robot with physics needs.
+
     Attributes:
         action_names: a name for each discrete action, in order; empty if actions are continuous.
         step: longest distance that an action moves the robot, metres.
         angle_step: largest angle that an action turns the robot, radians.
+        steps_on_host: whether ``move`` leaves the device, so that a step cannot be captured in a CUDA graph.
     """
 
     action_names: tuple[str, ...]
     step: float
     angle_step: float
+    steps_on_host: bool
 
     @property
     def height(self) -> float | None:
         """z of every pose, metres; None if the height varies or poses are tilted."""
+        ...
+
+    @property
+    def seconds_per_step(self) -> float | None:
+        """Duration for which an action is simulated, seconds; None if an action is a single move."""
         ...
 
     @property
@@ -85,6 +98,31 @@ class Motion(Protocol):
 
     def body_to_world(self, state: Tensor) -> Tensor:
         """Return the poses of states: [B, ...] -> [B, 4, 4] float32."""
+        ...
+
+    def settle(self, site: Site, fits: Fits) -> Fits:
+        """Put robots into a scene, once, before paths are planned there, and return where episodes may begin.
+
+        Args:
+            site: the scene.
+            fits: where episodes may otherwise begin.
+
+        Raises:
+            ValueError: for a scene in which robots cannot move.
+        """
+        ...
+
+    def varied(self, state: Tensor, generator: torch.Generator) -> Tensor:
+        """Replace whatever differs at random between episodes in the states in which they begin: [B, ...] -> same."""
+        ...
+
+    @property
+    def models(self) -> Sequence[Gaussians]:
+        """Models of the robot's links and of things, which the renderer draws besides the scene."""
+        ...
+
+    def parts(self, state: Tensor) -> Parts | None:
+        """Return the scene and ``models`` where they are, [B, M] parts; None stands for the scene alone."""
         ...
 
 
@@ -123,7 +161,31 @@ class PlannedMotion(Motion, Protocol):
         ...
 
 
-class SweptMotion(nn.Module, ABC):
+class MotionModule(nn.Module):
+    """A motion that by default is a single move of a robot without a visible body, the same in all scenes."""
+
+    steps_on_host = False
+    models: Sequence[Gaussians] = ()
+
+    @property
+    def seconds_per_step(self) -> float | None:
+        """None: an action is a single move."""
+        return None
+
+    def settle(self, site: Site, fits: Fits) -> Fits:
+        """Return where episodes may begin, unchanged."""
+        return fits
+
+    def varied(self, state: Tensor, generator: torch.Generator) -> Tensor:
+        """Return the states unchanged: nothing differs between episodes."""
+        return state
+
+    def parts(self, state: Tensor) -> Parts | None:
+        """Return None: only the scene is drawn."""
+        return None
+
+
+class SweptMotion(MotionModule, ABC):
     """A motion in which a robot either moves straight to where the action leads or stays where it is.
 
     A robot stays where it was when the swept body touches something, or when the action leads out of the bounds.

@@ -81,9 +81,9 @@ class LegsMotion(PhysicsMotion):
         """Duration for which joint targets are held, seconds."""
         return STRIDE
 
-    def settle(self, terrain: Terrain) -> None:
-        """Put the robot into a scene; see ``PhysicsMotion``."""
-        super().settle(terrain)
+    def stand_on(self, terrain: Terrain) -> None:
+        """Put the robot on a terrain; see ``PhysicsMotion``."""
+        super().stand_on(terrain)
         if self.limits.shape[1] != JOINTS or self.physics.model.nq < 7 + JOINTS:
             raise ValueError(
                 f"{self.path}: expected the {JOINTS} joints of quadruped, got {self.limits.shape[1]} actuators"

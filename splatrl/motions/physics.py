@@ -10,9 +10,10 @@ from torch import Tensor, nn
 from torchrl.data import Bounded
 
 from splatrl.collision.base import Checker
-from splatrl.geometry import multiply_quats
-from splatrl.motions.base import Move, Taps
+from splatrl.geometry import multiply_quats, planar_of
+from splatrl.motions.base import MotionModule, Move, Taps
 from splatrl.motions.drive import DriveMotion
+from splatrl.motions.site import Fits, Site, narrowed
 from splatrl.physics import (
     BodyGaussians,
     Kinematics,
@@ -31,6 +32,7 @@ from splatrl.physics.optional import needed
 from splatrl.physics.robots import mjcf_path
 from splatrl.physics.standing import top_of
 from splatrl.physics.stepping import BANK
+from splatrl.physics.survey import survey_terrain
 from splatrl.renderers.parts import Parts
 from splatrl.scenes.formats import read_gaussians
 from splatrl.values import require_number
@@ -40,11 +42,13 @@ FIRST = BANK + TIME
 FORWARD, TURN = "forward", "turn"
 """Names of actuators that take metres and radians per second; with both, a robot can follow shortest paths."""
 GROUNDS = ("scene", "level")
+BEYOND = 1.0
+"""Margin, metres, around the robots' region in which physics knows the solid voxels: pushed things can roll away."""
 FAR = 1e9
 """Bound on the magnitude of every number in a state."""
 
 
-class PhysicsMotion(nn.Module):
+class PhysicsMotion(MotionModule):
     """An MJCF robot on the ground of a scene, among the scene's boxes and things that the robot may move.
 
     A state is [n] float64 in the layout of ``Physics``: it holds the poses and velocities of the robot and all things,
@@ -57,7 +61,8 @@ class PhysicsMotion(nn.Module):
     distances work as for other motions. If the robot has actuators called forward and turn, which take its velocities,
     it takes the same actions as the twin.
 
-    ``settle`` puts the robot into a scene; until then, it stands on level ground.
+    ``settle`` puts the robot into a scene, where episodes begin only if it touches nothing; until then, it stands on
+    level ground.
 
     Args:
         path: the robot's MJCF file, or the name of one of splatrl's own robots. The robot has one body at the top, with
@@ -87,6 +92,7 @@ class PhysicsMotion(nn.Module):
     """
 
     action_names: tuple[str, ...] = ()
+    steps_on_host = True
     limits: Tensor  # [2, nu] float32, lowest and highest controls
     home: Tensor  # [n] float64, the state at rest at the origin
 
@@ -136,7 +142,7 @@ class PhysicsMotion(nn.Module):
             )
         self.register_buffer("limits", torch.zeros(2, 0), persistent=False)
         self.register_buffer("home", torch.zeros(0, dtype=torch.float64), persistent=False)
-        self.settle(level_ground())
+        self.stand_on(level_ground())
         forward, turn = self._range(FORWARD), self._range(TURN)
         if linear is None:
             linear = self._told(forward, FORWARD, "linear")
@@ -147,8 +153,17 @@ class PhysicsMotion(nn.Module):
         self.twin = DriveMotion(height, time_step, linear, angular_deg, lower, upper, spacing, headings)
         self.step, self.angle_step, self.height = self.twin.step, self.twin.angle_step, None
 
-    def settle(self, terrain: Terrain) -> None:
-        """Put the robot and its things into a scene."""
+    def settle(self, site: Site, fits: Fits) -> Fits:
+        """Put the robot and its things into a scene, where it begins only if it is ``clear``; see ``Motion``."""
+        if self.ground == "scene":  # level ground needs no survey
+            lower, upper = self.twin.lower.tolist(), self.twin.upper.tolist()
+            reach = site.body.radius + (BEYOND if self.pushed else 0.0)
+            found = survey_terrain(site.scene, site.occupancy, lower, upper, reach, self.top, site.antialiased)
+            self.stand_on(found.terrain)
+        return narrowed(fits, lambda poses: self.clear(self.nearest(planar_of(poses))))
+
+    def stand_on(self, terrain: Terrain) -> None:
+        """Put the robot and its things on a terrain."""
         mujoco = needed()
         robot = read_mjcf(self.path)
         if self.substep is not None:
@@ -203,7 +218,12 @@ class PhysicsMotion(nn.Module):
         self.looks = {one: path for name, path in self.looks.items() for one in numbered(name)}
         self.pushed = tuple(one for name in self.pushed for one in numbered(name))
         self.models = Models()
-        self.settle(self.terrain)
+        self.stand_on(self.terrain)
+
+    @property
+    def seconds_per_step(self) -> float:
+        """Duration of an action, seconds."""
+        return self.time_step
 
     @property
     def held(self) -> float:

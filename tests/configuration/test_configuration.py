@@ -29,7 +29,8 @@ from splatrl.configuration import (
 )
 from splatrl.configuration.search_path import group_node
 from splatrl.envs.nesting import layers
-from splatrl.envs.tasks.base import Anywhere, Outcome, Step, TaskModule, Verdict
+from splatrl.envs.tasks.base import Anywhere, Outcome, Step, Verdict
+from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.transforms import FrameStack, PoseNoise
 from splatrl.motions import LatticeMotion
 from splatrl.renderers import (

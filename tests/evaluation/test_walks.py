@@ -14,7 +14,8 @@ from splatrl.cameras import Cameras
 from splatrl.collision.occupancy import Occupancy
 from splatrl.curriculum import Plan, plan
 from splatrl.envs.drawing import Drawing, SceneDrawing, View
-from splatrl.envs.tasks.base import NOTHING, Anywhere, Memory, TaskModule
+from splatrl.envs.tasks.base import NOTHING, Anywhere, Memory
+from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.world import World
 from splatrl.evaluation.clip_files import read_clips
 from splatrl.evaluation.walk_looks import Lens

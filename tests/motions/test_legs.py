@@ -119,7 +119,7 @@ def test_sensed_values_are_in_the_body_frame() -> None:
 
 def test_a_lying_robot_has_fallen_and_one_that_stands_on_high_ground_has_not() -> None:
     motion = walking()
-    motion.settle(Terrain(torch.tensor([0.0, 0.0, 1.0, 2.0]).double(), torch.zeros(0, 6).double()))
+    motion.stand_on(Terrain(torch.tensor([0.0, 0.0, 1.0, 2.0]).double(), torch.zeros(0, 6).double()))
     state = motion.placed(torch.zeros(1, 3))
     assert not motion.fallen(state).any()
     assert motion.clear(state).all()

@@ -47,7 +47,7 @@ def test_a_placed_robot_stands_still_on_the_ground_even_on_a_slope() -> None:
     normal = torch.tensor([math.sin(0.05), 0.0, math.cos(0.05)], dtype=torch.float64)
     for plane in (LEVEL, torch.cat([normal, torch.tensor([0.1], dtype=torch.float64)])):
         motion = wheels(things=None, pushed=())
-        motion.settle(Terrain(plane, WALL[:0]))
+        motion.stand_on(Terrain(plane, WALL[:0]))
         planar = torch.tensor([[0.0, 0.0, 0.0], [0.4, -0.3, 2.0], [-0.5, 0.2, 5.0]], dtype=torch.float64)
         state = motion.placed(planar)
         torch.testing.assert_close(motion.planar(state), planar, atol=2e-3, rtol=0)
@@ -60,7 +60,7 @@ def test_a_placed_robot_stands_still_on_the_ground_even_on_a_slope() -> None:
 
 def test_the_free_fraction_ends_where_a_wall_is_first_touched() -> None:
     motion = wheels()
-    motion.settle(Terrain(LEVEL, WALL))
+    motion.stand_on(Terrain(LEVEL, WALL))
     start = motion.placed(torch.tensor([[0.2, 0.5, 0.0], [-0.5, 0.5, 0.0], [0.28, -0.6, 0.0]]))
     start[:, motion.thing("ball")][:, 1] = 5.0
     state, fractions = start, []

@@ -1,12 +1,13 @@
 """Tasks: what robots are rewarded for, and when episodes end."""
 
 from splatrl.envs.tasks.apple import Apple
-from splatrl.envs.tasks.base import Mark, Memory, Outcome, Step, Task, TaskModule, Verdict
+from splatrl.envs.tasks.base import Mark, Memory, Outcome, Step, Task, Verdict
 from splatrl.envs.tasks.course import Course, CourseRewards
 from splatrl.envs.tasks.drive import Drive
 from splatrl.envs.tasks.fps import Fps
 from splatrl.envs.tasks.gates import Gates
 from splatrl.envs.tasks.grid import Grid
+from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.tasks.navigation import ImageNav, NavigationRewards, NavigationTask, PointNav
 from splatrl.envs.tasks.orbit import Orbit
 from splatrl.envs.tasks.poster import Poster

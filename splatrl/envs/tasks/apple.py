@@ -7,12 +7,19 @@ import torch
 from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 
+from splatrl.envs.drawing.base import Drawing
+from splatrl.envs.drawing.sprite_drawing import SpriteDrawing
+from splatrl.envs.robot import Robot
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdict
 from splatrl.envs.tasks.rewards import PUBLISHED, OutcomeTask, Rewards
 from splatrl.motions import ForwardMotion
 
 BRIGHT, PURE = 102, 1.6
 """A pixel is clearly red if R ≥ 0.4 (102 of 255) and R is at least 1.6 times G and 1.6 times B."""
+NEAREST = 0.5
+"""Distance to which a robot can be sure to approach an object, in steps."""
+ROUND = math.pi / 4
+"""Fraction of its picture that an apple covers: a disc in a square."""
 
 
 class Apple(OutcomeTask):
@@ -78,6 +85,20 @@ class Apple(OutcomeTask):
         self.reach, self.red_share, self.mean_red = reach * motion.step, red_share, mean_red
         self.facing = math.radians(facing_deg)
         self.register_buffer("place", torch.tensor(tuple(place), dtype=torch.float32), persistent=False)
+
+    def check_picture(self, drawing: Drawing, robot: Robot) -> None:
+        """Refuse an apple that is too small to ever fill the required fraction of the view; see ``Task``."""
+        if not isinstance(drawing, SpriteDrawing) or self.mean_red is not None:
+            return
+        across = 2 * NEAREST * self.motion.step * math.tan(math.radians(robot.fov_deg) / 2)  # seen from there, metres
+        down = across * robot.image_height / robot.image_width
+        needed = math.sqrt(self.red_share * across * down / (ROUND * drawing.sprite.aspect))
+        if drawing.size < needed:
+            raise ValueError(
+                f"drawing.size: expected at least {needed:.2g} m, so that red fills {self.red_share:.0%} of the view "
+                f"of a robot that gets no closer than half of task.motion.step={self.motion.step:g}, "
+                f"got {drawing.size:g}"
+            )
 
     @property
     def memory_spec(self) -> dict[str, TensorSpec]:

@@ -3,20 +3,19 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 from torchrl.data import TensorSpec
 
+from splatrl.envs.drawing.base import Drawing
+from splatrl.envs.robot import Robot
 from splatrl.motions.base import Move, PlannedMotion
-from splatrl.motions.physics import PhysicsMotion
+from splatrl.motions.site import Fits, Site
 from splatrl.renderers.parts import Parts
 from splatrl.scenes.gaussians import Gaussians
-from splatrl.several import rows_of
-from splatrl.values import require_number
 
-Module = TypeVar("Module", bound="TaskModule")
 Memory = Mapping[str, Tensor]
 """A task's memory of each robot, by key: [B, ...] tensors that travel in the TensorDict."""
 NOTHING: Memory = {}
@@ -123,6 +122,38 @@ class Task(Protocol):
     given_together: Sequence[str]
 
     @property
+    def goal_radius(self) -> float | None:
+        """Distance from the goal within which an episode can succeed, metres, of a ``GoalTask``; None for others."""
+        ...
+
+    def settle(self, site: Site, fits: Fits) -> Fits:
+        """Put the motion, and whatever the task places, into a scene; return where episodes may begin there.
+
+        This happens once, before anything else but ``motion.states`` and ``reached``, which decide what the scene's
+        solid voxels are needed for. A task that chooses its goals here returns None from ``reached`` until then.
+
+        Args:
+            site: the scene, and the robot's body in it.
+            fits: where the body is within the scene's bounds and touches nothing.
+
+        Raises:
+            ValueError: for a scene in which the task is impossible.
+        """
+        ...
+
+    def check_picture(self, drawing: Drawing, robot: Robot) -> None:
+        """Refuse a drawing or a camera with which the task is impossible.
+
+        Args:
+            drawing: draws the robots' views.
+            robot: the robot, for its camera.
+
+        Raises:
+            ValueError: names the key, what was expected and what was given.
+        """
+        ...
+
+    @property
     def models(self) -> Sequence[Gaussians]:
         """Models that the renderer draws besides the scene, in the order in which ``parts`` numbers them, from 1."""
         ...
@@ -208,64 +239,28 @@ class ChoosingTask(Protocol):
         """
         ...
 
+    def in_scene(self, episodes: Mapping[str, Tensor], scene: int) -> dict[str, Tensor]:
+        """Return episodes that the task of one scene drew as this task, which is of all scenes, remembers them.
 
-class TaskModule(torch.nn.Module):
-    """A task that by default remembers nothing, places nothing and has no goal states; subclasses override that.
+        Args:
+            episodes: the result of ``episodes``.
+            scene: index of the scene.
+        """
+        ...
 
-    A robot with physics is drawn together with its objects, and each of its episodes draws its own physics parameters.
 
-    Args:
-        motion: how the robots move; if it is a module, it moves to a device with the task.
-        max_steps: an episode is truncated after this many steps.
+class GoalTask(ChoosingTask, Protocol):
+    """A task with a ``goal_radius``, whose memory holds ``goal`` [B, 3] and ``start_distance`` [B, 1] float32."""
 
-    Raises:
-        ValueError: for ``max_steps`` below 1.
-    """
+    def with_goals(self, state: Tensor, goal: Tensor, scene: Tensor) -> tuple[Task, Memory]:
+        """Return a copy of the task that knows further goals, and its memory at the start of episodes with them.
 
-    motion: PlannedMotion
-    goals_for_success: int | None = None
-    chooses_episodes = False
-    given_together: Sequence[str] = ()
+        Args:
+            state: [N, 3] float32 start states, x and y in metres and yaw in radians.
+            goal: [N, 3] float32 goals, likewise.
+            scene: [N] int64, index of each episode's scene.
 
-    def __init__(self, motion: PlannedMotion, max_steps: int):
-        super().__init__()
-        require_number("task.max_steps", max_steps, 1, whole=True)
-        self.motion, self.max_steps = motion, max_steps
-
-    def at(self: Module, scene: Tensor) -> Module:
-        """Return the task for rows in given scenes; see ``Task.at`` and ``splatrl.several``."""
-        return rows_of(self, scene)
-
-    @property
-    def models(self) -> Sequence[Gaussians]:
-        """Models of the robot's links and its objects, if it has physics; otherwise empty."""
-        return self.motion.models if isinstance(self.motion, PhysicsMotion) else []
-
-    def start(self, state: Tensor, anywhere: Anywhere) -> Tensor:
-        """Return the states as drawn; a robot with physics is assigned one of its physics models at random."""
-        return self.motion.varied(state, anywhere.generator) if isinstance(self.motion, PhysicsMotion) else state
-
-    @property
-    def memory_spec(self) -> Mapping[str, TensorSpec]:
-        """Empty: nothing is remembered."""
-        return {}
-
-    def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
-        """Return an empty memory."""
-        return NOTHING
-
-    def reached(self, state: Tensor) -> Tensor | None:
-        """Return None: there are no goal states."""
-        return None
-
-    def parts(self, state: Tensor, memory: Memory) -> Parts | None:
-        """Return the links and objects of a robot with physics; otherwise None, for the scene alone."""
-        return self.motion.parts(state) if isinstance(self.motion, PhysicsMotion) else None
-
-    def teach(self, state: Tensor, memory: Memory) -> Tensor | None:
-        """Return None: the planner is the teacher."""
-        return None
-
-    def marks(self, memory: Memory | None = None) -> list[Mark]:
-        """Return no marks."""
-        return []
+        Raises:
+            ValueError: for a goal that robots cannot reach; names the episode.
+        """
+        ...

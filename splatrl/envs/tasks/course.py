@@ -10,9 +10,11 @@ import torch
 from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 
-from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, TaskModule, Verdict
+from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdict
+from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.tasks.rewards import FiniteRewards
 from splatrl.motions.physics import PhysicsMotion
+from splatrl.motions.site import Fits, Site
 from splatrl.physics.bank import bank
 from splatrl.physics.courses import CourseSettings, draw_courses
 from splatrl.physics.stepping import Physics
@@ -96,8 +98,14 @@ class Course(TaskModule):
         self.goals_for_success = course.length
         self.register_buffer("places", torch.zeros(0, 0, 4, dtype=torch.float64), persistent=False)
 
-    def settle(self) -> None:
-        """Generate the courses, and a physics model for each; the motion must already be placed in a scene.
+    def settle(self, site: Site, fits: Fits) -> Fits:
+        """Generate the courses; see ``Task.settle``."""
+        fits = super().settle(site, fits)
+        self.generate_courses()
+        return fits
+
+    def generate_courses(self) -> None:
+        """Generate the courses on the motion's terrain, and a physics model for each.
 
         Raises:
             ValueError: if there is no room for a course.

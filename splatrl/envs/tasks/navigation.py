@@ -1,7 +1,8 @@
 """Habitat-style navigation tasks: reach the goal of the episode and signal arrival by stopping."""
 
+import copy
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
@@ -11,10 +12,12 @@ from torchrl.data import Bounded, TensorSpec, Unbounded
 from splatrl.collision.base import Checker
 from splatrl.curriculum.geodesics import Geodesics, ground
 from splatrl.envs.sensors.odometry import wrapped
-from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, TaskModule, Verdict
+from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdict
+from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.tasks.navigation_teacher import lead
 from splatrl.envs.tasks.rewards import FiniteRewards
 from splatrl.motions.planar import StoppingMotion
+from splatrl.motions.site import Fits, Site, narrowed
 from splatrl.values import require_number
 
 TRIES = 50
@@ -112,8 +115,20 @@ class NavigationTask(TaskModule):
         self.goal_counts, self.cell, self.seed = (goals, test_goals), cell, seed
         self.geodesics: Geodesics
 
-    def settle(self, checker: Checker, fits: Callable[[Tensor], Tensor] | None = None) -> None:
-        """Choose the goals of a scene and compute distances to them; the task cannot be used before.
+    @property
+    def goal_radius(self) -> float:
+        """Geodesic distance to the goal below which a stop succeeds, metres."""
+        return self.success_distance
+
+    def settle(self, site: Site, fits: Fits) -> Fits:
+        """Choose the goals of a scene; episodes begin where there is a path to them. See ``Task.settle``."""
+        fits = super().settle(site, fits)
+        self.choose_goals(site.checker, fits)
+        connected = self.geodesics.grounds[0].connected
+        return narrowed(fits, lambda poses: connected(poses[:, :2, 3]))
+
+    def choose_goals(self, checker: Checker, fits: Fits | None = None) -> None:
+        """Choose goals and compute distances to them; the task cannot be used before.
 
         Args:
             checker: finds where the robot fits.
@@ -197,6 +212,17 @@ class NavigationTask(TaskModule):
             f"task.nearest, task.farthest: expected {count} pairs of a start and a goal {self.nearest} to "
             f"{self.farthest} m apart, found only {count - left}"
         )
+
+    def in_scene(self, episodes: Mapping[str, Tensor], scene: int) -> dict[str, Tensor]:
+        """Renumber the goals, which are counted over all scenes; see ``ChoosingTask``."""
+        return {**episodes, "goal_row": episodes["goal_row"] + self.geodesics.begins[scene].cpu()}
+
+    def with_goals(self, state: Tensor, goal: Tensor, scene: Tensor) -> "tuple[NavigationTask, Memory]":
+        """Return a copy that knows the shortest paths to further goals, and its memory; see ``GoalTask``."""
+        task = copy.copy(self)
+        task._modules = dict(self._modules)
+        task.geodesics, rows = self.geodesics.with_goals(goal[:, :2].double().numpy(), scene.numpy())
+        return task, task.episode(state, rows, goal[:, 2:])
 
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
         """Judge a step; see ``Task.judge``."""

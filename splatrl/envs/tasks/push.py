@@ -10,11 +10,13 @@ from scipy import ndimage
 from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 
-from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, TaskModule, Verdict
+from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdict
+from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.tasks.push_teacher import pushing
 from splatrl.envs.tasks.rewards import FiniteRewards
-from splatrl.geometry import rigid
+from splatrl.geometry import planar_of, rigid
 from splatrl.motions.physics import PhysicsMotion
+from splatrl.motions.site import Fits, Site, narrowed
 from splatrl.physics.gaussians import Models
 from splatrl.physics.kinematics import matrices
 from splatrl.physics.marks import beacon
@@ -161,10 +163,16 @@ class Push(TaskModule):
         self.register_buffer("places", torch.zeros(0, 2, dtype=torch.float64), persistent=False)
         self.register_buffer("way", torch.zeros(0, 0, dtype=torch.bool), persistent=False)
         self.register_buffer("clear", torch.zeros(0, 0, dtype=torch.float64), persistent=False)
-        self.settle()
+        self.find_places()
 
-    def settle(self) -> None:
-        """Find the possible places of balls and marks; the motion must already be placed in a scene.
+    def settle(self, site: Site, fits: Fits) -> Fits:
+        """Find the possible places of balls and marks; episodes begin where some are ahead. See ``Task.settle``."""
+        fits = super().settle(site, fits)
+        self.find_places()
+        return narrowed(fits, lambda poses: self.connected(planar_of(poses)))
+
+    def find_places(self) -> None:
+        """Find the possible places of balls and marks on the motion's terrain.
 
         Raises:
             ValueError: if the places extend over less than ``nearest``.

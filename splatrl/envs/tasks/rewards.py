@@ -6,7 +6,8 @@ from dataclasses import astuple, dataclass, fields
 import torch
 from torch import Tensor
 
-from splatrl.envs.tasks.base import Anywhere, Outcome, Step, TaskModule, Verdict
+from splatrl.envs.tasks.base import Anywhere, Outcome, Step, Verdict
+from splatrl.envs.tasks.module import TaskModule
 from splatrl.motions.base import PlannedMotion
 from splatrl.values import require_number
 
@@ -66,12 +67,14 @@ class OutcomeTask(TaskModule):
         self.register_buffer("outcome_rewards", torch.tensor(astuple(rewards), dtype=torch.float32), persistent=False)
 
     @abstractmethod
-    def reached(self, state: Tensor) -> Tensor:
-        """Return whether states are at the goal: [B, ...] -> [B] bool."""
+    def reached(self, state: Tensor) -> Tensor | None:
+        """Return whether states are at the goal: [B, ...] -> [B] bool; None only until the task has settled."""
 
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
         """Judge a step; see ``Task.judge``."""
-        outcome = self._outcome(step, self.reached(step.move.state)).unsqueeze(1)
+        goal = self.reached(step.move.state)
+        assert goal is not None, "a task judges only after settle"
+        outcome = self._outcome(step, goal).unsqueeze(1)
         return Verdict(self.outcome_rewards[outcome], outcome != Outcome.RUNNING, outcome)
 
     def _outcome(self, step: Step, goal: Tensor) -> Tensor:

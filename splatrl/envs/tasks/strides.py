@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 
-from splatrl.envs.tasks.base import Anywhere, Memory, Outcome, Step, TaskModule, Verdict
+from splatrl.envs.tasks.base import Anywhere, Memory, Outcome, Step, Verdict
+from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.tasks.rewards import FiniteRewards
 from splatrl.motions.legs import ANGLES, JOINTS, STRIDE, StridesMotion
 from splatrl.motions.physics import FIRST

@@ -26,9 +26,9 @@ def gates(courses: int = 2, test_courses: int = 3, **settings: Any) -> Gates:
         "quadrotor", "eye", things, time_step=0.05, linear=(-1.0, 1.0), angular_deg=90.0, lower=(-2.0, -2.0),
         upper=(2.0, 2.0), ceiling=2.0, threads=1,
     )  # fmt: skip
-    motion.settle(Terrain(PLANE, POST))
+    motion.stand_on(Terrain(PLANE, POST))
     task = Gates(motion, course=TrackSettings(gates=2), courses=courses, test_courses=test_courses, **settings)
-    task.settle()
+    task.generate_courses()
     return task
 
 

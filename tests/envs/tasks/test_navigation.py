@@ -42,7 +42,7 @@ def checker() -> NativeChecker:
 def task_of(kind: type[NavigationTask] = PointNav, sliding: bool = False, **settings: Any) -> NavigationTask:
     motion = NavigateMotion(HEIGHT, step=0.25, angle_step_deg=90.0, sliding=sliding, **BOUNDS)
     task = kind(motion, REWARDS, **(FEW | settings))
-    task.settle(checker())
+    task.choose_goals(checker())
     return task
 
 
@@ -278,7 +278,7 @@ def test_the_teacher_finds_the_way_around_obstacles_and_the_beeline_does_not(mot
     task = task_of(max_steps=90)
     if motion == "drive":
         task = PointNav(DriveMotion(HEIGHT, **BOUNDS), REWARDS, **(FEW | {"max_steps": 90}))
-        task.settle(checker())
+        task.choose_goals(checker())
     taught, straight = walked(task, task.teach), walked(task, task.beeline)
     assert taught.success.all()
     assert taught.navigation()["spl"] > (0.7 if motion == "steps" else 0.9)  # with turns of 90°, paths have corners
@@ -301,7 +301,7 @@ def test_the_image_goal_teacher_looks_around_before_it_goes_and_before_it_stops(
     task = task_of(ImageNav, success_distance=0.5, max_steps=200)
     if motion == "drive":
         task = ImageNav(DriveMotion(HEIGHT, **BOUNDS), REWARDS, **(FEW | {"success_distance": 0.5, "max_steps": 200}))
-        task.settle(checker())
+        task.choose_goals(checker())
     seen: list[tuple[torch.Tensor, ...]] = []
 
     def who(state: torch.Tensor, memory: Any) -> torch.Tensor:

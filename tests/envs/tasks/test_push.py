@@ -101,8 +101,8 @@ def test_going_round_the_ball_to_its_far_side_is_rewarded_as_an_approach() -> No
 def test_balls_and_marks_begin_within_the_requested_ranges() -> None:
     task = push(nearest=0.5, farthest=0.9, apart=0.4, ahead_deg=40.0)
     wall = torch.tensor([[0.0, 0.0, 0.2, 0.05, 0.3, 0.2]], dtype=torch.float64)
-    task.motion.settle(Terrain(torch.tensor([0.0, 0.0, 1.0, -0.03], dtype=torch.float64), wall))
-    task.settle()
+    task.motion.stand_on(Terrain(torch.tensor([0.0, 0.0, 1.0, -0.03], dtype=torch.float64), wall))
+    task.find_places()
     planar = task.motion.planar(task.motion.states())
     robots = task.motion.states()[task.connected(planar)]
     episodes = task.episodes(robots, 300, 0)

@@ -26,7 +26,7 @@ def car(terrain: Terrain | None = None) -> PhysicsMotion:
         "car", "eye", linear=(-0.5, 1.0), angular_deg=90.0, lower=(-2.0, -2.0), upper=(2.0, 2.0), threads=1
     )
     if terrain is not None:
-        motion.settle(terrain)
+        motion.stand_on(terrain)
     return motion
 
 
@@ -34,7 +34,7 @@ def route(courses: int = 2, test_courses: int = 3) -> Route:
     """Make the task around a post, with routes of three waypoints."""
     chosen = RouteSettings(waypoints=3)
     task = Route(car(Terrain(PLANE, POST)), course=chosen, courses=courses, test_courses=test_courses)
-    task.settle()
+    task.generate_courses()
     return task
 
 

@@ -29,8 +29,8 @@ def walk(courses: int = 2, test_courses: int = 3, **settings: Any) -> Walk:
     motion = WalkMotion(path="quadruped", camera="eye", lower=(-2.0, -2.0), upper=(2.0, 2.0), threads=1)
     way = RouteSettings(waypoints=1, distance=(1.0, 1.5), clearance=0.4)
     task = Walk(motion, course=way, courses=courses, test_courses=test_courses, **settings)
-    motion.settle(Terrain(PLANE, POST))
-    task.settle()
+    motion.stand_on(Terrain(PLANE, POST))
+    task.generate_courses()
     return task
 
 
