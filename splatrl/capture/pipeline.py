@@ -17,7 +17,6 @@ from splatrl.capture.fit_pictures import Frame, frame_of
 from splatrl.capture.floaters import without_floaters
 from splatrl.capture.folder import share_of, write_scene
 from splatrl.capture.frames import read_photos
-from splatrl.capture.ground import on_its_side, upside_down
 from splatrl.capture.look import look
 from splatrl.capture.mapping import ENOUGH
 from splatrl.capture.marker import MARKER_SIDE
@@ -29,7 +28,8 @@ from splatrl.capture.resolution import Resolution
 from splatrl.capture.scale import Distance
 from splatrl.capture.stages import Stages, fingerprint
 from splatrl.capture.stereo import Depths, find_depths
-from splatrl.capture.world import Placed, held_poses, place
+from splatrl.capture.upright_check import why_not_upright
+from splatrl.capture.world import Placed, place
 from splatrl.files import alone_in, remove_stale
 from splatrl.native import _core
 from splatrl.scenes import Gaussians, read_gaussians, write_gaussians
@@ -38,15 +38,6 @@ from splatrl.scenes.description import SCENE_FILE, SPLAT
 STAGES = "stages"
 """Sub-folder of a capture in which the stages keep their results; it can be deleted once the scene is there."""
 FITTED = "gaussians.ply"
-LIES = (
-    "lies on its side: expected upright images, got images rotated by a quarter turn. Rotate the film in an editor, or "
-    "with `ffmpeg -display_rotation 90 -i FILM -c copy TURNED.mp4` (or 270), and capture the result."
-)
-
-UPSIDE_DOWN = (
-    "is upside down: expected upright images, got a camera that looks up on average, at a place mostly above it. "
-    "Rotate the film with `ffmpeg -display_rotation 180 -i FILM -c copy TURNED.mp4`, and capture the result."
-)
 
 
 @dataclass(frozen=True)
@@ -164,10 +155,8 @@ def reconstruct(
     least = 0.0 if settings.force else ENOUGH
     found = with_measured_points(find_poses(photos, stages, settings.seed, progress, least=least))
     say(f"poses       {len(found.paths)} of {len(photos.paths)} images, {len(found.points):,} points")
-    if photos.up is None:
-        held = held_poses(found)
-        wrong = LIES if on_its_side(held) else UPSIDE_DOWN if upside_down(held, found.points.numpy()) else None
-        notes += [_unless_forced(wrong, settings.force, "poses", say)] if wrong else []
+    if photos.up is None and (rotated := why_not_upright(found)) is not None:
+        notes.append(_unless_forced(rotated, settings.force, "poses", say))
     placed = place(found, photos.up, photos.metric, settings.marker, settings.distance, settings.camera_height)
     say(f"world       up from {placed.up_from}, scale from {placed.scale_from}, camera at {placed.camera_height:.2f} m")
     return placed, notes

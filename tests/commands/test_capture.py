@@ -326,7 +326,7 @@ def test_a_capture_that_cannot_work_is_refused_with_its_cause(
 def test_a_video_that_is_not_upright_is_refused_before_the_fit(
     judge: str, message: str, tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pipeline, judge, lambda *_: True)
+    monkeypatch.setattr(f"splatrl.capture.upright_check.{judge}", lambda *_: True)
     with pytest.raises(SystemExit, match=message):
         capture.main(["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK])
     assert stages == ["frames", "poses"]
