@@ -1,4 +1,4 @@
-"""Values of settings: checks of numbers and colours, formatting, and dotted keys."""
+"""Values of settings: checks of numbers and colours, words, formatting, and dotted keys."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -37,6 +37,11 @@ def require_rgb(name: str, value: Sequence[float]) -> None:
     """
     if len(value) != 3 or not all(isinstance(one, int | float) and 0.0 <= one <= 1.0 for one in value):
         raise ValueError(f"{name}: expected red, green and blue in [0, 1], got {list(value)}")
+
+
+def split_words(text: str) -> list[str]:
+    """Split a text into words at blanks and commas."""
+    return text.replace(",", " ").split()
 
 
 def tenths(value: float) -> str:
