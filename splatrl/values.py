@@ -1,4 +1,4 @@
-"""Values of settings: checks of numbers and colours, keys of errors, formatting, and dotted keys."""
+"""Values of settings: checks of numbers and colours, keys of errors, words, formatting, and dotted keys."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -49,6 +49,11 @@ def under_key(key: str) -> Iterator[None]:
         if str(error).startswith(f"{key}."):  # it already names the key
             raise
         raise ValueError(f"{key}: {error}") from error
+
+
+def split_words(text: str) -> list[str]:
+    """Split a text into words at blanks and commas."""
+    return text.replace(",", " ").split()
 
 
 def tenths(value: float) -> str:
