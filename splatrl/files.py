@@ -34,10 +34,12 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
 
 def remove_stale(folder: Path) -> None:
-    """Remove temporary files that a killed process left in a folder; no other process may be writing to it."""
+    """Remove what a killed process left of ``replacing`` and ``new_folder``; no other process may be writing there."""
     for path in folder.iterdir():
         if re.fullmatch(r".+\.[0-9a-f]{8}\.tmp", path.name) and path.is_file():
             path.unlink()
+        elif re.fullmatch(r"\..+\.[0-9a-f]{8}\.tmp", path.name) and not path.is_symlink():
+            shutil.rmtree(path)
 
 
 @contextmanager
@@ -141,10 +143,12 @@ def checked_name(what: str, name: object) -> str:
 
 
 def digest_of(paths: Iterable[Path]) -> str:
-    """Return a digest of the contents of small files, in the given order."""
+    """Return a digest of the contents of files, in the given order."""
     digest = blake2b(digest_size=16)
     for path in paths:
-        digest.update(path.read_bytes())
+        with path.open("rb") as stream:
+            while block := stream.read(2**22):
+                digest.update(block)
     return digest.hexdigest()
 
 

@@ -13,6 +13,7 @@ from torch import Tensor
 from splatrl.array_files import read_arrays
 from splatrl.files import refusing, replacing
 
+CHECKPOINT = "checkpoint.npz"
 EVERY = 10.0
 """Seconds between two writes; each takes 17 MB for 60,000 Gaussians with harmonics of degree 1."""
 
@@ -23,14 +24,11 @@ class Checkpoint:
 
     Attributes:
         path: the file, a .npz.
-        digest: fingerprint of everything that the exact result of the fit depends on; a file with another one belongs
-            to another fit.
         every: seconds between two writes.
         say: called with the reason where a file is ignored.
     """
 
     path: Path
-    digest: str
     every: float = EVERY
     say: Callable[[str], object] = print
 
@@ -41,12 +39,10 @@ class Checkpoint:
         """Pass the saved state to ``restore``, which returns the next step and raises for the state of another fit.
 
         Returns:
-            The next step; 0 where nothing was saved, where it belongs to another fit, or where it is damaged.
+            The next step; 0 where nothing was saved, or where it is damaged.
         """
         try:
             arrays = read_arrays(self.path)
-            if str(arrays.pop("digest", "")) != self.digest:
-                return 0
             with refusing(self.path, "a checkpoint of a fit"):
                 return restore({name: torch.from_numpy(values) for name, values in arrays.items()})
         except FileNotFoundError:
@@ -63,9 +59,5 @@ class Checkpoint:
         """Save a state, whose tensors are on the CPU, in place of the previous one."""
         named: dict[str, Any] = {name: values.numpy() for name, values in state.items()}
         with replacing(self.path) as stream:
-            np.savez(stream, digest=self.digest, **named)
+            np.savez(stream, **named)
         self._written = time.monotonic()
-
-    def remove(self) -> None:
-        """Delete the saved state."""
-        self.path.unlink(missing_ok=True)

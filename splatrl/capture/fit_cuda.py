@@ -6,92 +6,35 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from splatrl.capture.fit_structs import (
+    BACK_BYTES,
+    BLEND_BYTES,
+    CHANNELS,
+    COMPARE_BYTES,
+    PAIR_MOMENTS,
+    PULL_BYTES,
+    ROWS,
+    SPLAT_FLOATS,
+    SUMS,
+    THREADS,
+    TILE,
+    FitModel,
+    FitPairs,
+    FitPhotos,
+    FitUpdate,
+    FitViews,
+    kernel_defines,
+)
 from splatrl.native.cuda.kernels import CudaKernels, Kernels, Load
-
-TILE = 16
-"""Width and height of a tile, pixels; FIT_TILE of cuda/fit_views.h."""
-THREADS = TILE * TILE
-BLEND_BYTES, COMPARE_BYTES, BACK_BYTES, PULL_BYTES = 16_448, 14_624, 48_384, 192
-"""Shared memory, bytes, of a block that blends a tile, compares it, backpropagates through the blending, and
-backpropagates to the Gaussians."""
-CHANNELS, PAIR_MOMENTS, SUMS, SPLAT_FLOATS = 5, 10, 5, 16
-"""FIT_CHANNELS of fit_kernel.h, FIT_PAIR_MOMENTS of cuda/fit_slopes.h, FIT_SUMS of cuda/fit_compare.h, and the floats
-of a FitSplat."""
-ROWS = (14, 23, 38, 59)
-"""Number of parameter rows for harmonics of degree 0 to 3."""
-
-
-def kernel_defines(sh_degree: int) -> dict[str, int]:
-    """Return the macros that ``cuda/fit.cu`` is compiled with."""
-    return {
-        "SH_DEGREE": sh_degree,
-        "BLEND_BYTES": BLEND_BYTES,
-        "COMPARE_BYTES": COMPARE_BYTES,
-        "BACK_BYTES": BACK_BYTES,
-        "PULL_BYTES": PULL_BYTES,
-    }
-
-
-class _Model(ctypes.Structure):
-    """Mirrors ``FitModel`` of fit_kernel.h."""
-
-    _fields_ = (
-        ("values", ctypes.c_void_p),
-        ("stride", ctypes.c_size_t),
-        ("count", ctypes.c_uint32),
-        ("degree", ctypes.c_int),
-        ("near", ctypes.c_float),
-    )
-
-
-class _Views(ctypes.Structure):
-    """Mirrors ``FitViews`` of cuda/fit_views.h."""
-
-    _fields_ = (
-        *((name, ctypes.c_void_p) for name in ("camera_to_world", "K", "photos", "known")),
-        *((name, ctypes.c_int) for name in ("views", "width", "height")),
-    )
-
-
-class _Pairs(ctypes.Structure):
-    """Mirrors ``FitPairs`` of cuda/fit_views.h."""
-
-    _fields_ = tuple(
-        (name, ctypes.c_void_p)
-        for name in ("splats", "counts", "ends", "keys", "owners", "order", "starts", "taken")
-    )  # fmt: skip
-
-
-class _Photos(ctypes.Structure):
-    """Mirrors ``FitPhotos`` of cuda/fit_compare.h."""
-
-    _fields_ = (
-        *((name, ctypes.c_void_p) for name in ("pixels", "exposure", "image", "curves", "slopes", "sums")),
-        *((name, ctypes.c_float) for name in ("ssim_weight", "depth_weight")),
-    )
-
-
-class _Update(ctypes.Structure):
-    """Mirrors ``FitUpdate`` of fit_kernel.h."""
-
-    _fields_ = (
-        *((name, ctypes.c_void_p) for name in ("values", "gradients")),
-        ("views", ctypes.c_size_t),
-        *((name, ctypes.c_void_p) for name in ("first", "second", "rates")),
-        *((name, ctypes.c_size_t) for name in ("rows", "stride")),
-        *((name, ctypes.c_float) for name in ("beta1", "beta2", "epsilon", "correction1", "correction2")),
-        *((name, ctypes.c_float) for name in ("opacity_slope", "scale_slope", "noise")),
-        ("seed", ctypes.c_uint64),
-    )
 
 
 class _Drawn(NamedTuple):
     """Rendered views and what their backward pass needs; keeps the tensors behind the raw addresses alive."""
 
     kernels: Kernels
-    model: _Model
-    views: _Views
-    pairs: _Pairs
+    model: FitModel
+    views: FitViews
+    pairs: FitPairs
     pair_count: int
     image: Tensor  # [V, CHANNELS, H, W]
     tiles: int
@@ -181,7 +124,7 @@ class CudaFitter:
         curves = self._empty(views, 3, 3, height, width)
         slopes, sums = torch.empty_like(drawn.image), self._empty(views, drawn.tiles, 3, SUMS)
         addresses = map(self._address, (pixels, light, drawn.image, curves, slopes, sums))
-        photos = _Photos(*addresses, ssim_weight, depth_weight)
+        photos = FitPhotos(*addresses, ssim_weight, depth_weight)
         for kernel in ("curve_views", "slope_views"):
             drawn.kernels.launch(
                 kernel, 3 * views * drawn.tiles, THREADS, drawn.views, photos, shared=COMPARE_BYTES
@@ -216,7 +159,7 @@ class CudaFitter:
         """Take a step of Adam, and add the noise of MCMC: see ``_core.Fitter.update``."""
         rows, stride = values.shape
         here = self._here(rates)
-        update = _Update(
+        update = FitUpdate(
             *map(self._address, (values, gradients)), len(gradients), *map(self._address, (first, second, here)),
             rows, stride, beta1, beta2, epsilon, _correction(beta1, step), _correction(beta2, step),
             opacity_slope, scale_slope, noise, seed,
@@ -238,13 +181,13 @@ class CudaFitter:
         count_views, (height, width) = len(camera_to_world), known.shape[1:]
         poses, lenses = self._here(camera_to_world), self._here(K)
         rows = (torch.arange(count_views) if photos is None else photos).to(self.device, torch.int64)
-        model = _Model(self._address(values), stride, count, ROWS.index(len(values)), near)
+        model = FitModel(self._address(values), stride, count, ROWS.index(len(values)), near)
         addresses = map(self._address, (poses, lenses, rows, known))
-        views = _Views(*addresses, count_views, width, height)
+        views = FitViews(*addresses, count_views, width, height)
         tiles, blocks = -(-width // TILE) * -(-height // TILE), count_views * -(-stride // THREADS)
         splats = self._empty(count_views * stride, SPLAT_FLOATS)
         counts = torch.empty(count_views * stride, dtype=torch.int32, device=self.device)
-        pairs = _Pairs(splats.data_ptr(), counts.data_ptr())
+        pairs = FitPairs(splats.data_ptr(), counts.data_ptr())
         kernels.launch("project_views", blocks, THREADS, model, views, pairs)
         ends = counts.cumsum(0)
         total = int(_read(ends[-1:], torch.device("cpu")))

@@ -1,10 +1,8 @@
 """First stage: the sharpest images of a video or of a folder of photos, upright and all of one size."""
 
-import hashlib
 import itertools
 import json
 import math
-import shutil
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +15,7 @@ from PIL import Image
 from splatrl.capture import photo_files, videos
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.progress import Progress, silent
-from splatrl.files import new_folder
+from splatrl.capture.stages import Stages, fingerprint
 from splatrl.images import PHOTO_SUFFIXES
 
 if TYPE_CHECKING:
@@ -29,7 +27,6 @@ PER_SECOND = 4.0
 SHARPNESS_WIDTH = 480
 BLACK = 10.0
 """Mean grey level below which a video frame shows nothing: the lens was covered, or clips fade into each other."""
-VERSION = 6
 Thing = TypeVar("Thing")
 
 
@@ -72,15 +69,13 @@ def read_photos(
         raise CaptureError(f"{source}: expected a video or a folder of photos, found none")
     if source.is_file() and source.suffix.lower() in (*PHOTO_SUFFIXES, *photo_files.UNREAD):
         raise CaptureError(f"{source}: expected a video or a folder of photos, got a single photo; name its folder")
-    digest = _digest(source, [VERSION, count, longest])
-    kept = folder / "frames"
-    if _index(kept).get("digest") != digest:
-        folder.mkdir(parents=True, exist_ok=True)
-        _discard(kept)
-        taken = _from_folder(source, count, longest, progress) if source.is_dir() else None
-        with new_folder(kept) as made:
-            _write(made, taken or _from_video(source, count, longest, progress), source, digest)
-    return _kept(kept)
+    read = _from_folder if source.is_dir() else _from_video
+
+    def write(made: Path) -> None:
+        _write(made, read(source, count, longest, progress), source)
+
+    key = fingerprint([count, longest], files=photo_files.photos_of(source) if source.is_dir() else [source])
+    return _photos(Stages(folder).folder("frames", key, write))
 
 
 def sharpness(grey: np.ndarray) -> float:
@@ -160,7 +155,7 @@ def _from_folder(source: Path, count: tuple[int, int], longest: int, progress: P
     progress("photos", len(paths), len(paths))
 
 
-def _write(made: Path, taken: Iterator[_Taken], source: Path, digest: str) -> None:
+def _write(made: Path, taken: Iterator[_Taken], source: Path) -> None:
     names, seconds, gps, turned = [], [], [], []
     rows, columns = np.zeros(1), np.zeros(1)
     for number, photo in enumerate(taken):
@@ -176,7 +171,6 @@ def _write(made: Path, taken: Iterator[_Taken], source: Path, digest: str) -> No
         size = _without_bars([made / name for name in names], videos.within_bars(rows, columns))
     focal = photo_files.focal_length(source, size) if source.is_dir() else None
     index = {
-        "digest": digest,
         "names": names,
         "seconds": seconds,
         "size": size,
@@ -195,8 +189,8 @@ def _without_bars(paths: list[Path], inside: tuple[int, int, int, int]) -> tuple
     return right - left, lower - upper
 
 
-def _kept(kept: Path) -> Photos:
-    index = _index(kept)
+def _photos(kept: Path) -> Photos:
+    index = json.loads((kept / INDEX).read_text("utf-8"))
     width, height = index["size"]
     K = None
     if index["focal"]:
@@ -206,32 +200,3 @@ def _kept(kept: Path) -> Photos:
     seconds = torch.tensor(index["seconds"], dtype=torch.float64)
     turned = torch.tensor(index["turned"]) if any(index["turned"]) else None
     return Photos(paths, width, height, seconds, K, gps=None if gps.isnan().all() else gps, turned=turned)
-
-
-def _index(kept: Path) -> dict:
-    try:
-        index = json.loads((kept / INDEX).read_text("utf-8"))
-        return index if all((kept / name).is_file() for name in index["names"]) else {}
-    except (OSError, ValueError, KeyError):
-        return {}
-
-
-def _discard(kept: Path) -> None:
-    """Remove what an earlier call kept, and refuse to remove anything else."""
-    if not kept.exists():
-        return
-    if not (kept / INDEX).is_file():
-        raise CaptureError(
-            f"{kept}: expected no folder, or the frames of an earlier capture, found other files; choose another one"
-        )
-    shutil.rmtree(kept)
-
-
-def _digest(source: Path, settings: list) -> str:
-    files = photo_files.photos_of(source) if source.is_dir() else [source]
-    digest = hashlib.blake2b(json.dumps([settings, [path.name for path in files]]).encode(), digest_size=16)
-    for path in files:
-        with path.open("rb") as stream:
-            while block := stream.read(2**22):
-                digest.update(block)
-    return digest.hexdigest()

@@ -1,28 +1,22 @@
 """All stages of a capture, one after the other; each keeps its result, so that a second call continues."""
 
-import hashlib
-import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import torch
 
-from splatrl.array_files import read_arrays
 from splatrl.capture.area import dense_voxels
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
 from splatrl.capture.check import Quality
 from splatrl.capture.depth_points import with_measured_points
 from splatrl.capture.fit import FitSettings, fit, held_out, trained
-from splatrl.capture.fit_checkpoint import Checkpoint
+from splatrl.capture.fit_checkpoint import CHECKPOINT, Checkpoint
 from splatrl.capture.fit_pictures import Frame, frame_of
 from splatrl.capture.floaters import without_floaters
 from splatrl.capture.folder import share_of, write_scene
 from splatrl.capture.frames import read_photos
-from splatrl.capture.ground import on_its_side, upside_down
 from splatrl.capture.look import look
 from splatrl.capture.mapping import ENOUGH
 from splatrl.capture.marker import MARKER_SIDE
@@ -32,26 +26,18 @@ from splatrl.capture.progress import Progress, silent
 from splatrl.capture.recordings import is_recording, read_recording
 from splatrl.capture.resolution import Resolution
 from splatrl.capture.scale import Distance
+from splatrl.capture.stages import Stages, fingerprint
 from splatrl.capture.stereo import Depths, find_depths
-from splatrl.capture.world import Placed, held_poses, place
-from splatrl.files import alone_in, remove_stale, replacing
+from splatrl.capture.upright_check import why_not_upright
+from splatrl.capture.world import Placed, place
+from splatrl.files import alone_in, remove_stale
 from splatrl.native import _core
 from splatrl.scenes import Gaussians, read_gaussians, write_gaussians
 from splatrl.scenes.description import SCENE_FILE, SPLAT
 
-VERSION = 2
-"""Version of what the stages keep: raise it when the same settings give another result."""
 STAGES = "stages"
 """Sub-folder of a capture in which the stages keep their results; it can be deleted once the scene is there."""
-LIES = (
-    "lies on its side: expected upright images, got images rotated by a quarter turn. Rotate the film in an editor, or "
-    "with `ffmpeg -display_rotation 90 -i FILM -c copy TURNED.mp4` (or 270), and capture the result."
-)
-
-UPSIDE_DOWN = (
-    "is upside down: expected upright images, got a camera that looks up on average, at a place mostly above it. "
-    "Rotate the film with `ffmpeg -display_rotation 180 -i FILM -c copy TURNED.mp4`, and capture the result."
-)
+FITTED = "gaussians.ply"
 
 
 @dataclass(frozen=True)
@@ -169,10 +155,8 @@ def reconstruct(
     least = 0.0 if settings.force else ENOUGH
     found = with_measured_points(find_poses(photos, stages, settings.seed, progress, least=least))
     say(f"poses       {len(found.paths)} of {len(photos.paths)} images, {len(found.points):,} points")
-    if photos.up is None:
-        held = held_poses(found)
-        wrong = LIES if on_its_side(held) else UPSIDE_DOWN if upside_down(held, found.points.numpy()) else None
-        notes += [_unless_forced(wrong, settings.force, "poses", say)] if wrong else []
+    if photos.up is None and (rotated := why_not_upright(found)) is not None:
+        notes.append(_unless_forced(rotated, settings.force, "poses", say))
     placed = place(found, photos.up, photos.metric, settings.marker, settings.distance, settings.camera_height)
     say(f"world       up from {placed.up_from}, scale from {placed.scale_from}, camera at {placed.camera_height:.2f} m")
     return placed, notes
@@ -199,7 +183,7 @@ def build_scene(
     Raises:
         FileExistsError: for an existing scene, without ``force``.
     """
-    stages = folder / STAGES
+    stages = Stages(folder / STAGES, lambda line: say(f"stages      {line}"))
     frame = frame_of(placed.reconstruction.camera_to_world)
     depths = _depths(placed, frame, stages, progress)
     finely = settings.fit
@@ -247,7 +231,7 @@ def _unless_forced(cause: str, force: bool, stage: str, say: Callable[[str], obj
     return cause
 
 
-def _depths(placed: Placed, frame: Frame, stages: Path, progress: Progress) -> Depths:
+def _depths(placed: Placed, frame: Frame, stages: Stages, progress: Progress) -> Depths:
     """Return the depths of the photos' pixels, found once and kept."""
     found, rows = placed.reconstruction, trained(len(placed.reconstruction.paths))
 
@@ -255,74 +239,51 @@ def _depths(placed: Placed, frame: Frame, stages: Path, progress: Progress) -> D
         depths = find_depths(found, frame, rows, progress=progress)
         return {"likely": depths.likely, "known": depths.known}
 
-    return Depths(**_kept(stages / "depths.npz", _digest(found), find))
+    return Depths(**stages.arrays("depths", _key(found), find))
 
 
-def _moving(placed: Placed, depths: Depths, stages: Path, settings: FitSettings, progress: Progress) -> torch.Tensor:
+def _moving(placed: Placed, depths: Depths, stages: Stages, settings: FitSettings, progress: Progress) -> torch.Tensor:
     """Return where the photos show moving things, found once and kept."""
     found = placed.reconstruction
 
     def find() -> dict[str, torch.Tensor]:
         return {"moving": find_moving(found, depths, settings, progress)}
 
-    return _kept(stages / "moving.npz", _digest(found, settings), find)["moving"]
-
-
-def _kept(path: Path, digest: str, find: Callable[[], dict[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
-    """Return what a stage finds, found once and kept with a fingerprint of everything that it depends on."""
-    with suppress(FileNotFoundError, ValueError):  # a damaged file is replaced
-        kept = read_arrays(path)
-        if str(kept.pop("digest", None)) == digest:
-            return {name: torch.from_numpy(values) for name, values in kept.items()}
-    found = find()
-    arrays: dict[str, Any] = {name: values.numpy() for name, values in found.items()}
-    with replacing(path) as stream:
-        np.savez(stream, digest=digest, **arrays)
-    return found
+    return stages.arrays("moving", _key(found, settings), find)["moving"]
 
 
 def _fitted(
     placed: Placed,
     depths: Depths,
-    stages: Path,
+    stages: Stages,
     settings: FitSettings,
     progress: Progress,
     say: Callable[[str], object],
 ) -> Gaussians:
     """Return the Gaussians of a placed reconstruction, fitted once and kept; a fit that was killed resumes."""
-    path, digest = stages / "fit.ply", _digest(placed.reconstruction, settings, depths.moving)
-    stamp = stages / "fit.txt"
-    if path.exists() and stamp.exists() and stamp.read_text(errors="replace") == digest:
-        try:
-            return read_gaussians(path)
-        except ValueError as error:
-            say(f"fit         {error}; the fit starts over")
-    stamp.unlink(missing_ok=True)
-    rounding = f"{torch.device(settings.device).type} {_core.isa()}"
-    checkpoint = Checkpoint(stages / "fit.npz", f"{digest} {rounding}", say=lambda line: say(f"fit         {line}"))
-    gaussians = fit(
-        placed.reconstruction, settings, lambda done, total, loss: progress("fit", done, total), depths, checkpoint
-    )
-    write_gaussians(path, gaussians)
-    with replacing(stamp) as stream:
-        stream.write(digest.encode())
-    checkpoint.remove()
-    return read_gaussians(path)  # so that a second call returns the same bytes
+    key = _key(placed.reconstruction, settings, depths.moving)
+
+    def write(made: Path) -> None:
+        rounding = f"{torch.device(settings.device).type} {_core.isa()}"
+        work = stages.workplace("fitting", fingerprint([key, rounding]))
+        checkpoint = Checkpoint(work / CHECKPOINT, say=lambda line: say(f"fit         {line}"))
+
+        def tell(done: int, total: int, loss: float) -> None:
+            progress("fit", done, total)
+
+        write_gaussians(made / FITTED, fit(placed.reconstruction, settings, tell, depths, checkpoint))
+
+    kept = stages.folder("fit", key, write)
+    stages.discard("fitting")
+    return read_gaussians(kept / FITTED)  # so that a second call returns the same bytes
 
 
-def _digest(
-    reconstruction: Reconstruction, settings: FitSettings | None = None, moving: torch.Tensor | None = None
-) -> str:
+def _key(found: Reconstruction, settings: FitSettings | None = None, moving: torch.Tensor | None = None) -> str:
     """Return a fingerprint of everything that depths, or with settings a fit that masks moving things, depend on."""
-    chosen = {} if settings is None else asdict(settings) | {"threads": None, "device": None}
-    digest = hashlib.blake2b(json.dumps([VERSION, chosen], sort_keys=True).encode(), digest_size=16)
-    for values in (reconstruction.K, reconstruction.camera_to_world, reconstruction.points, reconstruction.seen_by):
-        digest.update(torch.as_tensor(values).contiguous().numpy().tobytes())
-    if moving is not None and moving.any():
-        digest.update(moving.numpy().tobytes())
-    for path in (*reconstruction.paths, *reconstruction.depths):
-        digest.update(path.name.encode() + str(path.stat().st_size).encode())
-    return digest.hexdigest()
+    recipe = {} if settings is None else asdict(settings) | {"threads": None, "device": None}
+    tensors = [found.K, found.camera_to_world, found.points, found.colors, found.seen_point, found.seen_by]
+    masked = [] if moving is None or not moving.any() else [moving]
+    return fingerprint([recipe, found.depth_unit], tensors + masked, (*found.paths, *found.depths))
 
 
 def _words(quality: Quality) -> str:

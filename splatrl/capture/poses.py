@@ -1,8 +1,6 @@
 """Third stage: where each image was taken, and points that the cameras saw, by structure from motion."""
 
-import hashlib
-import json
-import shutil
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +14,8 @@ from splatrl.capture.child import run_child
 from splatrl.capture.job import Job, write_job
 from splatrl.capture.optional import needed
 from splatrl.capture.progress import Progress, silent
+from splatrl.capture.stages import Stages, fingerprint
 from splatrl.capture.undistort import undistorted
-
-VERSION = 9
-DIGEST = "digest.txt"
 
 
 def find_poses(
@@ -57,10 +53,10 @@ def find_poses(
     exact_camera = exact_camera or photos.camera_to_world is not None
     if exact_camera and photos.K is None:
         raise ValueError("photos.K: expected intrinsics, as poses are known or the camera is exact, got none")
-    work = folder / "structure"
+    stages = Stages(folder)
     job = job_of(photos, seed, exact_camera)
-    digest = _digest(photos, job)
-    _start_over_unless(folder, work, digest)
+    recipe = asdict(job) | {"images": None, "pycolmap": str(getattr(needed("pycolmap"), "__version__", ""))}
+    work = stages.workplace("structure", fingerprint(recipe, files=photos.paths))
     try:
         model = read_arrays(work / structure.MODEL)
     except (FileNotFoundError, ValueError):  # nothing there yet, or damaged
@@ -68,7 +64,7 @@ def find_poses(
         run_child("splatrl.capture.structure", work, progress)
         model = read_arrays(work / structure.MODEL)
     _check_share(photos, model["images"], least)
-    return _reconstruction(photos, model, folder, exact_camera, progress)
+    return _reconstruction(photos, model, stages, exact_camera, progress)
 
 
 def job_of(photos: Photos, seed: int = 0, exact_camera: bool = False) -> Job:
@@ -87,24 +83,6 @@ def job_of(photos: Photos, seed: int = 0, exact_camera: bool = False) -> Job:
         seed=seed,
         seconds=photos.seconds.tolist() if _timed(photos) else None,
     )
-
-
-def _digest(photos: Photos, job: Job) -> str:
-    settings = [VERSION, job.names, job.K, job.fixed, job.camera_to_world, job.seed, job.seconds]
-    digest = hashlib.blake2b(json.dumps(settings).encode(), digest_size=16)
-    digest.update(str(getattr(needed("pycolmap"), "__version__", "")).encode())
-    for path in photos.paths:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-def _start_over_unless(folder: Path, work: Path, digest: str) -> None:
-    if not work.is_dir() or not (work / DIGEST).is_file() or (work / DIGEST).read_text("utf-8") != digest:
-        for old in (work, folder / "undistorted"):
-            if old.exists():
-                shutil.rmtree(old)
-        work.mkdir(parents=True)
-        (work / DIGEST).write_text(digest, "utf-8")
 
 
 def _check_share(photos: Photos, found: np.ndarray, least: float) -> None:
@@ -147,15 +125,15 @@ def missing_runs(found: np.ndarray, count: int, most: int = 4) -> list[tuple[int
 
 
 def _reconstruction(
-    photos: Photos, model: dict[str, np.ndarray], folder: Path, exact_camera: bool, progress: Progress
+    photos: Photos, model: dict[str, np.ndarray], stages: Stages, exact_camera: bool, progress: Progress
 ) -> Reconstruction:
     images = model["images"].tolist()
     fx, fy, cx, cy = model["camera"][:4].tolist()
     K = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
     paths = [photos.paths[number] for number in images]
     if not exact_camera:
-        size, made = (photos.width, photos.height), folder / "undistorted"
-        paths, K = undistorted(paths, size, K, model["camera"][4:], made, progress)
+        size = photos.width, photos.height
+        paths, K = undistorted(paths, size, K, model["camera"][4:], stages, "undistorted", progress)
     return Reconstruction(
         paths=paths,
         width=photos.width,

@@ -1,7 +1,5 @@
 """Removal of lens distortion from images."""
 
-import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +8,7 @@ from torch import Tensor
 
 from splatrl.capture.optional import needed
 from splatrl.capture.progress import Progress, silent
-from splatrl.files import new_folder
-
-SETTINGS = "camera.json"
+from splatrl.capture.stages import Stages, fingerprint
 
 
 def undistorted(
@@ -20,7 +16,8 @@ def undistorted(
     size: tuple[int, int],
     K: Tensor,
     distortion: np.ndarray,
-    made: Path,
+    stages: Stages,
+    name: str,
     progress: Progress = silent,
 ) -> tuple[list[Path], Tensor]:
     """Remove the lens distortion of images, so that a pinhole camera explains them, without black edges.
@@ -30,8 +27,8 @@ def undistorted(
         size: width and height, pixels.
         K: [3, 3] float64 intrinsics, pixels, with the centre of the first pixel at (0.5, 0.5).
         distortion: OpenCV's k1, k2, p1, p2 (and more).
-        made: the folder for the new images, which appears whole or not at all; one that an earlier call made from the
-            same files with the same camera is kept.
+        stages: where the new images are kept.
+        name: name of their folder there.
         progress: called for every image.
 
     Returns:
@@ -45,19 +42,16 @@ def undistorted(
     given = K.numpy() - half
     new, _ = cv2.getOptimalNewCameraMatrix(given, distortion, size, 0, size)
     names = [f"{path.stem}.jpg" for path in paths]
-    stamps = [[path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
-    settings = json.dumps([stamps, size, K.tolist(), list(distortion)])
-    if not (made / SETTINGS).is_file() or (made / SETTINGS).read_text("utf-8") != settings:
-        if (made / SETTINGS).is_file():
-            shutil.rmtree(made)
-        made.parent.mkdir(parents=True, exist_ok=True)
+
+    def write(made: Path) -> None:
         maps = cv2.initUndistortRectifyMap(given, distortion, None, new, size, cv2.CV_16SC2)
-        with new_folder(made) as temporary:
-            for number, (path, name) in enumerate(zip(paths, names, strict=True)):
-                progress("undistort", number, len(paths))
-                image = cv2.remap(cv2.imread(str(path)), *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-                if not cv2.imwrite(str(temporary / name), image, [cv2.IMWRITE_JPEG_QUALITY, 95]):
-                    raise OSError(f"{made / name}: cannot write the undistorted image")
-            (temporary / SETTINGS).write_text(settings, "utf-8")
+        for number, (path, name) in enumerate(zip(paths, names, strict=True)):
+            progress("undistort", number, len(paths))
+            image = cv2.remap(cv2.imread(str(path)), *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+            if not cv2.imwrite(str(made / name), image, [cv2.IMWRITE_JPEG_QUALITY, 95]):
+                raise OSError(f"{made / name}: cannot write the undistorted image")
         progress("undistort", len(paths), len(paths))
-    return [made / name for name in names], torch.from_numpy(new + half)
+
+    key = fingerprint([size, K.tolist(), list(distortion)], files=paths)
+    kept = stages.folder(name, key, write)
+    return [kept / name for name in names], torch.from_numpy(new + half)

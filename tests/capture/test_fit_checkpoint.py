@@ -33,7 +33,7 @@ folder, last = Path(sys.argv[1]), int(sys.argv[2])
 def told(done, total, loss):
     if done == last:
         os.kill(os.getpid(), signal.SIGKILL)
-fit(tiny_capture(folder), FULL, told, None, Checkpoint(folder / "fit.npz", "one", every=0))
+fit(tiny_capture(folder), FULL, told, None, Checkpoint(folder / "fit.npz", every=0))
 """
 
 
@@ -58,7 +58,7 @@ def short(capture: Reconstruction) -> Gaussians:
 def begun(capture: Reconstruction, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """Checkpoint of a short fit that was interrupted after 20 views."""
     path = tmp_path_factory.mktemp("begun") / "fit.npz"
-    interrupted(capture, Checkpoint(path, "one", every=0), 20, SHORT)
+    interrupted(capture, Checkpoint(path, every=0), 20, SHORT)
     return path.read_bytes()
 
 
@@ -81,7 +81,7 @@ def resumed(capture: Reconstruction, checkpoint: Checkpoint, settings: FitSettin
 
 def test_a_killed_fit_resumes_with_the_same_bytes(tmp_path: Path, whole: Gaussians) -> None:
     assert start("-c", KILLED, str(tmp_path), "70").wait() == -signal.SIGKILL
-    found, first = resumed(tiny_capture(tmp_path), Checkpoint(tmp_path / "fit.npz", "one"))
+    found, first = resumed(tiny_capture(tmp_path), Checkpoint(tmp_path / "fit.npz"))
     assert first == 70  # only the step that was killed, 35 of 60, is repeated
     assert same_bytes(found, whole)
 
@@ -90,8 +90,8 @@ def test_a_killed_fit_resumes_with_the_same_bytes(tmp_path: Path, whole: Gaussia
 def test_a_fit_resumes_from_any_step_with_the_same_bytes(
     capture: Reconstruction, whole: Gaussians, last: int, tmp_path: Path
 ) -> None:
-    interrupted(capture, Checkpoint(tmp_path / "fit.npz", "one", every=0), last)
-    found, first = resumed(capture, Checkpoint(tmp_path / "fit.npz", "one", every=0))
+    interrupted(capture, Checkpoint(tmp_path / "fit.npz", every=0), last)
+    found, first = resumed(capture, Checkpoint(tmp_path / "fit.npz", every=0))
     assert first == last and same_bytes(found, whole)
 
 
@@ -104,14 +104,6 @@ def test_the_state_of_a_fit_holds_everything_that_a_step_changes(capture: Recons
         assert fitting.step(step, 60) == other.step(step, 60)
     for name, value in fitting.state(60).items():
         assert value.equal(other.state(60)[name]), name
-
-
-def test_a_checkpoint_of_another_fit_is_ignored(
-    capture: Reconstruction, short: Gaussians, begun: bytes, tmp_path: Path
-) -> None:
-    (tmp_path / "fit.npz").write_bytes(begun)
-    found, first = resumed(capture, Checkpoint(tmp_path / "fit.npz", "another"), SHORT)
-    assert first == 2 and same_bytes(found, short)
 
 
 def damaged(path: Path, how: str) -> None:
@@ -142,7 +134,7 @@ def test_a_damaged_checkpoint_is_named_and_the_fit_starts_over(
     said: list[str] = []
     (tmp_path / "fit.npz").write_bytes(begun)
     damaged(tmp_path / "fit.npz", how)
-    found, first = resumed(capture, Checkpoint(tmp_path / "fit.npz", "one", say=said.append), SHORT)
+    found, first = resumed(capture, Checkpoint(tmp_path / "fit.npz", say=said.append), SHORT)
     assert first == 2 and same_bytes(found, short)
     assert len(said) == 1 and said[0].startswith(f"{tmp_path / 'fit.npz'}: expected ")
     assert said[0].endswith("; the fit starts over") and "\n" not in said[0]
@@ -160,5 +152,5 @@ def test_a_checkpoint_is_written_whenever_the_interval_has_passed(
         write(self, state)
 
     monkeypatch.setattr(Checkpoint, "write", noted)
-    fit(capture, replace(FULL, views=24), None, None, Checkpoint(tmp_path / "fit.npz", "one", every=10.0))
+    fit(capture, replace(FULL, views=24), None, None, Checkpoint(tmp_path / "fit.npz", every=10.0))
     assert written == [4, 8, 12]  # a step takes 3 s

@@ -11,7 +11,8 @@ from torch import Tensor
 from splatrl.capture import fit_cuda
 from splatrl.capture.base import Reconstruction
 from splatrl.capture.fit import FitSettings, Fitting, fit
-from splatrl.capture.fit_cuda import CudaFitter, kernel_defines
+from splatrl.capture.fit_cuda import CudaFitter
+from splatrl.capture.fit_structs import kernel_defines
 from splatrl.capture.stereo import IGNORED
 from splatrl.native import _core
 from tests.capture.test_fit import COUNT as FEW

@@ -78,13 +78,13 @@ def stages(
         return known[key]
 
     def place(found: Reconstruction, *settings: object) -> Any:
-        return once(f"{pipeline._digest(found)} {settings}", lambda: real_place(found, *settings))
+        return once(f"{pipeline._key(found)} {settings}", lambda: real_place(found, *settings))
 
     def find_depths(found: Reconstruction, frame: Frame, rows: torch.Tensor, progress: Progress) -> Any:
-        return once(pipeline._digest(found), lambda: real_depths(found, frame, rows, progress=progress))
+        return once(pipeline._key(found), lambda: real_depths(found, frame, rows, progress=progress))
 
     def find_moving(found: Reconstruction, depths: Depths, settings: FitSettings, progress: Progress) -> Any:
-        return once(pipeline._digest(found, settings), lambda: real_moving(found, depths, settings, progress))
+        return once(pipeline._key(found, settings), lambda: real_moving(found, depths, settings, progress))
 
     def fit(*arguments: object) -> object:
         called.append("fit")
@@ -104,7 +104,7 @@ def fitted_once(stages: list[str], known: dict[str, Any], monkeypatch: pytest.Mo
     fitted = pipeline.fit
 
     def fit(found: Reconstruction, settings: FitSettings, *others: Any) -> object:
-        key = f"fit {pipeline._digest(found, settings)}"
+        key = f"fit {pipeline._key(found, settings)}"
         if key not in known:
             known[key] = fitted(found, settings, *others)
         return known[key]
@@ -179,7 +179,7 @@ def test_an_out_path_that_ends_in_spz_makes_a_compressed_splat(
     assert f"splatrl-train scene={folder}/" in capsys.readouterr().out and not (tmp_path / "garden.spz").exists()
     assert {"scene.yaml", "splat.spz", "report.html"} <= {p.name for p in folder.iterdir()}
     assert not (folder / "splat.ply").exists()
-    assert (folder / "splat.spz").stat().st_size < (folder / "stages" / "fit.ply").stat().st_size / 3
+    assert (folder / "splat.spz").stat().st_size < (folder / "stages" / "fit" / "gaussians.ply").stat().st_size / 3
     env = splatrl.make_env([f"scene={folder}/", "device=cpu", "robot.image_width=16", "robot.image_height=16"], [2])
     assert env.rollout(3)["pixels"].float().std() > 5
 
@@ -209,7 +209,7 @@ def test_a_stopped_fit_continues_with_the_same_bytes(
         assert heard[1] == (60 if folder == folders[0] else 2)
     written = [(folder / "splat.ply").read_bytes() for folder in folders]
     assert written[0] == written[1]
-    assert not list(tmp_path.rglob("fit.npz")) and not list(tmp_path.rglob("*.tmp"))
+    assert not list(tmp_path.rglob("checkpoint.npz")) and not list(tmp_path.rglob("*.tmp"))
 
 
 @pytest.mark.usefixtures("unchecked")
@@ -220,12 +220,14 @@ def test_damaged_files_of_stages_are_computed_again(
     capture.main(words)
     whole = (tmp_path / "garden" / "splat.ply").read_bytes()
     kept = tmp_path / "garden" / "stages"
-    for name in ("depths.npz", "moving.npz", "fit.ply"):
-        (kept / name).write_bytes((kept / name).read_bytes()[:2000])
-    (kept / "depths.npz.0123abcd.tmp").write_text("left by a kill")
+    files = [kept / name for name in ("depths/arrays.npz", "moving/arrays.npz", "fit/gaussians.ply")]
+    for path in files:
+        path.write_bytes(path.read_bytes()[:2000])
+    (kept / ".fit.0123abcd.tmp").mkdir()  # left by a kill
     capsys.readouterr()
     capture.main(words)
-    assert f"{kept / 'fit.ply'}: expected" in (said := capsys.readouterr().out) and "the fit starts over" in said
+    said = capsys.readouterr().out
+    assert all(f"{path}: expected the file that was kept, found it damaged" in said for path in files)
     assert (tmp_path / "garden" / "splat.ply").read_bytes() == whole and stages.count("fit") == 2
     assert not list(tmp_path.rglob("*.tmp"))
 
@@ -249,7 +251,7 @@ def test_moving_things_are_left_out_unless_still_is_passed(
 
 
 @pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize("name", ["depths.npz", "fit.npz", "splat.ply"])
+@pytest.mark.parametrize("name", ["arrays.npz", "checkpoint.npz", "gaussians.ply", "splat.ply"])
 def test_a_full_disk_is_reported_in_one_line_that_names_the_file(
     tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
@@ -324,7 +326,7 @@ def test_a_capture_that_cannot_work_is_refused_with_its_cause(
 def test_a_video_that_is_not_upright_is_refused_before_the_fit(
     judge: str, message: str, tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pipeline, judge, lambda *_: True)
+    monkeypatch.setattr(f"splatrl.capture.upright_check.{judge}", lambda *_: True)
     with pytest.raises(SystemExit, match=message):
         capture.main(["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK])
     assert stages == ["frames", "poses"]

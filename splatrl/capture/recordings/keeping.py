@@ -1,9 +1,7 @@
 """The images of a recording that are used: chosen, turned upright, and cropped to what one camera would have seen."""
 
-import hashlib
 import json
 import math
-import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,10 +14,9 @@ from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.frames import buckets, sharpest, sharpness
 from splatrl.capture.progress import Progress
 from splatrl.capture.recordings.base import Depth, Floats, Lens, Picture, Recording
-from splatrl.files import new_folder
+from splatrl.capture.stages import Stages, fingerprint
 
 SHOTS, INDEX, DEPTHS = "shots", "index.json", "depth"
-VERSION = 1
 GRADED = 6
 """Number of images per stretch of a recording that are examined to find the sharpest."""
 SPREAD = 1.1
@@ -47,15 +44,12 @@ def keep(recording: Recording, folder: Path, count: tuple[int, int], longest: in
     Raises:
         CaptureError: where images are of several cameras, or one cannot be read.
     """
-    kept = folder / SHOTS
-    digest = _digest(recording, [VERSION, count, longest])
-    if _index(kept).get("digest") != digest:
-        folder.mkdir(parents=True, exist_ok=True)
-        if (kept / INDEX).is_file():
-            shutil.rmtree(kept)
-        with new_folder(kept) as made:
-            _write(made, recording, count, longest, digest, progress)
-    return _photos(kept, recording)
+
+    def write(made: Path) -> None:
+        _write(made, recording, count, longest, progress)
+
+    key = fingerprint([count, longest], files=recording.files)
+    return _photos(Stages(folder).folder(SHOTS, key, write), recording)
 
 
 def one_camera(source: object, lenses: Sequence[Lens], border: float = 0.0) -> tuple[Lens, Floats]:
@@ -118,15 +112,13 @@ def quarter_turns(camera_to_world: Floats, up: Floats | None) -> int:
     return round(math.atan2(x, -y) / (0.5 * math.pi)) % 4
 
 
-def _write(
-    made: Path, recording: Recording, count: tuple[int, int], longest: int, digest: str, progress: Progress
-) -> None:
+def _write(made: Path, recording: Recording, count: tuple[int, int], longest: int, progress: Progress) -> None:
     shots = recording.shots
     camera, boxes = one_camera(recording.source, [shot.lens for shot in shots], recording.border)
     poses = np.array([shot.camera_to_world for shot in shots])
     turns = quarter_turns(poses, recording.up)
     depths = _DepthFiles(made / DEPTHS, recording.source)
-    index: dict[str, Any] = {"digest": digest, "names": [], "seconds": [], "poses": []}
+    index: dict[str, Any] = {"names": [], "seconds": [], "poses": []}
     size: tuple[int, int] | None = None
     for number, picture in _chosen(recording, count, progress):
         image, shot, name = picture.image(), shots[number], f"{len(index['names']):04}"
@@ -242,7 +234,7 @@ class _DepthFiles:
 
 
 def _photos(kept: Path, recording: Recording) -> Photos:
-    index = _index(kept)
+    index = json.loads((kept / INDEX).read_text("utf-8"))
     names = index["names"]
     width, height = index["size"]
     return Photos(
@@ -256,17 +248,3 @@ def _photos(kept: Path, recording: Recording) -> Photos:
         tuple(kept / DEPTHS / f"{name}.png" for name in names) if index["depth"] else (),
         recording.metric,
     )
-
-
-def _index(kept: Path) -> dict[str, Any]:
-    try:
-        index: dict[str, Any] = json.loads((kept / INDEX).read_text("utf-8"))
-        return index if all((kept / f"{name}.jpg").is_file() for name in index["names"]) else {}
-    except (OSError, ValueError, KeyError):
-        return {}
-
-
-def _digest(recording: Recording, settings: list[Any]) -> str:
-    """Return a fingerprint of everything that the kept images depend on."""
-    stamps = [[str(path), path.stat().st_size, path.stat().st_mtime_ns] for path in recording.files]
-    return hashlib.blake2b(json.dumps([settings, stamps]).encode(), digest_size=16).hexdigest()

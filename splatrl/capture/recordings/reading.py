@@ -11,6 +11,7 @@ from splatrl.capture.progress import Progress, silent
 from splatrl.capture.recordings import colmap, polycam, record3d, stray_scanner, transforms
 from splatrl.capture.recordings.base import Recording
 from splatrl.capture.recordings.keeping import keep
+from splatrl.capture.stages import Stages
 from splatrl.capture.undistort import undistorted
 
 KINDS = (polycam, stray_scanner, record3d, transforms, colmap)
@@ -111,7 +112,7 @@ def _as_they_are(recording: Recording, folder: Path, progress: Progress) -> Phot
     K = torch.tensor([[lens.fx * across, 0, lens.cx * across], [0, lens.fy * down, lens.cy * down], [0, 0, 1]]).double()
     if any(lens.distortion):
         distortion = np.array(lens.distortion)
-        paths, K = undistorted(paths, (width, height), K, distortion, folder / "recorded", progress)
+        paths, K = undistorted(paths, (width, height), K, distortion, Stages(folder), "recorded", progress)
     poses = torch.from_numpy(np.array([shot.camera_to_world for shot in recording.shots]))
     up = None if recording.up is None else torch.from_numpy(recording.up)
     numbers = torch.arange(len(paths), dtype=torch.float64)
