@@ -57,7 +57,7 @@ class SplatEnv(EnvBase):
     Truncation: after ``task.max_steps`` steps; never together with termination.
     Reset: start states come from the curriculum, or, with ``reset(td, set_state=True)``, from ``td["state"]``, together
         with any memory that ``td`` holds. ``reset(seeds=[...])`` takes a number or None for each robot; robots with a
-        number draw their start from a generator of their own.
+        number draw their start, and whatever else their episode begins with, from a generator of their own.
     Partial steps: with ``_step`` [B, 1] bool, as TorchRL passes it, only the marked robots step and are drawn. For the
         others the result repeats their inputs, and is 0 where there is no input.
     Input: ``camera_offset`` [B, 6] float32, if present, moves the camera but not the robot (``Robot.cameras``).
@@ -201,10 +201,26 @@ class SplatEnv(EnvBase):
 
     def _drawn(self, seeds: Sequence[int | None] | None) -> tuple[Tensor | None, Tensor, dict[str, Tensor]]:
         """Draw a new episode for each robot: scene, state, and the task's memory; see the class for ``seeds``."""
-        scene, state = self._starts(seeds)
-        task = self._at(scene)[0]
-        state = task.start(state, self._chance(scene))
-        return scene, state, {**task.begin(state, self._chance(scene))}
+        if seeds is not None:
+            check_seeds(seeds, self.numel())
+        scene, state, memory = self._episodes(self.numel(), self.generator)
+        for row, seed in enumerate(seeds or ()):
+            if seed is not None:
+                its_scene, its_state, its_memory = self._episodes(1, torch.Generator(self.device).manual_seed(seed))
+                state[row] = its_state[0]
+                if scene is not None and its_scene is not None:
+                    scene[row] = its_scene[0]
+                for key, value in memory.items():
+                    value[row] = its_memory[key][0]
+        return scene, state, memory
+
+    def _episodes(self, count: int, generator: torch.Generator) -> tuple[Tensor | None, Tensor, dict[str, Tensor]]:
+        """Draw N episodes of the current level with a generator: scene, state, and the task's memory."""
+        scene = self.curriculum.scenes(count, generator)
+        state = self.curriculum.sample(count, generator, scene)
+        task, anywhere = self._at(scene)[0], self._chance(scene, count, generator)
+        state = task.start(state, anywhere)
+        return scene, state, {**task.begin(state, anywhere)}
 
     def _beginning(
         self,
@@ -257,23 +273,6 @@ class SplatEnv(EnvBase):
             return self.task, self.checker
         assert isinstance(self.checker, SeveralCheckers)
         return self.task.at(scene), self.checker.at(scene)
-
-    def _starts(self, seeds: Sequence[int | None] | None) -> tuple[Tensor | None, Tensor]:
-        """Draw a scene and a start of the current level for each robot; see the class for ``seeds``."""
-        if seeds is not None:
-            check_seeds(seeds, self.numel())
-        scene, state = self._start(self.numel(), self.generator)
-        for row, seed in enumerate(seeds or ()):
-            if seed is not None:
-                place, own = self._start(1, torch.Generator(self.device).manual_seed(seed))
-                state[row] = own[0]
-                if scene is not None and place is not None:
-                    scene[row] = place[0]
-        return scene, state
-
-    def _start(self, count: int, generator: torch.Generator) -> tuple[Tensor | None, Tensor]:
-        scene = self.curriculum.scenes(count, generator)
-        return scene, self.curriculum.sample(count, generator, scene)
 
     @torch.compiler.disable
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -377,20 +376,26 @@ class SplatEnv(EnvBase):
         """Memory keys that a new episode must reset: the sensors', and the task's if it chooses its own episodes."""
         return [*self._sensor_keys, *(self._task_keys if self.task.chooses_episodes else ())]
 
-    def _chance(self, scene: Tensor | None, count: int | None = None) -> Anywhere:
-        return Anywhere(partial(self.anywhere, scene, count), self.generator)
+    def _chance(
+        self, scene: Tensor | None, count: int | None = None, generator: torch.Generator | None = None
+    ) -> Anywhere:
+        generator = generator or self.generator
+        return Anywhere(partial(self.anywhere, scene, count, generator), generator)
 
-    def anywhere(self, scene: Tensor | None = None, count: int | None = None) -> Tensor:
+    def anywhere(
+        self, scene: Tensor | None = None, count: int | None = None, generator: torch.Generator | None = None
+    ) -> Tensor:
         """Draw a state for each of N robots from the whole start set of its scene, regardless of the level.
 
         Args:
             scene: [N] int64, scene of each robot; None if there is only one.
             count: number of robots, N; None for all.
+            generator: draws the states; None for the env's own.
 
         Returns:
             [N, ...].
         """
-        return self.curriculum.anywhere(self.numel() if count is None else count, self.generator, scene)
+        return self.curriculum.anywhere(self.numel() if count is None else count, generator or self.generator, scene)
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is None:

@@ -1,6 +1,6 @@
 """``SplatEnv``: its contract, and tests specific to it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.collectors import MultiSyncCollector
-from torchrl.data import Unbounded
+from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs import ParallelEnv
 
 from splatrl import make_env
@@ -19,7 +19,9 @@ from splatrl.cameras import Cameras
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.envs import SplatEnv, World
+from splatrl.envs.drawing import SceneDrawing
 from splatrl.envs.tasks import Grid, Outcome
+from splatrl.envs.tasks.base import Anywhere, Memory
 from splatrl.renderers import Parts
 from tests.curriculum.graph import successors
 from tests.envs.contract import EnvContract
@@ -33,6 +35,7 @@ from tests.tiny import (
     tiny_overrides,
     tiny_plan,
     tiny_renderer,
+    tiny_robot,
 )
 
 FORWARD_X, BACK_X, LEFT_Y, RIGHT_Y, SPIN, SPIN_BACK = range(6)
@@ -278,6 +281,38 @@ def test_an_action_that_does_not_exist_is_refused(action: int) -> None:
         td = env.reset().set("action", torch.tensor([0, action]))
         with pytest.raises(ValueError, match=rf"action: expected whole numbers from 0 to \d, got {action}"):
             env.step(td)
+
+
+class Lottery(Grid):
+    """A grid task whose episodes begin at random states of its own, each with a random number to remember."""
+
+    @property
+    def memory_spec(self) -> Mapping[str, TensorSpec]:
+        return {"number": Unbounded(shape=(1,), dtype=torch.float32)}
+
+    def start(self, state: Tensor, anywhere: Anywhere) -> Tensor:
+        chosen = torch.rand(len(state), generator=anywhere.generator) < 0.5
+        return torch.where(chosen[:, None], state, anywhere())
+
+    def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
+        return {"number": torch.rand(len(state), 1, generator=anywhere.generator)}
+
+
+def test_everything_an_episode_begins_with_depends_on_the_seed_of_its_robot_alone() -> None:
+    def env(robots: int) -> SplatEnv:
+        task, curriculum = Lottery(tiny_motion(), goal=(0.5, 1.0, 0.0)), Curriculum(tiny_plan(), None)
+        drawing = SceneDrawing(tiny_renderer())
+        return SplatEnv(drawing, BlockChecker(), tiny_robot(), task, curriculum, [robots])
+
+    first, other = env(3).reset(seeds=[3, 4, 5]), env(3).reset(seeds=[7, None, 5])
+    alone = [env(1).reset(seeds=[seed]) for seed in (3, 4, 5)]
+    for key in ("state", "number", "pixels"):
+        assert torch.equal(first[key], torch.cat([one[key] for one in alone])), key
+        assert torch.equal(first[key][2], other[key][2]), key
+    seeded = env(1)
+    seeded.set_seed(4)
+    assert torch.equal(seeded.reset()["number"], alone[1]["number"])
+    assert len({float(number) for number in first["number"]}) == 3
 
 
 @pytest.mark.parametrize("seeds", [[1], [1, 2, 3], [1, 2.0], ["1", None]])
