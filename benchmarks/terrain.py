@@ -24,7 +24,6 @@ from scenes import SCENES
 
 from splatrl.collision import Occupancy
 from splatrl.motions import PhysicsMotion
-from splatrl.motions.physics import FIRST
 from splatrl.physics import Terrain
 from splatrl.physics.boxes import merged_boxes, solid_above
 from splatrl.physics.ground import fit_ground
@@ -102,7 +101,7 @@ def deepest(motion: PhysicsMotion, states: torch.Tensor) -> float:
         states = motion.physics.step(states, motion.limits[1] * torch.tensor([1.0, 0.0]).expand(len(states), 2)).state
     data, worst = mujoco.MjData(model), 0.0
     for state in states.numpy():
-        data.qpos[:], data.qvel[:] = np.split(state[FIRST : FIRST + model.nq + model.nv], [model.nq])
+        data.qpos[:], data.qvel[:] = state[motion.layout.positions], state[motion.layout.velocities]
         mujoco.mj_forward(model, data)
         worst = min([worst, *(c.dist for c in data.contact if 0 in model.geom_bodyid[c.geom])])
     return -1000 * worst

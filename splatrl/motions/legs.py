@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,12 @@ from torch import Tensor
 
 from splatrl.collision.base import Checker
 from splatrl.motions.base import Move
-from splatrl.motions.physics import FIRST, PhysicsMotion
+from splatrl.motions.physics import PhysicsMotion
 from splatrl.physics import Terrain
 from splatrl.physics.dense import Dense
 from splatrl.physics.kinematics import rotated, turned_back
 from splatrl.physics.robots import gait_path
-from splatrl.physics.stepping import BANK, Stepped
+from splatrl.physics.stepping import Stepped
 from splatrl.physics.trot import FREQUENCY, trot
 from splatrl.values import require_number
 
@@ -24,8 +25,6 @@ STRIDE = 0.02
 JOINTS = 12
 COMMAND = 2
 """Size of a command: metres per second ahead and radians per second to the left."""
-ANGLES = FIRST + 7
-"""Column of a state at which the joint angles begin."""
 DEPARTURE = 0.25
 """Largest offset of a joint from the trot, radians."""
 FELT = 46
@@ -84,13 +83,14 @@ class LegsMotion(PhysicsMotion):
     def stand_on(self, terrain: Terrain) -> None:
         """Put the robot on a terrain; see ``PhysicsMotion``."""
         super().stand_on(terrain)
-        if self.limits.shape[1] != JOINTS or self.physics.model.nq < 7 + JOINTS:
+        self.layout = replace(self.layout, hinges=JOINTS)
+        if self.limits.shape[1] != JOINTS or self.layout.joints.stop > self.layout.positions.stop:
             raise ValueError(
                 f"{self.path}: expected the {JOINTS} joints of quadruped, got {self.limits.shape[1]} actuators"
             )
         self.angles = self.limits
         self.home = torch.cat([self.home, self.home.new_zeros(JOINTS + COMMAND * self.commands)])
-        self.stand = self.home[ANGLES : ANGLES + JOINTS]
+        self.stand = self.home[self.layout.joints]
         self.limits = self.action_limits()
 
     def action_limits(self) -> Tensor:
@@ -105,7 +105,7 @@ class LegsMotion(PhysicsMotion):
     def command(self, state: Tensor) -> Tensor:
         """Return the active command: [B, n] -> [B, 2] float64."""
         each = state[:, self.physics.size + JOINTS :].unflatten(1, (self.commands, COMMAND))
-        turn = (state[:, BANK] / self.span).nan_to_num().long().clamp(0, self.commands - 1)
+        turn = (state[:, self.layout.clock] / self.span).nan_to_num().long().clamp(0, self.commands - 1)
         return each[torch.arange(len(state), device=state.device), turn]
 
     def commanded(self, state: Tensor, commands: Tensor) -> Tensor:
@@ -115,7 +115,7 @@ class LegsMotion(PhysicsMotion):
     def stride(self, state: Tensor, departure: Tensor) -> Stepped:
         """Follow the command for 20 ms, with the joints offset from the trot: [B, n], [B, 12]."""
         size, departure = self.physics.size, departure.to(state).clamp(-1.0, 1.0)
-        angles = trot(state[:, BANK], self.command(state)) + DEPARTURE * departure
+        angles = trot(state[:, self.layout.clock], self.command(state)) + DEPARTURE * departure
         low, high = self.angles.to(state)
         after, sensed, sound = self.physics.step(
             self.of_physics(state), torch.minimum(torch.maximum(angles, low), high)
@@ -127,9 +127,9 @@ class LegsMotion(PhysicsMotion):
 
         The first two are horizontal, relative to the heading.
         """
-        first, yaw = FIRST + self.physics.model.nq, self.planar(state)[:, 2]
-        x, y = state[:, first], state[:, first + 1]
-        turn = rotated(self._turn(state), self._spin(state))[:, 2]
+        yaw = self.planar(state)[:, 2]
+        x, y, _ = state[:, self.layout.velocity].unbind(1)
+        turn = rotated(state[:, self.layout.orientation], state[:, self.layout.angular_velocity])[:, 2]
         return torch.stack([x * yaw.cos() + y * yaw.sin(), y * yaw.cos() - x * yaw.sin(), turn], 1)
 
     def felt(self, state: Tensor) -> Tensor:
@@ -139,15 +139,13 @@ class LegsMotion(PhysicsMotion):
         to the standing pose, the joint velocities, the last joint offsets, the command, and sine and cosine of the
         trot's phase.
         """
-        nq, count = self.physics.model.nq, len(state)
-        down = state.new_tensor([0.0, 0.0, -1.0]).expand(count, 3)
-        rates = FIRST + nq + 6
-        phase = math.tau * FREQUENCY * state[:, BANK]
+        layout, down = self.layout, state.new_tensor([0.0, 0.0, -1.0]).expand(len(state), 3)
+        phase = math.tau * FREQUENCY * state[:, self.layout.clock]
         parts = [
-            rotated(turned_back(self._turn(state)), down),
-            SPIN * self._spin(state),
-            state[:, ANGLES : ANGLES + JOINTS] - self.stand.to(state),
-            RATE * state[:, rates : rates + JOINTS],
+            rotated(turned_back(state[:, layout.orientation]), down),
+            SPIN * state[:, layout.angular_velocity],
+            state[:, layout.joints] - self.stand.to(state),
+            RATE * state[:, layout.joint_rates],
             self.departure(state),
             self.command(state),
             torch.stack([phase.sin(), phase.cos()], 1),
@@ -156,17 +154,11 @@ class LegsMotion(PhysicsMotion):
 
     def fallen(self, state: Tensor) -> Tensor:
         """Return whether robots have fallen, or their physics has failed: [B, n] -> [B] bool."""
-        x, y, z = state[:, FIRST : FIRST + 3].unbind(1)
-        up = rotated(self._turn(state), state.new_tensor([0.0, 0.0, 1.0]).expand(len(state), 3))[:, 2]
-        above = z - self.terrain.height(torch.stack([x, y], 1))
-        return ~((up > TILTED) & (above > LOW))
-
-    def _turn(self, state: Tensor) -> Tensor:
-        return state[:, FIRST + 3 : FIRST + 7]
-
-    def _spin(self, state: Tensor) -> Tensor:
-        first = FIRST + self.physics.model.nq + 3
-        return state[:, first : first + 3]
+        x, y, z = state[:, self.layout.position].unbind(1)
+        skyward = state.new_tensor([0.0, 0.0, 1.0]).expand(len(state), 3)
+        up = rotated(state[:, self.layout.orientation], skyward)[:, 2]
+        height = z - self.terrain.height(torch.stack([x, y], 1))
+        return ~((up > TILTED) & (height > LOW))
 
 
 class StridesMotion(LegsMotion):

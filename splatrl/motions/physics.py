@@ -27,18 +27,15 @@ from splatrl.physics import (
 from splatrl.physics.bank import Variation, bank
 from splatrl.physics.compose import ROBOT, SCENE
 from splatrl.physics.gaussians import Models
-from splatrl.physics.kinematics import TIME, normalised, rotated, turned_back
+from splatrl.physics.kinematics import normalised, rotated, turned_back
 from splatrl.physics.optional import needed
 from splatrl.physics.robots import mjcf_path
 from splatrl.physics.standing import top_of
-from splatrl.physics.stepping import BANK
 from splatrl.physics.survey import survey_terrain
 from splatrl.renderers.parts import Parts
 from splatrl.scenes.formats import read_gaussians
 from splatrl.values import require_number
 
-FIRST = BANK + TIME
-"""Column of a state at which positions begin, the robot's free joint first: x, y, z in metres, then a quaternion."""
 FORWARD, TURN = "forward", "turn"
 """Names of actuators that take metres and radians per second; with both, a robot can follow shortest paths."""
 GROUNDS = ("scene", "level")
@@ -51,8 +48,8 @@ FAR = 1e9
 class PhysicsMotion(MotionModule):
     """An MJCF robot on the ground of a scene, among the scene's boxes and things that the robot may move.
 
-    A state is [n] float64 in the layout of ``Physics``: it holds the poses and velocities of the robot and all things,
-    and the number of the model in the bank that they obey. An action sets the actuators' controls, within their
+    A state is [n] float64, whose columns ``layout`` names: it holds the poses and velocities of the robot and all
+    things, and the number of the model in the bank that they obey. An action sets the actuators' controls, within their
     ``ctrlrange``, for one time step. Moves are never reverted: contacts push back. ``Move.free_fraction`` is the
     fraction of substeps before the robot first touches a box or a thing that it must not push, according to contact
     sensors at the beginning of each substep.
@@ -149,7 +146,7 @@ class PhysicsMotion(MotionModule):
         if angular_deg is None:
             angular_deg = math.degrees(self._told(turn, TURN, "angular_deg")[1])
         self.driven = forward is not None and turn is not None and len(self.limits[0]) == 2
-        height = float(self.home[FIRST + 2])
+        height = float(self.home[self.layout.position][2])
         self.twin = DriveMotion(height, time_step, linear, angular_deg, lower, upper, spacing, headings)
         self.step, self.angle_step, self.height = self.twin.step, self.twin.angle_step, None
 
@@ -189,13 +186,12 @@ class PhysicsMotion(MotionModule):
                 f"got {self.held:g}"
             )
         self.physics = Physics(bank(model, self.variation), round(substeps), self.threads)
-        self.terrain, self.world = terrain, world
+        self.layout, self.terrain, self.world = self.physics.layout, terrain, world
         qpos = model.qpos0.copy()
         qpos[: alone.nq] = alone.key_qpos[0] if alone.nkey else alone.qpos0
         home = self.physics.state_of(qpos)
         if alone.nkey and alone.na:
-            first = FIRST + model.nq + model.nv
-            home[first : first + alone.na] = torch.from_numpy(alone.key_act[0].copy())
+            home[self.layout.activations][: alone.na] = torch.from_numpy(alone.key_act[0].copy())
         self.still = home.new_zeros(model.nu)
         if alone.nkey:
             self.still[: alone.nu] = torch.from_numpy(alone.key_ctrl[0].copy())
@@ -289,12 +285,12 @@ class PhysicsMotion(MotionModule):
 
         Both are in the body's own frame, metres per second and radians per second.
         """
-        first, turn = FIRST + self.physics.model.nq, state[:, FIRST + 3 : FIRST + 7]
-        return torch.cat([rotated(turned_back(turn), state[:, first : first + 3]), state[:, first + 3 : first + 6]], 1)
+        ahead = rotated(turned_back(state[:, self.layout.orientation]), state[:, self.layout.velocity])
+        return torch.cat([ahead, state[:, self.layout.angular_velocity]], 1)
 
     def planar(self, state: Tensor) -> Tensor:
         """Return x, y and yaw of the robot's first body: [B, n] -> [B, 3] float64, metres, and radians in [0, τ)."""
-        x, y, _, qw, qx, qy, qz = state[:, FIRST : FIRST + 7].unbind(1)
+        x, y, _, qw, qx, qy, qz = state[:, self.layout.pose].unbind(1)
         yaw = torch.atan2(2 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz)
         return torch.stack([x, y, yaw % math.tau], 1)
 
@@ -313,23 +309,23 @@ class PhysicsMotion(MotionModule):
             [N, n] float64.
         """
         x, y, yaw = planar.to(self.home).unbind(1)
-        normal, home = self.terrain.plane[:3].to(self.home), self.home[FIRST : FIRST + 7]
+        normal, home = self.terrain.plane[:3].to(self.home), self.home[self.layout.pose]
         half, up = 0.5 * yaw, torch.sqrt(0.5 * (1.0 + normal[2]))
         tilt = torch.stack([up, -normal[1] / (2 * up), normal[0] / (2 * up), torch.zeros_like(up)])
         about = torch.stack([half.cos(), torch.zeros_like(half), torch.zeros_like(half), half.sin()], 1)
         turn = normalised(multiply_quats(multiply_quats(tilt, about), home[3:]))
         z = self.terrain.height(torch.stack([x, y], 1)) + home[2] / normal[2]
         state = self.home.repeat(len(planar), 1)
-        state[:, FIRST : FIRST + 7] = torch.cat([torch.stack([x, y, z], 1), turn], 1)
+        state[:, self.layout.pose] = torch.cat([torch.stack([x, y, z], 1), turn], 1)
         return state
 
     def model_of(self, state: Tensor) -> Tensor:
         """Return the number of the bank's model that states obey, valid even if a state is NaN: [B, n] -> [B] int64."""
-        return state[:, 0].nan_to_num().long().clamp(0, len(self.physics.models) - 1)
+        return state[:, self.layout.model].nan_to_num().long().clamp(0, len(self.physics.models) - 1)
 
     def with_model(self, state: Tensor, number: Tensor) -> Tensor:
         """Replace the models of the bank that states obey: [B, n], [B] -> [B, n]."""
-        return torch.cat([number.unsqueeze(1).to(state), state[:, BANK:]], 1)
+        return torch.cat([number.unsqueeze(1).to(state), state[:, self.layout.mujoco]], 1)
 
     def varied(self, state: Tensor, generator: torch.Generator) -> Tensor:
         """Replace the models that states obey by ones drawn uniformly from the bank: [B, n] -> [B, n]."""
@@ -350,8 +346,7 @@ class PhysicsMotion(MotionModule):
         joint = int(model.body_jntadr[body])
         if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
             raise ValueError(f"task.motion.things: expected {name!r} to have a free joint, found none")
-        first = FIRST + int(model.jnt_qposadr[joint])
-        return slice(first, first + 7)
+        return self.layout.free_joint(int(model.jnt_qposadr[joint]))
 
     def parts(self, state: Tensor, first: int = 1) -> Parts:
         """Return the parts to draw, the scene and the moving bodies where they are: [B, n] -> [B, 1 + M] parts.

@@ -7,6 +7,7 @@ from splatrl.physics.gaussians import BodyGaussians, gaussians_from_mjcf
 from splatrl.physics.kinematics import Kinematics
 from splatrl.physics.mjcf import read_mjcf
 from splatrl.physics.routes import RouteSettings
+from splatrl.physics.state_layout import StateLayout
 from splatrl.physics.stepping import Physics, Stepped
 from splatrl.physics.terrain import Terrain, level_ground
 from splatrl.physics.tracks import TrackSettings
@@ -17,6 +18,7 @@ __all__ = [
     "Kinematics",
     "Physics",
     "RouteSettings",
+    "StateLayout",
     "Stepped",
     "Terrain",
     "TrackSettings",

@@ -14,10 +14,7 @@ from torch import Tensor
 
 from splatrl.geometry import multiply_quats, rigid
 from splatrl.physics.optional import needed
-from splatrl.physics.stepping import BANK
-
-TIME = 1
-"""Number of columns of MuJoCo's state before the positions: the time."""
+from splatrl.physics.state_layout import StateLayout
 
 
 class _Joints(NamedTuple):
@@ -70,7 +67,7 @@ class Kinematics:
                 known = [model.body(each).name for each in range(1, model.nbody)]
                 raise ValueError(f"body: expected one of {', '.join(known)}, got {name!r}")
             wanted.append(number)
-        self.nq, self.count = int(model.nq), int(model.nbody)
+        self.layout, self.count = StateLayout(int(model.nq), int(model.nv)), int(model.nbody)
         self._wanted = torch.tensor(wanted, dtype=torch.int64)
         depth, needed_bodies = {0: 0}, {0}
         for number in wanted:
@@ -129,7 +126,7 @@ class Kinematics:
         Returns:
             [B, N, 3] float64 metres and [B, N, 4] float64 unit quaternions wxyz, world frame.
         """
-        qpos = state[:, BANK + TIME : BANK + TIME + self.nq]
+        qpos = state[:, self.layout.positions]
         place = qpos.new_zeros(len(qpos), self.count, 3)
         turn = qpos.new_zeros(len(qpos), self.count, 4)
         turn[:, 0, 0] = 1.0

@@ -10,10 +10,8 @@ from torch import Tensor
 
 from splatrl.native.threads import threads_of
 from splatrl.physics.optional import needed
+from splatrl.physics.state_layout import StateLayout
 from splatrl.values import require_number
-
-BANK = 1
-"""Number of columns of a state before MuJoCo's own: the index of its model."""
 
 
 class Stepped(NamedTuple):
@@ -34,8 +32,8 @@ class Stepped(NamedTuple):
 class Physics:
     """Steps batches of states, each with one of several models of the same structure.
 
-    A state is [n] float64: the index of its model in the bank, and MuJoCo's ``mjSTATE_FULLPHYSICS`` (time, positions,
-    velocities, activations). Solvers are not warm-started from the last step, so a step is a function of the state and
+    A state is [n] float64: the index of its model in the bank, and MuJoCo's ``mjSTATE_FULLPHYSICS`` (``layout`` names
+    the columns). Solvers are not warm-started from the last step, so a step is a function of the state and
     the controls alone: its result is bitwise the same alone, in a batch, in any order and with any number of threads.
 
     Args:
@@ -59,6 +57,7 @@ class Physics:
             raise ValueError(
                 f"models: expected the same sizes of state, controls and sensors in all, got {sorted(sizes)}"
             )
+        self.layout = StateLayout(int(self.model.nq), int(self.model.nv))
         self.substeps, self.threads = substeps, threads_of(threads)
         for model in self.models:
             model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a failed row must stay failed
@@ -80,7 +79,7 @@ class Physics:
     @property
     def size(self) -> int:
         """Length of a state, n."""
-        return BANK + int(needed().mj_stateSize(self.model, self._spec))
+        return 1 + int(needed().mj_stateSize(self.model, self._spec))
 
     def state_of(self, qpos: Any = None, key: int | None = None) -> Tensor:
         """Return the first model's state [n] float64 at rest: at ``qpos``, at a keyframe, or in the default pose."""
@@ -92,7 +91,7 @@ class Physics:
         if qpos is not None:
             data.qpos[:] = qpos
         found = np.zeros(self.size)
-        mujoco.mj_getState(self.model, data, found[BANK:], self._spec)
+        mujoco.mj_getState(self.model, data, found[self.layout.mujoco], self._spec)
         return torch.from_numpy(found)
 
     def step(self, state: Tensor, ctrl: Tensor) -> Stepped:
@@ -108,19 +107,22 @@ class Physics:
         before = np.ascontiguousarray(state.detach().cpu().numpy(), np.float64)
         held = np.ascontiguousarray(ctrl.detach().cpu().numpy(), np.float64)[:, None]
         count = len(before)
-        rows = np.clip(np.nan_to_num(before[:, 0]), 0, len(self.models) - 1).astype(np.int64)
+        rows = np.clip(np.nan_to_num(before[:, self.layout.model]), 0, len(self.models) - 1).astype(np.int64)
         models = [self.models[row] for row in rows] if len(self.models) > 1 else self.model
         with self._lock:
             states, sensed = self._rollout.rollout(
                 models,
                 self._data,
-                before[:, BANK:].copy(),
+                before[:, self.layout.mujoco].copy(),
                 np.broadcast_to(held, (count, self.substeps, held.shape[2])).copy(),
                 nstep=self.substeps,
                 initial_warmstart=np.zeros((count, self.model.nv)),
             )
-        after = np.concatenate([before[:, :BANK], states[:, -1]], 1)
-        short = before[:, 1] + (self.substeps - 0.5) * self.model.opt.timestep > after[:, 1]  # stops at warnings
+        after, clock = before.copy(), self.layout.clock
+        after[:, self.layout.mujoco] = states[:, -1]
+        short = (
+            before[:, clock] + (self.substeps - 0.5) * self.model.opt.timestep > after[:, clock]
+        )  # stops at warnings
         sound = np.isfinite(after).all(1) & np.isfinite(sensed).all((1, 2)) & ~short
         after = np.where(sound[:, None], after, before)
         sensed = np.where(sound[:, None, None], sensed, 0.0)

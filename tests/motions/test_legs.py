@@ -10,10 +10,8 @@ import torch
 
 from splatrl.collision.nothing import NoChecker
 from splatrl.motions import StridesMotion, WalkMotion
-from splatrl.motions.legs import ANGLES, DEPARTURE, FELT, JOINTS
-from splatrl.motions.physics import FIRST
+from splatrl.motions.legs import DEPARTURE, FELT, JOINTS
 from splatrl.physics import Terrain
-from splatrl.physics.stepping import BANK
 from splatrl.physics.trot import trot
 
 NOTHING: Any = NoChecker.__new__(NoChecker)
@@ -90,7 +88,8 @@ def test_joint_commands_are_the_trot_plus_clamped_departures(monkeypatch: pytest
     step = motion.physics.step
     monkeypatch.setattr(motion.physics, "step", lambda states, ctrl: (told.append(ctrl), step(states, ctrl))[1])
     after = motion.stride(state, departure).state
-    expected = trot(state[:, BANK], torch.tensor([[0.4, 0.1]]).double()) + DEPARTURE * departure.clamp(-1, 1)
+    trotting = trot(state[:, motion.layout.clock], torch.tensor([[0.4, 0.1]]).double())
+    expected = trotting + DEPARTURE * departure.clamp(-1, 1)
     assert torch.allclose(told[0], expected, atol=1e-6)
     assert torch.allclose(motion.departure(after), departure.clamp(-1, 1).double())
     assert torch.equal(motion.command(after), motion.command(state))
@@ -104,11 +103,10 @@ def test_sensed_values_are_in_the_body_frame() -> None:
     assert felt[0, 3:44].abs().max() < 1e-6 and felt[0, 44:].tolist() == pytest.approx([0.0, 1.0])
     state = standing.clone()
     half = torch.tensor(0.25).double()
-    state[0, FIRST + 3 : FIRST + 7] = torch.tensor([half.cos(), half.sin(), 0.0, 0.0])  # rolled by 0.5 to the right
-    state[0, ANGLES + 2] += 0.1
-    rates = FIRST + motion.physics.model.nq
-    state[0, rates + 3] = 2.0
-    state[0, rates + 6 + 2] = -3.0
+    state[0, motion.layout.orientation] = torch.tensor([half.cos(), half.sin(), 0.0, 0.0])  # rolled by 0.5 to the right
+    state[0, motion.layout.joints][2] += 0.1
+    state[0, motion.layout.angular_velocity][0] = 2.0
+    state[0, motion.layout.joint_rates][2] = -3.0
     felt = motion.felt(state)[0]
     assert felt[:3].tolist() == pytest.approx([0.0, -math.sin(0.5), -math.cos(0.5)], abs=1e-6)
     assert felt[3].item() == pytest.approx(0.5) and felt[6 + 2].item() == pytest.approx(0.1)
@@ -123,7 +121,7 @@ def test_a_lying_robot_has_fallen_and_one_that_stands_on_high_ground_has_not() -
     state = motion.placed(torch.zeros(1, 3))
     assert not motion.fallen(state).any()
     assert motion.clear(state).all()
-    state[0, FIRST + 2] -= 0.2
+    state[0, motion.layout.position][2] -= 0.2
     assert motion.fallen(state).all()
     assert motion.fallen(torch.full_like(state, torch.nan)).all()
 

@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from splatrl.physics import Kinematics, Physics
-from splatrl.physics.stepping import BANK
 
 ARM = """
 <mujoco><worldbody>
@@ -31,8 +30,8 @@ def states(count: int) -> tuple[Physics, torch.Tensor]:
     """Return the physics, and states with every joint at a random position."""
     physics = Physics(mujoco.MjModel.from_xml_string(ARM), 1, 1)
     state = physics.state_of().repeat(count, 1)
-    columns = slice(BANK + 1, BANK + 1 + physics.model.nq)
-    state[:, columns] += torch.randn(count, physics.model.nq, generator=torch.Generator().manual_seed(0)).double()
+    drawn = torch.randn(count, physics.model.nq, generator=torch.Generator().manual_seed(0))
+    state[:, physics.layout.positions] += drawn.double()
     return physics, state
 
 
@@ -42,7 +41,7 @@ def test_poses_match_mujocos_for_every_kind_of_joint() -> None:
     poses = Kinematics(physics.model, NAMES).poses(state)
     data = mujoco.MjData(physics.model)
     for row in range(len(state)):
-        data.qpos[:] = state[row, BANK + 1 : BANK + 1 + physics.model.nq]
+        data.qpos[:] = state[row, physics.layout.positions]
         mujoco.mj_kinematics(physics.model, data)
         for number, name in enumerate(NAMES):
             body = data.body(name)

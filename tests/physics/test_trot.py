@@ -5,7 +5,7 @@ import torch
 
 from splatrl.physics import Kinematics, compose, level_ground, read_mjcf
 from splatrl.physics.robots import mjcf_path
-from splatrl.physics.stepping import BANK, Physics
+from splatrl.physics.stepping import Physics
 from splatrl.physics.trot import DEPTH, FREQUENCY, LIFT, OFFSET, SIDES, feet, leg_angles, trot
 
 
@@ -15,7 +15,7 @@ def test_joint_angles_put_the_feet_at_their_targets_by_mujocos_kinematics() -> N
     time, command = torch.tensor([0.0, 0.1, 0.2, 0.31]).double(), torch.tensor([[0.8, 0.5]] * 4).double()
     angles = trot(time, command)
     state = physics.state_of().repeat(4, 1)
-    state[:, BANK + 1 + 7 : BANK + 1 + 19] = angles
+    state[:, physics.layout.positions][:, 7:19] = angles
     names = ["front_left", "front_right", "rear_left", "rear_right"]
     kinematics = Kinematics(world.model, [f"robot/{name}_{part}" for part in ("hip", "calf") for name in names])
     place, turn = kinematics(state)

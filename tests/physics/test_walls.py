@@ -7,7 +7,6 @@ import torch
 from splatrl.physics import Physics, Terrain, compose, read_mjcf
 from splatrl.physics.compose import SCENE
 from splatrl.physics.robots import mjcf_path
-from splatrl.physics.stepping import BANK
 
 WALL = torch.tensor([[1.05, 0.0, 0.3, 0.05, 1.0, 0.3], [0.5, 2.0, 0.3, 0.1, 0.1, 0.3]], dtype=torch.float64)
 AHEAD = torch.tensor([[0.5, 0.0]])
@@ -22,7 +21,7 @@ def facing(wall: torch.Tensor) -> Physics:
 def test_a_robot_that_keeps_driving_into_a_wall_stays_outside_it(angle: float) -> None:
     physics = facing(WALL)
     model, state = physics.model, physics.state_of()[None]
-    qpos = slice(BANK + 1, BANK + 1 + model.nq)
+    qpos = physics.layout.positions
     half = torch.tensor(angle / 2)
     state[0, qpos][3], state[0, qpos][6] = half.cos(), half.sin()
     touched = physics.sensor(f"touch/{SCENE}")
@@ -43,4 +42,4 @@ def test_contact_with_boxes_is_distinguished_from_contact_with_the_ground() -> N
     physics = facing(WALL)
     state, sensed, _ = physics.step(physics.state_of()[None], AHEAD)
     assert not (sensed[..., physics.sensor(f"touch/{SCENE}")] > 0).any()
-    assert state[0, BANK + 1] > 0, "the wheels stand on the ground"
+    assert state[0, physics.layout.position][0] > 0, "the wheels stand on the ground"

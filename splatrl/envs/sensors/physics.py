@@ -11,7 +11,7 @@ from splatrl.envs.robot import Robot
 from splatrl.envs.sensors.base import Moment, PlainSensor
 from splatrl.geometry import quats_to_rotations
 from splatrl.motions.legs import FELT, LegsMotion
-from splatrl.motions.physics import FIRST, PhysicsMotion
+from splatrl.motions.physics import PhysicsMotion
 from splatrl.physics import read_mjcf
 from splatrl.physics.compose import ROBOT
 from splatrl.physics.optional import needed
@@ -97,9 +97,9 @@ class Joints(PlainSensor):
     def read(self, moment: Moment) -> Tensor:
         """Return positions and scaled velocities."""
         motion, state = with_physics(moment), moment.state
-        places = FIRST + self.places.to(state.device)
-        rates = FIRST + motion.physics.model.nq + self.rates.to(state.device)
-        return torch.cat([state[:, places] - motion.home[places].to(state), self.rate * state[:, rates]], 1).float()
+        layout, places, rates = motion.layout, self.places.to(state.device), self.rates.to(state.device)
+        angles = state[:, layout.positions][:, places] - motion.home[layout.positions][places].to(state)
+        return torch.cat([angles, self.rate * state[:, layout.velocities][:, rates]], 1).float()
 
 
 class Velocity(PlainSensor):
@@ -131,8 +131,8 @@ class EgoMotion(PlainSensor):
 
     def read(self, moment: Moment) -> Tensor:
         """Return the velocity and the up direction."""
-        motion, turn = with_physics(moment), moment.state[:, FIRST + 3 : FIRST + 7]
-        up = quats_to_rotations(turn)[:, 2]
+        motion = with_physics(moment)
+        up = quats_to_rotations(moment.state[:, motion.layout.orientation])[:, 2]
         return torch.cat([motion.velocity(moment.state), up], 1).float()
 
 

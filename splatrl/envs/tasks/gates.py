@@ -9,7 +9,7 @@ from torch import Tensor
 from splatrl.envs.tasks.base import Memory
 from splatrl.envs.tasks.course import Course, CourseRewards
 from splatrl.geometry import axis_rotations, rigid
-from splatrl.motions.physics import FIRST, PhysicsMotion
+from splatrl.motions.physics import PhysicsMotion
 from splatrl.physics.pilot import Flying, fly_through
 from splatrl.physics.tracks import TrackSettings
 from splatrl.renderers.parts import Parts
@@ -89,8 +89,8 @@ class Gates(Course):
 
     def teach(self, state: Tensor, memory: Memory) -> Tensor:
         """Return the actions of a pilot that knows the state: [B, n] -> [B, 4]; see ``fly_through``."""
-        velocity = FIRST + int(self.motion.physics.model.nq)
-        flying = Flying(self._position(state), state[:, FIRST + 3 : FIRST + 7], state[:, velocity : velocity + 3])
+        layout = self.motion.layout
+        flying = Flying(state[:, layout.position], state[:, layout.orientation], state[:, layout.velocity])
         return fly_through(flying, self._place(state, memory["passed"].squeeze(1)), self.motion.limits)
 
     def parts(self, state: Tensor, memory: Memory) -> Parts:
@@ -123,7 +123,7 @@ class Gates(Course):
         return ~self.motion.inside(state) | (self._height(state) > (self.motion.ceiling or math.inf))
 
     def _position(self, state: Tensor) -> Tensor:
-        return state[:, FIRST : FIRST + 3]
+        return state[:, self.motion.layout.position]
 
     def _passes(self, was: Tensor, now: Tensor, place: Tensor) -> Tensor:
         cos, sin = place[:, 3].cos(), place[:, 3].sin()
@@ -137,5 +137,5 @@ class Gates(Course):
 
     def _placed(self, start: Tensor) -> Tensor:
         state = super()._placed(start)
-        state[:, FIRST + 2] = start[:, 2]
+        state[:, self.motion.layout.position][:, 2] = start[:, 2]
         return state

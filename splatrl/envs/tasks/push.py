@@ -344,7 +344,7 @@ class Push(TaskModule):
         fits = clear & self._ahead(drawn, robot) & onward & (cosine >= self.turn)
         place = _first(drawn, fits, apart + 2.0 * clear + 4.0 * (clear & self._ahead(drawn, robot)))
         state = state.clone()
-        state[:, self.ball.start : self.ball.start + 3] = self._on_ground(place, self.rest)
+        state[:, self.ball][:, :3] = self._on_ground(place, self.rest)
         return state
 
     def _drawn(self, count: int, generator: torch.Generator) -> Tensor:

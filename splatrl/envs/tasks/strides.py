@@ -11,9 +11,7 @@ from torchrl.data import TensorSpec, Unbounded
 from splatrl.envs.tasks.base import Anywhere, Memory, Outcome, Step, Verdict
 from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.tasks.rewards import FiniteRewards
-from splatrl.motions.legs import ANGLES, JOINTS, STRIDE, StridesMotion
-from splatrl.motions.physics import FIRST
-from splatrl.physics.stepping import BANK
+from splatrl.motions.legs import JOINTS, STRIDE, StridesMotion
 from splatrl.physics.trot import FREQUENCY
 from splatrl.values import require_number
 
@@ -112,14 +110,13 @@ class Strides(TaskModule):
 
     def start(self, state: Tensor, anywhere: Anywhere) -> Tensor:
         """Return states that stand at the origin, randomly perturbed, with random commands; see ``Task.start``."""
-        motion, count = self.motion, len(state)
+        motion, layout, count = self.motion, self.motion.layout, len(state)
         options: dict[str, Any] = {"generator": anywhere.generator, "dtype": torch.float64, "device": state.device}
         state = motion.varied(motion.placed(state.new_zeros(count, 3)), anywhere.generator)
         drawn = self.shaken * (2.0 * torch.rand(count, 2 * JOINTS + 6, **options) - 1.0)
-        rates = FIRST + motion.physics.model.nq
-        state[:, ANGLES : ANGLES + JOINTS] += drawn[:, :JOINTS]
-        state[:, rates : rates + 6 + JOINTS] += 3.0 * drawn[:, JOINTS:]
-        state[:, BANK] = torch.rand(count, **options) / FREQUENCY
+        state[:, layout.joints] += drawn[:, :JOINTS]
+        state[:, layout.robot_velocities] += 3.0 * drawn[:, JOINTS:]
+        state[:, layout.clock] = torch.rand(count, **options) / FREQUENCY
         low, high = (
             torch.tensor(limits, dtype=torch.float64, device=state.device) for limits in (self.lowest, self.highest)
         )
@@ -150,7 +147,7 @@ class Strides(TaskModule):
         change = (departure - motion.departure(step.before)).square().sum(1)
         reward = rewards.speed * (-error / NEAR**2).exp() + rewards.turn * (-astray / STRAIGHT**2).exp()
         reward += rewards.smooth * change + rewards.small * departure.square().sum(1)
-        reward += rewards.bounce * after[:, FIRST + motion.physics.model.nq + 2].square()
+        reward += rewards.bounce * after[:, motion.layout.velocity][:, 2].square()
         reward += rewards.sway * velocity[:, 3:5].square().sum(1)
         fallen = motion.fallen(after)
         reward = torch.where(fallen, rewards.fall, reward.nan_to_num())

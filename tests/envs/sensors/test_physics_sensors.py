@@ -13,8 +13,7 @@ from splatrl.building import build_model, build_one_world
 from splatrl.configuration import load_config
 from splatrl.envs.sensors import Felt, Joints, Measured, Moment, Velocity
 from splatrl.motions import DriveMotion, PhysicsMotion, StridesMotion
-from splatrl.motions.legs import ANGLES, JOINTS
-from splatrl.motions.physics import FIRST
+from splatrl.motions.legs import JOINTS
 from tests.tiny import tiny_overrides
 
 
@@ -35,7 +34,7 @@ def test_an_imu_begins_without_rotation_and_keeps_its_reading_while_nothing_is_s
     state = legs().placed(torch.zeros(2, 3))
     for _ in range(25):  # it settles onto its feet, trotting on the spot without stepping far
         state = legs().stride(state, torch.zeros(2, JOINTS)).state
-    state[:, FIRST + 19 :][:, :18] = 0.0
+    state[:, legs().layout.velocities] = 0.0
     begun = imu.begin(moment(legs(), legs().placed(torch.zeros(2, 3))))["imu"]
     assert begun.shape == (2, 6) and begun.dtype == torch.float32
     assert begun[:, 3:].abs().max() < 0.05
@@ -46,8 +45,7 @@ def test_an_imu_reports_the_mean_over_the_substeps_of_a_move() -> None:
     imu = Measured("imu", "quadruped", ["gyro", "accelerometer"], scale=2.0)
     motion = legs()
     state = motion.placed(torch.zeros(3, 3))
-    rates = FIRST + motion.physics.model.nq
-    state[:, rates + 5] = 1.0  # they spin to the left
+    state[:, motion.layout.angular_velocity][:, 2] = 1.0  # they spin to the left
     after, sensed, _ = motion.stride(state, torch.zeros(3, JOINTS))
     said = imu.read(moment(motion, after, sensed))
     columns = motion.physics.sensor("robot/gyro"), motion.physics.sensor("robot/accelerometer")
@@ -69,7 +67,7 @@ def test_foot_sensors_measure_the_load_on_the_feet() -> None:
     force = torch.cat(carried)[20:]
     assert force.min() == 0.0 and force.max() > 20.0  # each foot is lifted and loaded in turn
     flying = state.clone()
-    flying[:, FIRST + 2] += 1.0
+    flying[:, motion.layout.position][:, 2] += 1.0
     assert feet.begin(moment(motion, flying))["feet"].abs().max() == 0.0
 
 
@@ -77,8 +75,8 @@ def test_joints_reports_angles_relative_to_the_standing_pose_and_rates() -> None
     joints, motion = Joints("quadruped", rate=0.1), legs()
     state = motion.placed(torch.tensor([[1.0, 2.0, 0.5]]))
     assert joints.read(moment(motion, state)).abs().max() < 1e-6
-    state[0, ANGLES + 4] += 0.2
-    state[0, FIRST + motion.physics.model.nq + 6 + 4] = -3.0
+    state[0, motion.layout.joints][4] += 0.2
+    state[0, motion.layout.joint_rates][4] = -3.0
     read = joints.read(moment(motion, state))
     assert read.shape == (1, 24)
     assert read[0, 4].item() == pytest.approx(0.2) and read[0, 12 + 4].item() == pytest.approx(-0.3)
@@ -90,8 +88,8 @@ def test_joints_reports_angles_relative_to_the_standing_pose_and_rates() -> None
 def test_velocity_is_in_the_body_frame() -> None:
     motion = legs()
     state = motion.placed(torch.tensor([[1.0, 2.0, math.pi / 2]]))
-    first = FIRST + motion.physics.model.nq
-    state[0, first + 1], state[0, first + 5] = 0.7, 0.3  # along the world's y, where it looks
+    state[0, motion.layout.velocity][1] = 0.7  # along the world's y, where it looks
+    state[0, motion.layout.angular_velocity][2] = 0.3
     assert Velocity().read(moment(motion, state))[0].tolist() == pytest.approx([0.7, 0, 0, 0, 0, 0.3], abs=1e-6)
 
 

@@ -28,7 +28,6 @@ from splatrl.envs.sensors import (
     Sensor,
 )
 from splatrl.motions import PhysicsMotion
-from splatrl.motions.physics import FIRST
 from splatrl.renderers import NativeRenderer
 from tests.envs.contract import EnvContract
 from tests.tiny import BLOCK, BODY, HEIGHT, tiny_gaussians, tiny_overrides, tiny_plan, tiny_robot, tiny_task
@@ -106,11 +105,11 @@ def test_pointgoal_is_the_straight_distance_and_the_azimuth_to_the_left() -> Non
 def test_ego_motion_is_velocity_turn_rate_and_up_direction_in_the_body_frame() -> None:
     motion = PhysicsMotion("quadrotor", "eye", linear=(-1.0, 1.0), angular_deg=90.0, threads=1)
     state = motion.home.repeat(3, 1)
-    half = math.sqrt(0.5)
-    state[1, FIRST + 3 : FIRST + 7] = state.new_tensor([half, 0.0, 0.0, half])  # looks to the left, along +y
-    state[2, FIRST + 3 : FIRST + 7] = state.new_tensor([half, half, 0.0, 0.0])  # lies on its right side
-    state[:, FIRST + 7 : FIRST + 10] = state.new_tensor([1.0, 2.0, 3.0])  # in the world
-    state[:, FIRST + 10 : FIRST + 13] = state.new_tensor([0.1, 0.2, 0.3])  # in its own frame
+    half, layout = math.sqrt(0.5), motion.layout
+    state[1, layout.orientation] = state.new_tensor([half, 0.0, 0.0, half])  # looks to the left, along +y
+    state[2, layout.orientation] = state.new_tensor([half, half, 0.0, 0.0])  # lies on its right side
+    state[:, layout.velocity] = state.new_tensor([1.0, 2.0, 3.0])  # in the world
+    state[:, layout.angular_velocity] = state.new_tensor([0.1, 0.2, 0.3])  # in its own frame
     told = EgoMotion().read(moment([[0.0, 0.0, 0.0]] * 3)._replace(state=state, motion=motion))
     torch.testing.assert_close(told[:, :3], torch.tensor([[1.0, 2.0, 3.0], [2.0, -1.0, 3.0], [1.0, 3.0, -2.0]]))
     torch.testing.assert_close(told[:, 3:6], torch.tensor([[0.1, 0.2, 0.3]]).expand(3, 3))

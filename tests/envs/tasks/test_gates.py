@@ -8,7 +8,6 @@ import torch
 
 from splatrl.envs.tasks import Gates, Outcome
 from splatrl.motions import PhysicsMotion
-from splatrl.motions.physics import FIRST
 from splatrl.physics import Terrain, TrackSettings
 from tests.envs.tasks.courses import NOTHING, PLANE, CourseContract, cache, judged, wander
 from tests.envs.test_configured_tasks import ConfiguredContract
@@ -37,9 +36,9 @@ def seen_from(task: Gates, track: int, number: int, local: tuple[float, float, f
     x, y, z, yaw = task.places[track, 1 + number].tolist()
     ahead, left, up = local
     state = task.motion.home[None].clone()
-    state[0, 0] = track
+    state[0, task.motion.layout.model] = track
     place = (x + math.cos(yaw) * ahead - math.sin(yaw) * left, y + math.sin(yaw) * ahead + math.cos(yaw) * left, z + up)
-    state[0, FIRST : FIRST + 3] = torch.tensor(place, dtype=torch.float64)
+    state[0, task.motion.layout.position] = torch.tensor(place, dtype=torch.float64)
     return state
 
 
@@ -83,7 +82,7 @@ def test_touching_leaving_and_falling_end_an_episode_and_pass_no_gate() -> None:
     for column, value, outcome in ((0, 2.1, Outcome.OUT_OF_BOUNDS), (2, 2.1, Outcome.OUT_OF_BOUNDS),
                                    (2, 0.12, Outcome.COLLISION)):  # fmt: skip
         state = seen_from(task, 0, 0, (-0.5, 0.0, 0.0))
-        state[0, FIRST + column] = value
+        state[0, task.motion.layout.position][column] = value
         verdict = judged(task, state, state)
         assert verdict.outcome.item() == outcome and verdict.terminated.item(), (column, value)
 

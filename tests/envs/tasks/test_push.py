@@ -14,7 +14,6 @@ from splatrl.envs.tasks import Outcome, Push, PushRewards, Step, Verdict
 from splatrl.envs.tasks.base import Anywhere
 from splatrl.envs.tasks.push_teacher import pushing
 from splatrl.motions import DriveMotion, Move, PhysicsMotion
-from splatrl.motions.physics import FIRST
 from splatrl.physics import Terrain
 from splatrl.training import actor_critic
 from splatrl.training.dagger import visited
@@ -168,9 +167,9 @@ def test_a_robot_that_drives_at_the_ball_pushes_it_to_the_mark() -> None:
 
 def test_a_ball_that_is_let_go_soon_stops() -> None:
     task = push(success_distance=0.1)
-    state, model = states(task, (-1.0, 0.0, 0.0), (0.0, 0.5)), task.motion.physics.model
-    first = FIRST + model.nq + int(model.joint("ball/free").dofadr[0])
-    state[:, first], state[:, first + 4] = 0.6, 0.6 / 0.09
+    state, motion = states(task, (-1.0, 0.0, 0.0), (0.0, 0.5)), task.motion
+    first = int(motion.physics.model.joint("ball/free").dofadr[0])
+    state[:, motion.layout.velocities][:, [first, first + 4]] = torch.tensor([0.6, 0.6 / 0.09]).double()
     nothing: Any = NoChecker.__new__(NoChecker)
     places = []
     for _ in range(40):

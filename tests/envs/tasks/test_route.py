@@ -10,7 +10,6 @@ from splatrl.building import build_one_world
 from splatrl.configuration import load_config
 from splatrl.envs.tasks import Outcome, Route
 from splatrl.motions import PhysicsMotion
-from splatrl.motions.physics import FIRST
 from splatrl.physics import RouteSettings, Terrain
 from tests.envs.tasks.courses import NOTHING, PLANE, CourseContract, cache, judged, wander
 from tests.envs.test_configured_tasks import ConfiguredContract
@@ -67,7 +66,7 @@ def test_a_car_without_a_command_stands_still_on_its_springs() -> None:
     for _ in range(20):
         state = motion.move(state, torch.zeros(1, 2), NOTHING).state
     assert motion.planar(state)[0].tolist() == pytest.approx([0.3, -0.2, 1.0], abs=0.01)
-    assert state[0, FIRST + 2].item() == pytest.approx(0.2, abs=0.01)
+    assert state[0, motion.layout.position][2].item() == pytest.approx(0.2, abs=0.01)
 
 
 def test_waypoints_count_only_in_order_and_the_last_one_ends_the_episode() -> None:
@@ -89,7 +88,7 @@ def test_touching_and_leaving_end_an_episode_and_reach_no_waypoint() -> None:
     assert crash.outcome.item() == Outcome.COLLISION and crash.terminated.item() and crash.memory["passed"].item() == 0
     for x, outcome in ((2.05, Outcome.RUNNING), (2.15, Outcome.OUT_OF_BOUNDS)):
         state = at(task, 0, 0, 0.5)
-        state[0, FIRST] = x
+        state[0, task.motion.layout.position][0] = x
         assert judged(task, state, state).outcome.item() == outcome
 
 

@@ -9,8 +9,7 @@ from splatrl.collision.nothing import NoChecker
 from splatrl.envs.tasks import Outcome, Step, Strides, Verdict
 from splatrl.envs.tasks.base import Anywhere
 from splatrl.motions import Move, StridesMotion, WalkMotion
-from splatrl.motions.legs import ANGLES, JOINTS
-from splatrl.motions.physics import FIRST
+from splatrl.motions.legs import JOINTS
 from tests.envs.test_configured_tasks import ConfiguredContract
 
 NOTHING: Any = NoChecker.__new__(NoChecker)
@@ -36,10 +35,10 @@ def judged(of: Strides, before: torch.Tensor, after: torch.Tensor, strides: int 
 def moving(of: Strides, ahead: float, aside: float, turn: float) -> torch.Tensor:
     """Return an upright, moving robot [1, n] that is commanded to go 0.5 m/s ahead and turn at 0.3 rad/s."""
     state = of.motion.commanded(of.motion.placed(torch.tensor([[0.0, 0.0, 0.7]])), torch.tensor([[0.5, 0.3] * 2]))
-    yaw, first = torch.tensor(0.7).double(), FIRST + of.motion.physics.model.nq
-    state[0, first] = ahead * yaw.cos() - aside * yaw.sin()
-    state[0, first + 1] = ahead * yaw.sin() + aside * yaw.cos()
-    state[0, first + 5] = turn
+    yaw, velocity = torch.tensor(0.7).double(), state[0, of.motion.layout.velocity]
+    velocity[0] = ahead * yaw.cos() - aside * yaw.sin()
+    velocity[1] = ahead * yaw.sin() + aside * yaw.cos()
+    state[0, of.motion.layout.angular_velocity][2] = turn
     return state
 
 
@@ -57,10 +56,10 @@ def test_the_reward_is_highest_for_the_commanded_velocity() -> None:
 
 def test_a_fall_ends_an_episode_with_a_penalty() -> None:
     of = task()
-    for change in ({FIRST + 2: 0.1}, {FIRST + 3: 0.3, FIRST + 4: 0.954}):
+    for change in ({2: 0.1}, {3: 0.3, 4: 0.954}):
         lying = of.motion.placed(torch.zeros(1, 3))
         for column, value in change.items():
-            lying[0, column] = value
+            lying[0, of.motion.layout.pose][column] = value
         verdict = judged(of, lying, lying)
         assert verdict.terminated.item() and verdict.outcome.item() == Outcome.COLLISION
         assert verdict.reward.item() == pytest.approx(-5.0)
@@ -83,9 +82,9 @@ def test_episodes_begin_perturbed_at_any_phase_of_the_trot_with_commands_in_rang
     commands = states[:, -4:].view(-1, 2, 2)
     assert commands[..., 0].min() >= 0.3 and commands[..., 0].max() <= 0.6 and commands[..., 1].abs().max() <= 0.8
     assert commands[..., 0].std() > 0.05 and not torch.equal(commands[:, 0], commands[:, 1])
-    off = (states - of.motion.home)[:, ANGLES : ANGLES + JOINTS].abs()
+    clock, off = states[:, of.motion.layout.clock], (states - of.motion.home)[:, of.motion.layout.joints].abs()
     assert 0.04 < off.max() <= 0.05
-    assert 0.25 < states[:, 1].max() < 1 / 3 and states[:, 1].min() < 0.1
+    assert 0.25 < clock.max() < 1 / 3 and clock.min() < 0.1
     assert not of.motion.fallen(states).any()
 
 

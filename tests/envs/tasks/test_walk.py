@@ -10,7 +10,6 @@ from splatrl.collision.nothing import NoChecker
 from splatrl.envs.tasks import Outcome, Step, Verdict, Walk
 from splatrl.envs.tasks.base import Anywhere
 from splatrl.motions import Move, StridesMotion, WalkMotion
-from splatrl.motions.physics import FIRST
 from splatrl.physics import RouteSettings, Terrain
 from tests.envs.test_configured_tasks import ConfiguredContract
 
@@ -60,7 +59,7 @@ def test_reaching_the_mark_is_a_success() -> None:
 def test_a_fall_ends_an_episode_even_at_the_mark() -> None:
     task = walk()
     lying = at(task, 0.4)
-    lying[0, FIRST + 2] = 0.15  # 0.1 m above the ground
+    lying[0, task.motion.layout.position][2] = 0.15  # 0.1 m above the ground
     fallen = judged(task, at(task, 0.6), lying)
     assert fallen.outcome.item() == Outcome.COLLISION and fallen.terminated.item()
 
