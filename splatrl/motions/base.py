@@ -24,6 +24,8 @@ class Move(NamedTuple):
             where it touched nothing.
         inside: [B] bool, whether the action stayed within the motion's bounds.
         sensed: [B, S, s] float64, readings of the physics' sensors in each substep; None without physics.
+        sound: [B] bool, whether the physics could carry out the action; where it could not, the robot keeps its state,
+            and ``inside`` is False. None without physics.
     """
 
     state: Tensor
@@ -31,6 +33,12 @@ class Move(NamedTuple):
     free_fraction: Tensor
     inside: Tensor
     sensed: Tensor | None = None
+    sound: Tensor | None = None
+
+    @property
+    def failed(self) -> Tensor:
+        """Whether the physics could not carry out the action, [B] bool."""
+        return torch.zeros_like(self.inside) if self.sound is None else ~self.sound
 
 
 class Taps(NamedTuple):

@@ -153,7 +153,7 @@ class LegsMotion(PhysicsMotion):
         return torch.cat(parts, 1).float()
 
     def fallen(self, state: Tensor) -> Tensor:
-        """Return whether robots have fallen, or their physics has failed: [B, n] -> [B] bool."""
+        """Return whether robots have fallen: [B, n] -> [B] bool."""
         x, y, z = state[:, self.layout.position].unbind(1)
         skyward = state.new_tensor([0.0, 0.0, 1.0]).expand(len(state), 3)
         up = rotated(state[:, self.layout.orientation], skyward)[:, 2]

@@ -254,7 +254,7 @@ class PhysicsMotion(MotionModule):
         touched = self.touched(sensed)
         first = touched.int().argmax(1)  # the first substep that touches
         free = torch.where(touched.any(1), first / touched.shape[1], 1.0).float()
-        return Move(after, self.body_to_world(after), free, self.inside(after) & sound, sensed)
+        return Move(after, self.body_to_world(after), free, self.inside(after) & sound, sensed, sound)
 
     def clear(self, state: Tensor) -> Tensor:
         """Return whether robots touch nothing but the ground and what they may push: [N, n] -> [N] bool."""

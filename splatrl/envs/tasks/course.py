@@ -147,7 +147,7 @@ class Course(TaskModule):
         rewards, after, passed = self.rewards, step.move.state, step.memory["passed"].squeeze(1)
         place, was, now = self._place(after, passed), self._position(step.before), self._position(after)
         crashed = (step.move.free_fraction < 1) | self._crashed(after)
-        outside = ~crashed & (self._outside(after) | ~after.isfinite().all(1))
+        outside = ~crashed & (self._outside(after) | step.move.failed)
         through = self._passes(was, now, place) & ~crashed & ~outside
         before, left = ((at - place[:, : at.shape[1]]).norm(dim=1) for at in (was, now))
         reward = rewards.progress * (before - torch.where(through, 0.0, left)) + rewards.passed * through

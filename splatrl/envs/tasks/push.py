@@ -273,7 +273,7 @@ class Push(TaskModule):
         approach = self._to_go(before, was, mark) - self._to_go(after, ball, mark)
         reached = far < self.success_distance
         lost = ~reached & (self._outside(ball) | self._outside(self.motion.planar(after)))
-        lost |= ~reached & ~after.isfinite().all(1)
+        lost |= ~reached & step.move.failed
         reward = rewards.progress * (far_before - far) + rewards.approach * approach + rewards.slack
         reward += rewards.touch * (step.move.free_fraction < 1) + rewards.success * reached + rewards.lost * lost
         outcome = torch.where(reached, Outcome.GOAL, torch.where(lost, Outcome.OUT_OF_BOUNDS, Outcome.RUNNING))

@@ -149,11 +149,11 @@ class Strides(TaskModule):
         reward += rewards.smooth * change + rewards.small * departure.square().sum(1)
         reward += rewards.bounce * after[:, motion.layout.velocity][:, 2].square()
         reward += rewards.sway * velocity[:, 3:5].square().sum(1)
-        fallen = motion.fallen(after)
-        reward = torch.where(fallen, rewards.fall, reward.nan_to_num())
+        fallen = motion.fallen(after) | step.move.failed
+        reward = torch.where(fallen, rewards.fall, reward)
         strides, error = (
             step.memory["strides"] + 1,
-            step.memory["error"] + error.sqrt().nan_to_num().float().unsqueeze(1),
+            step.memory["error"] + error.sqrt().float().unsqueeze(1),
         )
         over = (strides.squeeze(1) >= self.max_steps) & ~fallen
         reached = over & (error.squeeze(1) / self.max_steps <= self.allowed)
