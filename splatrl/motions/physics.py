@@ -1,39 +1,32 @@
-"""A robot with its own MJCF body, whose motion MuJoCo simulates."""
+"""A robot with its own MJCF body, whose motion MuJoCo simulates.
+
+The file is long because the class explains the keys of ``conf/motion/physics.yaml`` one by one.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torchrl.data import Bounded
 
 from splatrl.collision.base import Checker
-from splatrl.geometry import multiply_quats, planar_of
-from splatrl.motions.base import MotionModule, Move, Taps
+from splatrl.geometry import planar_of
+from splatrl.motions.base import Move
 from splatrl.motions.drive import DriveMotion
 from splatrl.motions.site import Fits, Site, narrowed
-from splatrl.physics import (
-    BodyGaussians,
-    Kinematics,
-    Physics,
-    Terrain,
-    compose,
-    gaussians_from_mjcf,
-    level_ground,
-    read_mjcf,
-)
+from splatrl.motions.twin import TwinMotion
+from splatrl.physics import Kinematics, Physics, Terrain, level_ground
 from splatrl.physics.bank import Variation, bank
-from splatrl.physics.compose import ROBOT, SCENE
+from splatrl.physics.compose import SCENE
 from splatrl.physics.gaussians import Models
-from splatrl.physics.kinematics import normalised, rotated, turned_back
-from splatrl.physics.optional import needed
+from splatrl.physics.kinematics import rotated, turned_back
+from splatrl.physics.robot_world import RobotWorld
 from splatrl.physics.robots import mjcf_path
-from splatrl.physics.standing import top_of
+from splatrl.physics.standing import on_ground
 from splatrl.physics.survey import survey_terrain
 from splatrl.renderers.parts import Parts
-from splatrl.scenes.formats import read_gaussians
 from splatrl.values import require_number
 
 FORWARD, TURN = "forward", "turn"
@@ -45,7 +38,7 @@ FAR = 1e9
 """Bound on the magnitude of every number in a state."""
 
 
-class PhysicsMotion(MotionModule):
+class PhysicsMotion(TwinMotion):
     """An MJCF robot on the ground of a scene, among the scene's boxes and things that the robot may move.
 
     A state is [n] float64, whose columns ``layout`` names: it holds the poses and velocities of the robot and all
@@ -120,10 +113,11 @@ class PhysicsMotion(MotionModule):
         self.path, self.camera, self.pushed = mjcf_path(str(path)), camera, tuple(pushed)
         self.thing_paths = {str(name): mjcf_path(str(place)) for name, place in (things or {}).items()}
         self.looks = {str(name): Path(place).expanduser() for name, place in (looks or {}).items()}
-        if unknown := set(self.looks) - set(self.thing_paths):
-            raise ValueError(
-                f"task.motion.looks: expected names from task.motion.things, got {', '.join(sorted(unknown))}"
-            )
+        for key, names in (("looks", self.looks), ("pushed", self.pushed)):
+            if unknown := set(names) - set(self.thing_paths):
+                raise ValueError(
+                    f"task.motion.{key}: expected names from task.motion.things, got {', '.join(sorted(unknown))}"
+                )
         self.time_step, self.substep, self.threads = time_step, substep, threads
         self.variation, self.ceiling = variation or Variation(), ceiling
         self.models = Models()
@@ -133,14 +127,10 @@ class PhysicsMotion(MotionModule):
             require_number("task.motion.substep", substep, 1e-5, 1.0)
         if ceiling is not None:
             require_number("task.motion.ceiling", ceiling, 0.2, 1e3)
-        if unknown := set(self.pushed) - set(self.thing_paths):
-            raise ValueError(
-                f"task.motion.pushed: expected names from task.motion.things, got {', '.join(sorted(unknown))}"
-            )
         self.register_buffer("limits", torch.zeros(2, 0), persistent=False)
         self.register_buffer("home", torch.zeros(0, dtype=torch.float64), persistent=False)
         self.stand_on(level_ground())
-        forward, turn = self._range(FORWARD), self._range(TURN)
+        forward, turn = self.world.control_range(FORWARD), self.world.control_range(TURN)
         if linear is None:
             linear = self._told(forward, FORWARD, "linear")
         if angular_deg is None:
@@ -161,46 +151,24 @@ class PhysicsMotion(MotionModule):
 
     def stand_on(self, terrain: Terrain) -> None:
         """Put the robot and its things on a terrain."""
-        mujoco = needed()
-        robot = read_mjcf(self.path)
-        if self.substep is not None:
-            robot.option.timestep = self.substep
-        alone = robot.copy().compile()
-        with_things = {name: read_mjcf(path) for name, path in self.thing_paths.items()}
-        self.top = max(top_of(each) for each in (alone, *(thing.copy().compile() for thing in with_things.values())))
-        self.top = self.top if self.ceiling is None else self.ceiling
-        try:
-            world = compose(robot, terrain, with_things)
-        except ValueError as error:
-            raise ValueError(f"{self.path}: {error}") from error
-        model = world.model
-        joint = int(model.body_jntadr[model.body(world.robot).id])
-        if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE or model.jnt_qposadr[joint] != 0:
-            raise ValueError(
-                f"{self.path}: body {world.robot!r}: expected a <freejoint/> that lets it move, found none"
-            )
-        substeps = self.held / model.opt.timestep
+        world = RobotWorld(self.path, self.thing_paths, terrain, self.substep)
+        self.top = world.top if self.ceiling is None else self.ceiling
+        timestep = world.model.opt.timestep
+        substeps = self.held / timestep
         if round(substeps) < 1 or abs(substeps - round(substeps)) > 1e-6:
             raise ValueError(
-                f"task.motion.time_step: expected a multiple of the robot's timestep, {model.opt.timestep:g} s, "
-                f"got {self.held:g}"
+                f"task.motion.time_step: expected a multiple of the robot's timestep, {timestep:g} s, got {self.held:g}"
             )
-        self.physics = Physics(bank(model, self.variation), round(substeps), self.threads)
+        self.physics = Physics(bank(world.model, self.variation), round(substeps), self.threads)
         self.layout, self.terrain, self.world = self.physics.layout, terrain, world
-        qpos = model.qpos0.copy()
-        qpos[: alone.nq] = alone.key_qpos[0] if alone.nkey else alone.qpos0
-        home = self.physics.state_of(qpos)
-        if alone.nkey and alone.na:
-            home[self.layout.activations][: alone.na] = torch.from_numpy(alone.key_act[0].copy())
-        self.still = home.new_zeros(model.nu)
-        if alone.nkey:
-            self.still[: alone.nu] = torch.from_numpy(alone.key_ctrl[0].copy())
-        device = self.home.device
-        self.home = home.to(device)
-        self.limits = self._control_limits(model).to(device)
+        home, device = self.physics.state_of(world.qpos), self.home.device
+        home[self.layout.activations][: len(world.act)] = torch.from_numpy(world.act)
+        self.home, self.still = home.to(device), torch.from_numpy(world.ctrl)
+        self.limits = world.control_limits().to(device)
         if not self.models:  # appearance does not depend on the scene
-            self._sample(model)
-        self.kinematics = Kinematics(model, [self._eye(model), *self._shown])
+            found = world.gaussians(self.looks)
+            self.models, self._shown = Models(body.gaussians for body in found), [body.body for body in found]
+        self.kinematics = Kinematics(world.model, [world.body_of_camera(self.camera), *self._shown])
         hits = [self.physics.sensor(f"touch/{name}") for name in (SCENE, *self.thing_paths) if name not in self.pushed]
         self.hits = [columns for columns in hits if columns is not None]
 
@@ -308,15 +276,8 @@ class PhysicsMotion(MotionModule):
         Returns:
             [N, n] float64.
         """
-        x, y, yaw = planar.to(self.home).unbind(1)
-        normal, home = self.terrain.plane[:3].to(self.home), self.home[self.layout.pose]
-        half, up = 0.5 * yaw, torch.sqrt(0.5 * (1.0 + normal[2]))
-        tilt = torch.stack([up, -normal[1] / (2 * up), normal[0] / (2 * up), torch.zeros_like(up)])
-        about = torch.stack([half.cos(), torch.zeros_like(half), torch.zeros_like(half), half.sin()], 1)
-        turn = normalised(multiply_quats(multiply_quats(tilt, about), home[3:]))
-        z = self.terrain.height(torch.stack([x, y], 1)) + home[2] / normal[2]
         state = self.home.repeat(len(planar), 1)
-        state[:, self.layout.pose] = torch.cat([torch.stack([x, y, z], 1), turn], 1)
+        state[:, self.layout.pose] = on_ground(planar.to(self.home), self.home[self.layout.pose], self.terrain)
         return state
 
     def model_of(self, state: Tensor) -> Tensor:
@@ -341,12 +302,9 @@ class PhysicsMotion(MotionModule):
         Raises:
             ValueError: for an unknown thing, or one that cannot move freely.
         """
-        mujoco, model = needed(), self.physics.model
-        body = model.body(self.world.things[name]).id if name in self.world.things else 0
-        joint = int(model.body_jntadr[body])
-        if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
+        if (address := self.world.free_joint(name)) is None:
             raise ValueError(f"task.motion.things: expected {name!r} to have a free joint, found none")
-        return self.layout.free_joint(int(model.jnt_qposadr[joint]))
+        return self.layout.free_joint(address)
 
     def parts(self, state: Tensor, first: int = 1) -> Parts:
         """Return the parts to draw, the scene and the moving bodies where they are: [B, n] -> [B, 1 + M] parts.
@@ -362,71 +320,9 @@ class PhysicsMotion(MotionModule):
         model = torch.cat([torch.zeros_like(numbers[:1]), numbers]).expand(len(state), -1)
         return Parts(model, torch.cat([scene, moving], 1))
 
-    def states(self) -> Tensor:
-        """Return the twin's starts, with the robot at rest: [S, n]."""
-        return self.placed(self.twin.states())
-
-    def actions(self) -> Tensor:
-        """Return the twin's actions: [A, 2] float32."""
-        return self.twin.actions()
-
-    def advance(self, state: Tensor, action: Tensor) -> Tensor:
-        """Return where an unobstructed action leads the twin: [B, n], [B, 2] -> [B, n]."""
-        return self.placed(self.twin.advance(self.planar(state).float(), action))
-
-    def inside(self, state: Tensor) -> Tensor:
-        """Return whether robots are within the bounds, which are inclusive: [B, n] -> [B] bool."""
-        return self.twin.inside(self.planar(state).float())
-
-    def nodes(self) -> Tensor:
-        """Return the twin's nodes, with the robot at rest: [C, n]."""
-        return self.placed(self.twin.nodes())
-
-    def taps(self, state: Tensor) -> Taps:
-        """Return the twin's nodes around the robots."""
-        return self.twin.taps(self.planar(state).float())
-
-    def nearest(self, planar: Tensor) -> Tensor:
-        """Return states of robots at rest at positions and headings: [N, 3] -> [N, n]."""
-        return self.placed(planar)
-
     def joined(self, modules: Sequence[nn.Module]) -> nn.Module:
         """Refuse several scenes; see ``splatrl.several``."""
         raise ValueError(f"scene: expected one scene for a robot with physics, got {len(modules)}")
-
-    def _sample(self, model: Any) -> None:
-        """Make Gaussians of the bodies of the robot and the things."""
-        prefixes = (ROBOT, *(f"{name}/" for name in self.thing_paths))
-        found = [body for prefix in prefixes for body in gaussians_from_mjcf(model, prefix)]
-        for name, path in self.looks.items():
-            shown = BodyGaussians(self.world.things[name], read_gaussians(path))
-            found = [*(body for body in found if not body.body.startswith(f"{name}/")), shown]
-        self.models, self._shown = Models(body.gaussians for body in found), [body.body for body in found]
-
-    def _eye(self, model: Any) -> str:
-        """Return the name of the body that carries the camera."""
-        mujoco = needed()
-        number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, f"{ROBOT}{self.camera}")
-        if number < 0:
-            known = [model.camera(each).name.removeprefix(ROBOT) for each in range(model.ncam)]
-            raise ValueError(f"{self.path}: expected a camera called {self.camera!r}, got {', '.join(known) or 'none'}")
-        return str(model.body(int(model.cam_bodyid[number])).name)
-
-    def _control_limits(self, model: Any) -> Tensor:
-        """Return the lowest and highest controls: [2, nu] float32."""
-        for number in range(model.nu):
-            if not model.actuator_ctrllimited[number]:
-                name = model.actuator(number).name or number
-                raise ValueError(f"{self.path}: actuator {name!r}: expected a ctrlrange, found none")
-        if not model.nu:
-            raise ValueError(f"{self.path}: expected at least one <actuator>, found none")
-        return torch.from_numpy(model.actuator_ctrlrange.T.copy()).float()
-
-    def _range(self, name: str) -> list[float] | None:
-        """Return the limits of one of the robot's actuators; None if it has no such actuator."""
-        mujoco = needed()
-        number = mujoco.mj_name2id(self.physics.model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"{ROBOT}{name}")
-        return None if number < 0 else [float(value) for value in self.physics.model.actuator_ctrlrange[number]]
 
     def _told(self, found: list[float] | None, actuator: str, key: str) -> list[float]:
         if found is None:

@@ -1,8 +1,14 @@
-"""The initial pose of an MJCF model, before anything moves."""
+"""How MJCF models stand before anything moves: as their files say, and on the ground of a scene."""
 
 from typing import Any
 
+import torch
+from torch import Tensor
+
+from splatrl.geometry import multiply_quats
+from splatrl.physics.kinematics import normalised
 from splatrl.physics.optional import needed
+from splatrl.physics.terrain import Terrain
 
 
 def at_home(model: Any) -> Any:
@@ -19,3 +25,24 @@ def top_of(model: Any) -> float:
     """Return an upper bound on how high a standing model reaches, metres: the top of its geoms' bounding spheres."""
     data = at_home(model)
     return max((float(data.geom_xpos[geom, 2] + model.geom_rbound[geom]) for geom in range(model.ngeom)), default=0.0)
+
+
+def on_ground(planar: Tensor, home: Tensor, terrain: Terrain) -> Tensor:
+    """Return the poses of a robot's first body that stands on the ground, upright with respect to it.
+
+    Args:
+        planar: [N, 3] float64 positions and headings: x and y in metres, yaw in radians.
+        home: [7] float64, its pose at the origin of level ground at height 0: position, and quaternion wxyz.
+        terrain: the ground.
+
+    Returns:
+        [N, 7] float64, positions and unit quaternions.
+    """
+    x, y, yaw = planar.unbind(1)
+    normal = terrain.plane[:3].to(home)
+    half, up = 0.5 * yaw, torch.sqrt(0.5 * (1.0 + normal[2]))
+    tilt = torch.stack([up, -normal[1] / (2 * up), normal[0] / (2 * up), torch.zeros_like(up)])
+    about = torch.stack([half.cos(), torch.zeros_like(half), torch.zeros_like(half), half.sin()], 1)
+    turn = normalised(multiply_quats(multiply_quats(tilt, about), home[3:]))
+    z = terrain.height(torch.stack([x, y], 1)) + home[2] / normal[2]
+    return torch.cat([torch.stack([x, y, z], 1), turn], 1)

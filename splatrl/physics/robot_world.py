@@ -1,0 +1,114 @@
+"""An MJCF robot and things on a terrain, as one MuJoCo model, and what a motion reads from that model."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from splatrl.physics.compose import ROBOT, compose
+from splatrl.physics.gaussians import BodyGaussians, gaussians_from_mjcf
+from splatrl.physics.mjcf import read_mjcf
+from splatrl.physics.optional import needed
+from splatrl.physics.standing import top_of
+from splatrl.physics.terrain import Terrain
+from splatrl.scenes.formats import read_gaussians
+
+
+class RobotWorld:
+    """A compiled world in which a robot with a free joint stands among things.
+
+    Attributes:
+        model: the ``MjModel``.
+        things: for each thing's name, the name of its first body.
+        top: upper bound on how high the robot and the things reach where their files place them, metres.
+        qpos: [nq] float64, positions in the robot's first keyframe, or in the default pose without one.
+        act: [na] float64, activations there, 0 without a keyframe.
+        ctrl: [nu] float64, controls there, 0 without a keyframe.
+
+    Args:
+        path: the robot's MJCF file, with one body at the top that has a free joint.
+        things: MJCF files of the things, by name.
+        terrain: ground and boxes.
+        substep: time step of the physics, seconds; None takes the robot's own.
+
+    Raises:
+        ImportError: without the extra ``physics``.
+        ValueError: for MJCF that is refused, or lacks the free joint; names the file.
+    """
+
+    def __init__(self, path: Path, things: Mapping[str, Path], terrain: Terrain, substep: float | None = None):
+        robot = read_mjcf(path)
+        if substep is not None:
+            robot.option.timestep = substep
+        alone, specs = robot.copy().compile(), {name: read_mjcf(place) for name, place in things.items()}
+        self.path = path
+        self.top = max(top_of(each) for each in (alone, *(spec.copy().compile() for spec in specs.values())))
+        try:
+            self.model, first, self.things = compose(robot, terrain, specs)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+        if self._free_joint(first) != 0:
+            raise ValueError(f"{path}: body {first!r}: expected a <freejoint/> that lets it move, found none")
+        self.qpos, self.act, self.ctrl = self.model.qpos0.copy(), np.zeros(self.model.na), np.zeros(self.model.nu)
+        self.qpos[: alone.nq] = alone.qpos0
+        if alone.nkey:
+            self.qpos[: alone.nq], self.act[: alone.na] = alone.key_qpos[0], alone.key_act[0]
+            self.ctrl[: alone.nu] = alone.key_ctrl[0]
+
+    def gaussians(self, looks: Mapping[str, Path]) -> list[BodyGaussians]:
+        """Make Gaussians of the bodies of the robot and the things.
+
+        Args:
+            looks: splat files, by name of thing, that replace the Gaussians of the thing's own geoms.
+        """
+        prefixes = (ROBOT, *(f"{name}/" for name in self.things))
+        found = [body for prefix in prefixes for body in gaussians_from_mjcf(self.model, prefix)]
+        for name, path in looks.items():
+            shown = BodyGaussians(self.things[name], read_gaussians(path))
+            found = [*(body for body in found if not body.body.startswith(f"{name}/")), shown]
+        return found
+
+    def body_of_camera(self, camera: str) -> str:
+        """Return the name of the body that carries one of the robot's cameras.
+
+        Raises:
+            ValueError: for an unknown camera; names those that the robot has.
+        """
+        mujoco, model = needed(), self.model
+        number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, f"{ROBOT}{camera}")
+        if number < 0:
+            known = [model.camera(each).name.removeprefix(ROBOT) for each in range(model.ncam)]
+            raise ValueError(f"{self.path}: expected a camera called {camera!r}, got {', '.join(known) or 'none'}")
+        return str(model.body(int(model.cam_bodyid[number])).name)
+
+    def control_limits(self) -> Tensor:
+        """Return the lowest and highest controls: [2, nu] float32.
+
+        Raises:
+            ValueError: for a robot without actuators, or one whose actuator has no ``ctrlrange``.
+        """
+        for number in range(self.model.nu):
+            if not self.model.actuator_ctrllimited[number]:
+                name = self.model.actuator(number).name or number
+                raise ValueError(f"{self.path}: actuator {name!r}: expected a ctrlrange, found none")
+        if not self.model.nu:
+            raise ValueError(f"{self.path}: expected at least one <actuator>, found none")
+        return torch.from_numpy(self.model.actuator_ctrlrange.T.copy()).float()
+
+    def control_range(self, actuator: str) -> list[float] | None:
+        """Return the limits of one of the robot's actuators; None if it has no such actuator."""
+        mujoco = needed()
+        number = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"{ROBOT}{actuator}")
+        return None if number < 0 else [float(value) for value in self.model.actuator_ctrlrange[number]]
+
+    def free_joint(self, thing: str) -> int | None:
+        """Return where the free joint of a thing begins in ``qpos``; None if there is no such thing or joint."""
+        return self._free_joint(self.things[thing]) if thing in self.things else None
+
+    def _free_joint(self, body: str) -> int | None:
+        joint = int(self.model.body_jntadr[self.model.body(body).id])
+        if joint < 0 or self.model.jnt_type[joint] != needed().mjtJoint.mjJNT_FREE:
+            return None
+        return int(self.model.jnt_qposadr[joint])
