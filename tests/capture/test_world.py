@@ -299,9 +299,9 @@ def test_without_any_source_of_scale_the_world_is_not_metric() -> None:
 
 
 def test_impossible_heights_distances_and_clicks_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"camera_height: expected a positive, finite number of metres, got -1\.0"):
+    with pytest.raises(ValueError, match=r"camera_height: expected a number of metres above 0\.0, got -1\.0"):
         place(walk(), marker=None, camera_height=-1.0)
-    with pytest.raises(ValueError, match=r"distance: expected a positive, finite number of metres, got 0\.0"):
+    with pytest.raises(ValueError, match=r"distance: expected a number of metres above 0\.0, got 0\.0"):
         Distance.in_image(0, 0, 0, 1, 1, 0.0)
     with pytest.raises(CaptureError, match="expected an image index from 0 to 39, got 99"):
         place(walk(), marker=None, distance=Distance.in_image(99, 0, 0, 1, 1, 1.0))
