@@ -65,11 +65,6 @@ class Distance:
         """Return the distance between two points clicked once each, in one image or in two."""
         return cls((start,), (end,), metres)
 
-    @classmethod
-    def in_image(cls, image: int, x0: float, y0: float, x1: float, y1: float, metres: float) -> "Distance":
-        """Return the distance between two points clicked in one image."""
-        return cls.between(Click(image, x0, y0), Click(image, x1, y1), metres)
-
 
 def scale_by_distance(reconstruction: Reconstruction, distance: Distance) -> float:
     """Return metres per unit from two clicked points.
