@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from av import VideoFrame
     from av.container import InputContainer
 
-VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mts", ".m2ts", ".ts", ".3gp", ".mpg", ".wmv")
 
 BLACK, THINNEST, EDGE = 24, 0.01, 0.005
 """Maximum grey level of a bar, its minimum width as a fraction of the image's side, and the extra fraction that is cut

@@ -22,6 +22,7 @@ from splatrl.scenes.sources import read_scene
 from splatrl.scenes.stated import StatedFrame, described_upright, typed_frame
 from splatrl.scenes.survey import survey
 from splatrl.scenes.upright import UNKNOWN
+from splatrl.values import require_number
 
 STILL_TO_TYPE = {"robot_height": "robot.height=0.4", "goal": "'landmarks.goal=[x,y,yaw]'"}
 """Overrides that the user must type for keys for which no proposal was found."""
@@ -41,9 +42,8 @@ def run(options: argparse.Namespace) -> None:
 def look(options: argparse.Namespace) -> None:
     """Print a summary of a scene, write its ``scene.yaml`` and draw its pictures."""
     for name in ("height", "resolution", "scale", "split"):
-        value = getattr(options, name)
-        if value is not None and not 0.0 < value < float("inf"):
-            raise ValueError(f"--{name}: expected a positive, finite number, got {value}")
+        if getattr(options, name) is not None:
+            require_number(f"--{name}", getattr(options, name), above=0.0)
     path = options.file.expanduser()
     if is_in_blocks(path):
         raise ValueError(

@@ -19,7 +19,7 @@ from splatrl.scenes.placement import (
     upright_frame,
 )
 from splatrl.scenes.upright import GIVEN, Guess, Upright, guess_upright
-from splatrl.values import split_words
+from splatrl.values import require_number, split_words
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +49,8 @@ class StatedFrame:
             raise ValueError("transform: expected either a transform or axes and translation, got both")
         if self.axes is not None:
             similarity(self.axes)
-        if self.scale is not None and not 0.0 < self.scale < float("inf"):
-            raise ValueError(f"scale: expected a positive, finite number of metres per unit, got {self.scale}")
+        if self.scale is not None:
+            require_number("scale", self.scale, above=0.0, unit="metres per unit")
 
     def up(self) -> list[float] | None:
         """Return the up direction in the file's frame, [3]; None if neither axes nor a transform state it."""

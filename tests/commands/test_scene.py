@@ -212,7 +212,7 @@ def test_nerfstudios_own_frame_is_undone(tmp_path: Path) -> None:
         ),
         (["--nerfstudio", "nowhere.json"], "found no file"),
         (["--scale", "1", "--distance", "0 0 0 1 0 0 1"], "got both"),
-        (["--scale", "-1"], "--scale: expected a positive, finite number"),
+        (["--scale", "-1"], "--scale: expected a number above 0"),
         (["--height", "nan"], "--height: expected"),
         (["--distance", "0 0 0 0 0 0 1"], "two different points"),
         (["--distance", "0 0 0 1 0 0"], "expected 7 numbers, got 6"),
@@ -356,7 +356,7 @@ def test_blocks_are_not_written_into_a_folder_with_a_scene_yaml(splat: Path) -> 
     main([str(splat)])
     with pytest.raises(SystemExit, match=r"--split: expected a folder without scene.yaml"):
         main([str(splat.parent), "--split", "2"])
-    with pytest.raises(SystemExit, match="--split: expected a positive, finite number"):
+    with pytest.raises(SystemExit, match="--split: expected a number above 0"):
         main([str(splat), "--split", "0", "--out", str(splat.parent / "town")])
     main([str(splat.parent), "--split", "2", "--out", str(splat.parent / "town")])
     assert isinstance(read_scene(splat.parent / "town"), BlockScene)

@@ -83,7 +83,10 @@ def test_a_frame_that_is_not_z_up_gives_a_warning(tmp_path: Path) -> None:
     [
         ('{"transform": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}', "expected a rotation and a shift"),
         ('{"transform": [[1, 0, 0, NaN], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}', "3 rows of 4 finite numbers"),
-        ('{"transform": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": Infinity}', "positive, finite number"),
+        (
+            '{"transform": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": Infinity}',
+            "scale: expected a number above 0",
+        ),
         ('{"transform": [[1, 0, 0, 1e999], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}', "3 rows of 4 finite numbers"),
         (f'{{"transform": [[{10**400}, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}}', "expected numbers"),
         ("[" * 100_000, "expected JSON"),
