@@ -14,9 +14,9 @@ from splatrl.capture import mapping, structure
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
 from splatrl.capture.child import run_child
 from splatrl.capture.job import Job, write_job
-from splatrl.capture.optional import needed
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.undistort import undistorted
+from splatrl.extras import require
 
 VERSION = 9
 DIGEST = "digest.txt"
@@ -52,8 +52,8 @@ def find_poses(
         ImportError: without the extra ``capture``.
         ValueError: for known poses, or an exact camera, without K.
     """
-    needed("pycolmap")
-    needed("cv2")
+    require("pycolmap", "capture")
+    require("cv2", "capture")
     exact_camera = exact_camera or photos.camera_to_world is not None
     if exact_camera and photos.K is None:
         raise ValueError("photos.K: expected intrinsics, as poses are known or the camera is exact, got none")
@@ -92,7 +92,7 @@ def job_of(photos: Photos, seed: int = 0, exact_camera: bool = False) -> Job:
 def _digest(photos: Photos, job: Job) -> str:
     settings = [VERSION, job.names, job.K, job.fixed, job.camera_to_world, job.seed, job.seconds]
     digest = hashlib.blake2b(json.dumps(settings).encode(), digest_size=16)
-    digest.update(str(getattr(needed("pycolmap"), "__version__", "")).encode())
+    digest.update(str(getattr(require("pycolmap", "capture"), "__version__", "")).encode())
     for path in photos.paths:
         digest.update(path.read_bytes())
     return digest.hexdigest()
