@@ -25,6 +25,7 @@ ORDER = [
         "array_files",
         "device",
         "documents",
+        "extras",
         "faults",
         "files",
         "geometry",

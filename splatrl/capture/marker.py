@@ -11,6 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.photo_files import read_photo
 from splatrl.capture.scale import triangulate
+from splatrl.extras import require
 from splatrl.files import replacing
 
 Floats = NDArray[np.float64]
@@ -178,10 +179,4 @@ def _dictionary(cv2: ModuleType) -> object:
 
 
 def _opencv() -> ModuleType:
-    try:
-        import cv2
-    except ImportError as error:
-        raise ImportError(
-            "markers need OpenCV: pip install 'splatrl[capture]', or set the scale in another way (marker=None)"
-        ) from error
-    return cv2
+    return require("cv2", "capture", "markers need OpenCV", ", or set the scale in another way (marker=None)")

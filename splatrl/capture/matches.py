@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from splatrl.capture.optional import needed
+from splatrl.extras import require
 
 LONGEST, FEATURES = 640, 1500
 CONTRAST, FEW, FAINT = 0.02, 400, 0.005
@@ -63,7 +63,7 @@ def features(path: Path) -> Features:
     Args:
         path: the image file.
     """
-    cv2 = needed("cv2")
+    cv2 = require("cv2", "capture")
     grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if grey is None:
         raise ValueError(f"{path}: expected an image, got an unreadable file")
@@ -110,7 +110,7 @@ def related(a: Features, b: Features, seed: int = 0) -> Pair:
         b: features of the other, of the same size.
         seed: seed of the random samples.
     """
-    pycolmap = needed("pycolmap")
+    pycolmap = require("pycolmap", "capture")
     found = matches(a, b)
     if len(found) < MIN_INLIERS:
         return Pair("none")

@@ -12,10 +12,10 @@ from splatrl.capture import mapping, structure
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
 from splatrl.capture.child import run_child
 from splatrl.capture.job import Job, write_job
-from splatrl.capture.optional import needed
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.stages import Stages, fingerprint
 from splatrl.capture.undistort import undistorted
+from splatrl.extras import require
 
 
 def find_poses(
@@ -48,14 +48,14 @@ def find_poses(
         ImportError: without the extra ``capture``.
         ValueError: for known poses, or an exact camera, without K.
     """
-    needed("pycolmap")
-    needed("cv2")
+    require("pycolmap", "capture")
+    require("cv2", "capture")
     exact_camera = exact_camera or photos.camera_to_world is not None
     if exact_camera and photos.K is None:
         raise ValueError("photos.K: expected intrinsics, as poses are known or the camera is exact, got none")
     stages = Stages(folder)
     job = job_of(photos, seed, exact_camera)
-    recipe = asdict(job) | {"images": None, "pycolmap": str(getattr(needed("pycolmap"), "__version__", ""))}
+    recipe = asdict(job) | {"images": None, "pycolmap": str(getattr(require("pycolmap", "capture"), "__version__", ""))}
     work = stages.workplace("structure", fingerprint(recipe, files=photos.paths))
     try:
         model = read_arrays(work / structure.MODEL)

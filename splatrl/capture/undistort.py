@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from splatrl.capture.optional import needed
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.stages import Stages, fingerprint
+from splatrl.extras import require
 
 
 def undistorted(
@@ -35,7 +35,7 @@ def undistorted(
         Paths of the new images, of the same size and in the same order, and their K [3, 3] float64; the given ones
         where there is no distortion.
     """
-    cv2 = needed("cv2")
+    cv2 = require("cv2", "capture")
     if not np.any(distortion):
         return paths, K
     half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV has the centre of the first pixel at 0

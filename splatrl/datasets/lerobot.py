@@ -6,7 +6,6 @@ are stored losslessly, and views are compressed as H.264. Each table and each vi
 
 import json
 from collections.abc import Iterator, Mapping
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from splatrl.datasets.demonstrations import Demonstrations
 from splatrl.documents import write_json
 from splatrl.envs.tasks.base import Outcome
 from splatrl.evaluation.video import encode
+from splatrl.extras import require
 
 VIEW = "observation.images.front"
 KNOWN = {"episode", "frame", "pixels", "state", "action", "optimal", "next"}
@@ -79,8 +79,7 @@ def check_lerobot(width: int, height: int) -> None:
         ImportError: if the extra ``lerobot`` is not installed.
         ValueError: for an odd width or height, which the video format does not support.
     """
-    if find_spec("pyarrow") is None:
-        raise ImportError("the LeRobot format needs pyarrow: pip install 'splatrl[lerobot]'")
+    require("pyarrow", "lerobot", "the LeRobot format needs pyarrow")
     if height % 2 or width % 2:
         raise ValueError(f"robot.image_width, robot.image_height: expected even numbers, got {width} and {height}")
 

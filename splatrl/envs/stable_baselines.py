@@ -9,11 +9,10 @@ from gymnasium import Wrapper
 from torchrl.envs import EnvBase
 
 from splatrl.envs.gymnasium_env import Actions, GymnasiumVectorEnv, Infos, Observation, Pixels
+from splatrl.extras import require
 
-try:
-    from stable_baselines3.common.vec_env import VecEnv
-except ImportError as error:
-    raise ImportError("stable_baselines3 is missing: pip install 'splatrl[sb3]'") from error
+require("stable_baselines3", "sb3")
+from stable_baselines3.common.vec_env import VecEnv  # noqa: E402
 
 Indices = int | Iterable[int] | None
 

@@ -22,6 +22,7 @@ from splatrl.envs.sensors import Sensor
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.rollouts import acting
 from splatrl.export.policy import NEXT, StandalonePolicy
+from splatrl.extras import require
 from splatrl.files import replacing
 from splatrl.motions import Motion
 
@@ -30,7 +31,7 @@ PARITY = 1e-5
 POLICY, RUNNER = "policy.onnx", "run_policy.py"
 ROBOTS = 8
 NO_SENSORS: Mapping[str, Sensor] = {}
-_MISSING = "an ONNX file needs onnx, onnxscript and onnxruntime: pip install 'splatrl[export]'"
+_MISSING = ("export", "an ONNX file needs onnx, onnxscript and onnxruntime")
 
 
 def export_policy(
@@ -123,11 +124,8 @@ def onnx_bytes(policy: StandalonePolicy, facts: Mapping[str, str]) -> bytes:
     Raises:
         ImportError: if the extra ``export`` is not installed.
     """
-    try:
-        import onnx
-        import onnxscript  # noqa: F401, PyTorch's exporter needs it
-    except ImportError as error:
-        raise ImportError(_MISSING) from error
+    onnx = require("onnx", *_MISSING)
+    require("onnxscript", *_MISSING)  # PyTorch's exporter imports it
     example = policy.example(2)
     batch = torch.export.Dim("batch")
     shapes = (tuple({0: batch} for _ in example),)  # one entry for the variadic argument
@@ -183,10 +181,7 @@ def largest_difference(
     Raises:
         ImportError: if the extra ``export`` is not installed.
     """
-    try:
-        import onnxruntime
-    except ImportError as error:
-        raise ImportError(_MISSING) from error
+    onnxruntime = require("onnxruntime", *_MISSING)
     steps = -(-frames // env.numel())
     operator, head = model.get_policy_operator(), deepcopy(model.get_policy_head()).cpu()
     with acting(sampled=True, seed=0, device=env.device):

@@ -1,22 +1,19 @@
-"""Imports the modules that the extra ``physics`` installs."""
+"""MuJoCo, which the extra ``physics`` installs."""
 
-import importlib
-from typing import Any
+from types import ModuleType
+
+from splatrl.extras import require
 
 
-def needed(name: str = "mujoco") -> Any:
-    """Import a module of the extra ``physics``.
+def needed() -> ModuleType:
+    """Import MuJoCo, and keep it from writing a log file.
 
     Raises:
-        ImportError: if it is missing; says how to install it.
+        ImportError: without the extra ``physics``; see ``require``.
     """
-    try:
-        module = importlib.import_module(name)
-    except ImportError as error:
-        raise ImportError("mujoco is missing: pip install 'splatrl[physics]'") from error
-    if name == "mujoco":
-        module.set_mju_user_warning(_quiet)  # the default writes MUJOCO_LOG.TXT into the working directory
-    return module
+    mujoco = require("mujoco", "physics")
+    mujoco.set_mju_user_warning(_quiet)  # the default writes MUJOCO_LOG.TXT into the working directory
+    return mujoco
 
 
 def _quiet(message: str) -> None:

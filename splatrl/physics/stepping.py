@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from splatrl.extras import require
 from splatrl.native.threads import threads_of
 from splatrl.physics.optional import needed
 from splatrl.physics.state_layout import StateLayout
@@ -46,7 +47,7 @@ class Physics:
     """
 
     def __init__(self, models: Any, substeps: int, threads: int | None = None):
-        mujoco, rollout = needed(), needed("mujoco.rollout")
+        mujoco, rollout = needed(), require("mujoco.rollout", "physics")
         self.models: list[Any] = list(models) if isinstance(models, Sequence) else [models]
         require_number("substeps", substeps, 1, 10_000, whole=True)
         if not self.models:

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
+from splatrl.extras import install_hint, require
 from splatrl.geometry import invert_rigid
 from splatrl.renderers.base import (
     RenderOutput,
@@ -24,7 +25,7 @@ from splatrl.scenes.scene import Scene
 
 MOST_CAMERAS = 1024
 """The most cameras per call: gsplat indexes images and tiles together with 32 bits, and rows of a launch with 16."""
-_MISSING = "GsplatRenderer needs gsplat: pip install 'splatrl[gsplat]', on a machine with CUDA's compiler nvcc"
+_MISSING = ("gsplat", "GsplatRenderer needs gsplat", ", on a machine with CUDA's compiler nvcc")
 
 
 class GsplatRenderer:
@@ -134,11 +135,8 @@ class GsplatRenderer:
 
 def _rasterization() -> Any:
     """Import gsplat's function. This compiles its kernels, which takes minutes, unless that has been done before."""
-    try:
-        import gsplat
-        from gsplat.cuda import _backend
-    except ImportError as error:
-        raise ImportError(f"{_MISSING} ({error})") from error
-    if _backend._C is None:  # gsplat only prints a message, and would fail at the first image
-        raise ImportError(f"{_MISSING}; gsplat {gsplat.__version__} is installed, but nvcc was not found")
+    gsplat, backend = (require(module, *_MISSING) for module in ("gsplat", "gsplat.cuda._backend"))
+    if backend._C is None:  # gsplat only prints a message, and would fail at the first image
+        found = f"gsplat {gsplat.__version__} is installed, but nvcc was not found"
+        raise ImportError(f"{install_hint(*_MISSING)}; {found}")
     return gsplat.rasterization

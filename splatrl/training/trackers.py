@@ -4,12 +4,12 @@ import io
 import math
 import secrets
 from collections.abc import Iterable, Mapping
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
 from PIL import Image
 
+from splatrl.extras import require
 from splatrl.files import checked_name, replacing
 from splatrl.values import flat
 
@@ -69,7 +69,8 @@ class TensorBoardTracker:
     """
 
     def __init__(self, folder: Path, settings: Mapping[str, Any]):
-        self._writer = _imported("tensorboard", "torch.utils.tensorboard").SummaryWriter(str(folder))
+        tensorboard = require("torch.utils.tensorboard", "tensorboard", "logger.backend=tensorboard needs tensorboard")
+        self._writer = tensorboard.SummaryWriter(str(folder))
         self._writer.add_text("config", "\n".join(f"    {key}: {value}" for key, value in flat(settings)))
 
     def scalars(self, values: Mapping[str, float], frames: int) -> None:
@@ -110,7 +111,7 @@ class WandbTracker:
     """
 
     def __init__(self, folder: Path, name: str, project: str, online: bool, settings: Mapping[str, Any]):
-        self._wandb = _imported("wandb", "wandb")
+        self._wandb = require("wandb", "wandb", "logger.backend=wandb needs wandb")
         known = folder / RUN_ID
         identity = checked_name(RUN_ID, known.read_text().strip()) if known.is_file() else secrets.token_hex(8)
         with replacing(known) as stream:
@@ -166,15 +167,6 @@ def gif(path: Path) -> tuple[tuple[int, int], bytes]:
     memory = io.BytesIO()
     images[0].save(memory, "GIF", save_all=True, append_images=images[1:], duration=pause, loop=0)
     return images[0].size, memory.getvalue()
-
-
-def _imported(package: str, module: str) -> Any:
-    try:
-        return import_module(module)
-    except ImportError as error:
-        raise ImportError(
-            f"logger.backend={package}: expected the package {package}, found none; pip install 'splatrl[{package}]'"
-        ) from error
 
 
 def _finite(values: Mapping[str, float]) -> dict[str, float]:

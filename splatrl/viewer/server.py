@@ -6,6 +6,7 @@ from contextlib import redirect_stdout
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+from splatrl.extras import require
 from splatrl.values import require_number
 
 if TYPE_CHECKING:
@@ -16,7 +17,6 @@ POLICY_VIOLATION = 1008
 """Status code for closing a websocket because of a policy violation (RFC 6455, section 7.4.1)."""
 PATIENCE = 5.0
 """Maximum seconds to wait for a stopping server."""
-_MISSING = "the page needs viser: pip install 'splatrl[view]'"
 
 
 def open_server(host: str, port: int, label: str) -> "viser.ViserServer":
@@ -31,10 +31,7 @@ def open_server(host: str, port: int, label: str) -> "viser.ViserServer":
         ImportError: without the extra ``view``.
         ValueError: for a host that is not an address of this machine, or a port out of range.
     """
-    try:
-        import viser
-    except ImportError as error:
-        raise ImportError(_MISSING) from error
+    viser = require("viser", "view", "the page needs viser")
     require_number("port", port, 0, 65535, whole=True)
     _check_host(host)
     with redirect_stdout(io.StringIO()):  # viser draws its address in a box

@@ -20,7 +20,6 @@ from splatrl.capture.base import CaptureError
 from splatrl.capture.child import _pass_on, run_child
 from splatrl.capture.job import Job, write_job
 from splatrl.capture.mapping import SHARED, find_cameras
-from splatrl.capture.optional import needed
 from splatrl.capture.pipeline import CaptureSettings, reconstruct
 from splatrl.capture.poses import find_poses, missing_runs
 from splatrl.capture.structure import MODEL, SPARSE, _keep, pairs, run
@@ -28,7 +27,7 @@ from tests.capture import ray_cast
 from tests.capture.ray_cast import HALF, photos_of, walk
 
 pytest.importorskip("cv2")
-pytest.importorskip("pycolmap")
+pycolmap = pytest.importorskip("pycolmap")
 
 WIDTH, HEIGHT = 160, 120
 K = ray_cast.K * [[0.5], [0.5], [1.0]]
@@ -122,7 +121,7 @@ def test_global_mapping_poses_images_where_incremental_mapping_finds_no_initial_
 ) -> None:
     truth = walk(24)[::4]
     photos = photos_of(tmp_path / "in", [room_image(pose) for pose in truth])
-    monkeypatch.setattr(needed("pycolmap"), "incremental_mapping", lambda *_, **__: {})
+    monkeypatch.setattr(pycolmap, "incremental_mapping", lambda *_, **__: {})
     names, guess = [path.name for path in photos.paths], K.copy()
     guess[[0, 1], [0, 1]] *= 1.0 if fixed else 1.2
     models = []
@@ -204,8 +203,8 @@ def test_known_poses_without_intrinsics_are_refused(tmp_path: Path) -> None:
 def test_a_missing_package_is_named_with_the_command_that_installs_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(poses_module, "needed", lambda name: needed("a_package_that_is_not_here"))
-    with pytest.raises(ImportError, match=r"pip install 'splatrl\[capture\]'"):
+    monkeypatch.setitem(sys.modules, "pycolmap", None)
+    with pytest.raises(ImportError, match=r"pycolmap is missing: pip install 'splatrl\[capture\]'"):
         find_poses(photos_of(tmp_path / "in", [room_image(walk(1)[0])]), tmp_path / "out")
 
 

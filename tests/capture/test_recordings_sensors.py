@@ -1,6 +1,7 @@
 """Recordings of phones with a depth sensor: axes, units, one camera for all images, and refused files."""
 
 import json
+import sys
 import tracemalloc
 import zipfile
 from dataclasses import replace
@@ -11,7 +12,6 @@ import pytest
 import torch
 from PIL import Image, ImageFilter
 
-from splatrl.capture import optional
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.depth_points import with_measured_points
 from splatrl.capture.fit import FitSettings
@@ -309,9 +309,10 @@ def test_an_entry_that_unpacks_to_more_than_is_allowed_is_not_unpacked(
 def test_the_error_without_the_package_that_unpacks_depth_says_how_to_install_it(
     tmp_path: Path, images: list[Taken], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(record3d, "needed", lambda name: optional.needed("a_package_that_is_not_here"))
-    with pytest.raises(ImportError, match=r"pip install 'splatrl\[capture\]'"):
-        read_recording(write_record3d(tmp_path / "in", images), tmp_path / "out")
+    source = write_record3d(tmp_path / "in", images)
+    monkeypatch.setitem(sys.modules, "imagecodecs", None)
+    with pytest.raises(ImportError, match=r"imagecodecs is missing: pip install 'splatrl\[capture\]'"):
+        read_recording(source, tmp_path / "out")
 
 
 def _broken_polycam(folder: Path, images: list[Taken]) -> Path:

@@ -16,7 +16,7 @@ from omegaconf import DictConfig
 from splatrl.building import build_trainer, build_world
 from splatrl.commands import record, replay
 from splatrl.configuration import load_config
-from splatrl.datasets import Demonstrations, lerobot, planner_episodes, read_demonstrations
+from splatrl.datasets import Demonstrations, planner_episodes, read_demonstrations
 from splatrl.envs.world import World
 from splatrl.training import load_checkpoint
 from splatrl.training.history import unpacked
@@ -132,7 +132,7 @@ def test_an_impossible_lerobot_export_is_refused_before_anything_is_recorded(
     change: str | None, message: str, scene: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if change is None:
-        monkeypatch.setattr(lerobot, "find_spec", {}.get)
+        monkeypatch.setitem(sys.modules, "pyarrow", None)
     monkeypatch.setattr(record, "planned", lambda *_: pytest.fail("something was recorded"))
     folders = [f"out={tmp_path / 'demos'}", f"lerobot={tmp_path / 'lerobot'}"]
     with pytest.raises(SystemExit, match=message):

@@ -87,7 +87,7 @@ def test_a_tracker_that_is_not_installed_is_named_with_its_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "wandb", None)
-    with pytest.raises(ImportError, match=r"pip install 'splatrl\[wandb\]'"):
+    with pytest.raises(ImportError, match=r"logger\.backend=wandb needs wandb: pip install 'splatrl\[wandb\]'"):
         make_tracker("wandb", tmp_path, "mine", "", False, {})
 
 

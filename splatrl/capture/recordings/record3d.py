@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splatrl.capture.base import CaptureError
-from splatrl.capture.optional import needed
 from splatrl.capture.recordings.base import (
     ARKIT_UP,
     MAX_BYTES,
@@ -36,6 +35,7 @@ from splatrl.capture.recordings.base import (
     quaternion_poses,
     read_json,
 )
+from splatrl.extras import require
 
 METADATA = ("metadata", "metadata.json")
 IMAGE = re.compile(r"(rgbd|rgb)/([0-9]{1,9})\.jpg")
@@ -211,7 +211,7 @@ def read_depth_of(files: Files, name: str, trust: str | None, size: tuple[int, i
 
 def _unpacked(files: Files, name: str, size: int) -> bytes:
     """Unpack a file compressed with LZFSE, but never more than one byte beyond the expected size."""
-    codecs = needed("imagecodecs")
+    codecs = require("imagecodecs", "capture")
     try:
         unpacked: bytes = codecs.lzfse_decode(files.read(name), out=size + 1)
     except codecs.LzfseError as error:

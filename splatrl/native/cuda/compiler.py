@@ -7,14 +7,13 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
+from splatrl.extras import install_hint, require
 from splatrl.files import cache_dir, replacing
 
 NATIVE = Path(__file__).parents[1]
 FOLDERS = (NATIVE / "cuda", NATIVE, NATIVE / "cuda" / "std", NATIVE / "kernels")
 """Folders that are searched for sources and headers, in this order."""
-_MISSING = (
-    "CUDA kernels need cuda-core and NVRTC: pip install 'splatrl[cuda]', or 'splatrl[cuda12]' for a CUDA 12 driver"
-)
+_MISSING = ("cuda", "CUDA kernels need cuda-core and NVRTC", ", or 'splatrl[cuda12]' for a CUDA 12 driver")
 
 
 def source_path(source: str | Path) -> Path:
@@ -60,12 +59,9 @@ def kept_at(source: str | Path, arch: str, defines: Mapping[str, int]) -> Path:
 
 def translated(source: str | Path, arch: str, defines: Mapping[str, int]) -> tuple[bytes, str]:
     """Compile a source to machine code, with the assembler's log of registers and memory used. See ``compiled``."""
-    try:
-        from cuda.core import Program, ProgramOptions
-    except ImportError as error:
-        raise ImportError(_MISSING) from error
+    core = require("cuda.core", *_MISSING)
     path = source_path(source)
-    options = ProgramOptions(
+    options = core.ProgramOptions(
         name=path.name,
         arch=arch,
         std="c++17",
@@ -76,9 +72,9 @@ def translated(source: str | Path, arch: str, defines: Mapping[str, int]) -> tup
         lineinfo=True,
     )
     try:
-        program = Program(path.read_text(), "c++", options)
+        program = core.Program(path.read_text(), "c++", options)
     except RuntimeError as error:  # raised by cuda-core if it does not find the NVRTC library
-        raise ImportError(_MISSING) from error
+        raise ImportError(install_hint(*_MISSING)) from error
     log = _Log()
     try:
         code = program.compile("cubin", logs=log).code

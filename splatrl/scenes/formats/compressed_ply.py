@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-from splatrl.scenes.formats.extra import extra_module, from_gsply
+from splatrl.extras import require
 from splatrl.scenes.formats.ply_header import PlyHeader
+from splatrl.scenes.formats.stored import from_gsply
 from splatrl.scenes.gaussians import Gaussians
 
 CHUNK = 256
@@ -31,7 +32,7 @@ def read_compressed_ply(path: Path, header: PlyHeader) -> Gaussians:
         ValueError: if the layout is not supported, or the file's size does not match its header.
         ImportError: if the extra ``gsply`` is not installed.
     """
-    gsply = extra_module("gsply", path)
+    gsply = require("gsply", "gsply", f"{path}: this format needs the extra gsply")
     if header.format != "binary_little_endian":
         raise ValueError(f"{path}: format: expected binary_little_endian, got {header.format}")
     if list(header.elements) not in (["chunk", "vertex"], ["chunk", "vertex", "sh"]):

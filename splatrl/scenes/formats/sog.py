@@ -8,9 +8,10 @@ from types import ModuleType
 from typing import Any
 
 from splatrl.documents import parsed_json
+from splatrl.extras import require
 from splatrl.files import checked_name
-from splatrl.scenes.formats.extra import extra_module, from_gsply
 from splatrl.scenes.formats.limits import check_inflation
+from splatrl.scenes.formats.stored import from_gsply
 from splatrl.scenes.gaussians import Gaussians
 
 TEXTURES = {"means": 2, "quats": 1, "scales": 1, "sh0": 1}
@@ -70,7 +71,8 @@ def _decoded(path: Path, bundle: bytes) -> Gaussians:
 
 
 def _extra(path: Path) -> tuple[ModuleType, ModuleType]:
-    return extra_module("gsply.sog_reader", path), extra_module("imagecodecs", path)
+    problem = f"{path}: this format needs the extra gsply"
+    return require("gsply.sog_reader", "gsply", problem), require("imagecodecs", "gsply", problem)
 
 
 def _unzip(path: Path, data: bytes) -> dict[str, bytes]:

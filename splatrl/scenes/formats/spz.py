@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from splatrl.scenes.formats.extra import extra_module
+from splatrl.extras import require
 from splatrl.scenes.formats.limits import check_inflation
 from splatrl.scenes.gaussians import Gaussians, checked_gaussians
 
@@ -141,7 +141,7 @@ def _join(path: Path, stream: BinaryIO, max_inflation: float) -> tuple[Header, B
         raise ValueError(
             f"{path}: expected a table of {len(sizes)} streams in the file, got {streams} at byte {contents}"
         )
-    decode = extra_module("imagecodecs", path).zstd_decode
+    decode = require("imagecodecs", "gsply", f"{path}: this format needs the extra gsply").zstd_decode
     parts = []
     for number, size in enumerate(sizes):
         packed, unpacked = ENTRY.unpack_from(data, contents + ENTRY.size * number)

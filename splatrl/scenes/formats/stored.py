@@ -1,5 +1,8 @@
 """Converts between stored values (logs and logits) and the activated ones of ``Gaussians``."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -39,6 +42,13 @@ def activated(
         opacities=torch.from_numpy(opacity_logits).double().sigmoid(),
         sh=torch.from_numpy(sh),
     )
+
+
+def from_gsply(path: Path, decoded: Any) -> Gaussians:
+    """Build Gaussians from gsply's output: log scales, opacity logits and harmonics [N, K, 3] above degree 0."""
+    sh = np.concatenate([decoded.sh0[:, None, :], decoded.shN], 1)
+    stored = (decoded.means, decoded.quats, decoded.scales, decoded.opacities, sh)
+    return activated(path, *(np.ascontiguousarray(values, np.float32) for values in stored))
 
 
 def opacity_logits(opacities: Tensor) -> Tensor:

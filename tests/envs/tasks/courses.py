@@ -1,6 +1,5 @@
 """Tests that hold for every task whose robots pass the places of a course."""
 
-import math
 from typing import Any
 
 import pytest
@@ -75,14 +74,6 @@ class CourseContract:
             if len(outcomes) == 6:
                 break
         assert outcomes == dict.fromkeys(range(6), int(Outcome.GOAL))
-
-    def test_a_state_with_nan_counts_as_out_of_bounds(self) -> None:
-        task = self.course()
-        state = task.start(task.motion.home[None], anywhere(task))
-        broken = state.clone()
-        broken[0, -1] = math.nan
-        verdict = judged(task, state, broken)
-        assert verdict.outcome.item() == Outcome.OUT_OF_BOUNDS and verdict.terminated.item()
 
     def test_the_next_place_is_that_of_the_course(self) -> None:
         task = self.course()
