@@ -3,13 +3,14 @@
 import math
 from dataclasses import dataclass
 
+from splatrl.values import require_number
+
 LARGEST = 1e6
 """Largest length of a body, metres: small enough to be counted in voxels without overflow."""
 
 
-def _positive(name: str, value: float) -> None:
-    if not 0 < value <= LARGEST:
-        raise ValueError(f"{name}: expected a positive number of metres, at most {LARGEST:,.0f}, got {value}")
+def _check_length(name: str, value: float) -> None:
+    require_number(name, value, high=LARGEST, above=0.0, unit="metres")
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class Box:
             raise ValueError(f"Box.size: expected 3 full extents, got {len(self.size)}")
         object.__setattr__(self, "size", tuple(float(extent) for extent in self.size))
         for axis, extent in zip("xyz", self.size, strict=True):
-            _positive(f"Box.size.{axis}", extent)
+            _check_length(f"Box.size.{axis}", extent)
 
     @property
     def radius(self) -> float:
@@ -47,7 +48,7 @@ class Sphere:
     radius: float
 
     def __post_init__(self) -> None:
-        _positive("Sphere.radius", self.radius)
+        _check_length("Sphere.radius", self.radius)
 
     @property
     def half_height(self) -> float:
@@ -68,8 +69,8 @@ class Capsule:
     length: float
 
     def __post_init__(self) -> None:
-        _positive("Capsule.cap_radius", self.cap_radius)
-        _positive("Capsule.length", self.length)
+        _check_length("Capsule.cap_radius", self.cap_radius)
+        _check_length("Capsule.length", self.length)
 
     @property
     def radius(self) -> float:

@@ -1,11 +1,20 @@
-"""Values of settings: checks of numbers and colours, formatting, and dotted keys."""
+"""Values of settings: checks of numbers and colours, words, formatting, and dotted keys."""
 
 import math
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 
-def require_number(name: str, value: object, low: float, high: float = math.inf, whole: bool = False) -> None:
+def require_number(
+    name: str,
+    value: object,
+    low: float = -math.inf,
+    high: float = math.inf,
+    whole: bool = False,
+    above: float | None = None,
+    unit: str = "",
+) -> None:
     """Refuse anything but a finite number in a range.
 
     Args:
@@ -14,15 +23,24 @@ def require_number(name: str, value: object, low: float, high: float = math.inf,
         low: smallest allowed value.
         high: largest allowed value.
         whole: whether the value must be an integer.
+        above: bound that the value must exceed, instead of ``low``; None for no such bound.
+        unit: the plural of the value's unit, such as "metres", for the message.
 
     Raises:
         ValueError: names the key, the range and what was given.
     """
     kinds = (int,) if whole else (int, float)
     right = isinstance(value, kinds) and not isinstance(value, bool) and low <= value <= high
-    if not (right and math.isfinite(value)):  # type: ignore[arg-type]
-        limit = f"of at least {low}" if high == math.inf else f"from {low} to {high}"
-        raise ValueError(f"{name}: expected a {'whole number' if whole else 'number'} {limit}, got {value!r}")
+    if right and (above is None or value > above) and abs(value) <= sys.float_info.max:  # type: ignore[operator, arg-type]
+        return
+    if above is not None:
+        limit = f" above {above}" + ("" if high == math.inf else f", at most {high}")
+    elif high == math.inf:
+        limit = f", at least {low}" if unit else f" of at least {low}"
+    else:
+        limit = f" from {low} to {high}"
+    kind = ("whole number" if whole else "number") + (f" of {unit}" if unit else "")
+    raise ValueError(f"{name}: expected a {kind}{limit}, got {value!r}")
 
 
 def require_rgb(name: str, value: Sequence[float]) -> None:
@@ -37,6 +55,11 @@ def require_rgb(name: str, value: Sequence[float]) -> None:
     """
     if len(value) != 3 or not all(isinstance(one, int | float) and 0.0 <= one <= 1.0 for one in value):
         raise ValueError(f"{name}: expected red, green and blue in [0, 1], got {list(value)}")
+
+
+def split_words(text: str) -> list[str]:
+    """Split a text into words at blanks and commas."""
+    return text.replace(",", " ").split()
 
 
 def tenths(value: float) -> str:

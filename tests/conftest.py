@@ -74,21 +74,15 @@ def bare_report(monkeypatch: pytest.MonkeyPatch) -> None:
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make splatrl-scene omit the pictures of what it reads, which take most of its time, for tests that look at none,
     and search for goals in only a few places."""
-
-    def draw_scene(*arguments: object) -> list[Path]:
-        Path(str(arguments[4])).mkdir(parents=True, exist_ok=True)  # as the real function does
-        return []
-
     monkeypatch.setattr("splatrl.capture.suggestions.MOST", 8)
-    monkeypatch.setattr("splatrl.commands.scene.draw_scene", draw_scene)
-    for name in ("draw_goals", "draw_terrain"):
-        monkeypatch.setattr(f"splatrl.commands.scene.{name}", lambda *_: None)
+    for kind in ("of_scene", "of_goals", "of_terrain"):
+        monkeypatch.setattr(f"splatrl.capture.inspection.ScenePictures.{kind}", lambda *_: [])
 
 
 @pytest.fixture
 def ungrounded(undrawn: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also omit the ground and boxes that robots with physics would touch, which take most of the remaining time."""
-    monkeypatch.setattr("splatrl.commands.scene.show_terrain", lambda *_: None)
+    monkeypatch.setattr("splatrl.capture.inspection.inspect_terrain", lambda *_: [])
 
 
 @pytest.fixture

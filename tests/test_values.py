@@ -1,8 +1,37 @@
-"""Numbers are formatted for people."""
+"""Numbers are checked, and formatted for people."""
+
+import re
 
 import pytest
 
-from splatrl.values import tenths
+from splatrl.values import require_number, tenths
+
+
+@pytest.mark.parametrize(
+    ("bounds", "accepted", "refused", "expected"),
+    [
+        (
+            {"low": 1},
+            [1, 1.5, 1e300],
+            [0.999, -1, float("inf"), float("nan"), True, "2", None],
+            "a number of at least 1",
+        ),
+        ({"low": 0.0, "high": 2.0}, [0, 0.0, 2.0], [-1e-9, 2.1], "a number from 0.0 to 2.0"),
+        ({"above": 0.0}, [1e-300, 5], [0, 0.0, -1, float("inf"), float("nan")], "a number above 0.0"),
+        ({"above": 0, "high": 9}, [9, 0.1], [0, 9.1], "a number above 0, at most 9"),
+        ({"low": 1, "whole": True}, [1, 2**62], [0, 1.0, True, 10**400], "a whole number of at least 1"),
+        ({"above": 0.0, "unit": "metres"}, [0.1], [0.0], "a number of metres above 0.0"),
+        ({"low": 0.0, "unit": "metres"}, [0.0], [-0.1], "a number of metres, at least 0.0"),
+    ],
+)
+def test_numbers_out_of_range_are_refused_with_the_range(
+    bounds: dict, accepted: list, refused: list, expected: str
+) -> None:
+    for value in accepted:
+        require_number("a.key", value, **bounds)
+    for value in refused:
+        with pytest.raises(ValueError, match=re.escape(f"a.key: expected {expected}, got {value!r}")):
+            require_number("a.key", value, **bounds)
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from splatrl.capture.stereo import Depths, find_depths
 from splatrl.native import _core
 from splatrl.native.threads import usable_cores
 from splatrl.scenes.gaussians import Gaussians
+from splatrl.values import require_number
 
 HELD_OUT = 8
 """One view in this many is held out and never trained on."""
@@ -88,12 +89,10 @@ class FitSettings:
 
     def __post_init__(self) -> None:
         for name in ("width", "cap", "views", "views_a_step", "refine_every"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
-        if self.sh_degree not in range(4):
-            raise ValueError(f"sh_degree: expected 0 to 3, got {self.sh_degree}")
-        if self.threads is not None and self.threads < 1:
-            raise ValueError(f"threads: expected at least 1, or None for all cores, got {self.threads}")
+            require_number(name, getattr(self, name), 1, whole=True)
+        require_number("sh_degree", self.sh_degree, 0, 3, whole=True)
+        if self.threads is not None:
+            require_number("threads", self.threads, 1, whole=True)
 
 
 def held_out(count: int) -> Tensor:

@@ -17,6 +17,7 @@ from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.stages import Stages, fingerprint
 from splatrl.images import PHOTO_SUFFIXES
+from splatrl.values import require_number
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -63,8 +64,7 @@ def read_photos(
     """
     if not 1 <= count[0] <= count[1]:
         raise ValueError(f"count: expected (minimum, maximum) with 1 ≤ minimum ≤ maximum, got {count}")
-    if longest < 16:
-        raise ValueError(f"longest: expected at least 16 pixels, got {longest}")
+    require_number("longest", longest, 16, whole=True, unit="pixels")
     if not source.exists():
         raise CaptureError(f"{source}: expected a video or a folder of photos, found none")
     if source.is_file() and source.suffix.lower() in (*PHOTO_SUFFIXES, *photo_files.UNREAD):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.capture.base import CaptureError, Reconstruction
+from splatrl.values import require_number
 
 Floats = NDArray[np.float64]
 ScaleFrom = Literal["recorded", "marker", "distance", "camera_height", "gps", "unknown"]
@@ -57,18 +58,12 @@ class Distance:
     def __post_init__(self) -> None:
         if not (self.start and self.end):
             raise ValueError("distance: expected at least one click for each point, got none")
-        if not (np.isfinite(self.metres) and self.metres > 0):
-            raise ValueError(f"distance: expected a positive, finite number of metres, got {self.metres}")
+        require_number("distance", self.metres, above=0.0, unit="metres")
 
     @classmethod
     def between(cls, start: Click, end: Click, metres: float) -> "Distance":
         """Return the distance between two points clicked once each, in one image or in two."""
         return cls((start,), (end,), metres)
-
-    @classmethod
-    def in_image(cls, image: int, x0: float, y0: float, x1: float, y1: float, metres: float) -> "Distance":
-        """Return the distance between two points clicked in one image."""
-        return cls.between(Click(image, x0, y0), Click(image, x1, y1), metres)
 
 
 def scale_by_distance(reconstruction: Reconstruction, distance: Distance) -> float:

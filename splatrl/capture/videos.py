@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from av import VideoFrame
     from av.container import InputContainer
 
-VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mts", ".m2ts", ".ts", ".3gp", ".mpg", ".wmv")
 
 MOST_DAMAGED = 0.03
 """Maximum fraction of a video's frames that may be damaged; some bytes are often lost in a transfer."""

@@ -14,6 +14,7 @@ from splatrl.capture.jerks import TORN, jerks, leaps
 from splatrl.capture.marker import MARKER_SIDE, scale_by_marker
 from splatrl.capture.scale import Distance, ScaleFrom, scale_by_distance, scale_by_gps
 from splatrl.capture.upright import entropy
+from splatrl.values import require_number
 
 Floats = NDArray[np.float64]
 
@@ -83,8 +84,8 @@ def place(
         ValueError: for a height or a side that is not above 0.
     """
     for name, value in (("camera_height", camera_height), ("marker", marker)):
-        if value is not None and not 0.0 < value < math.inf:
-            raise ValueError(f"{name}: expected a positive, finite number of metres, got {value}")
+        if value is not None:
+            require_number(name, value, above=0.0, unit="metres")
     poses, points = reconstruction.camera_to_world.numpy(), reconstruction.points.numpy()
     if len(poses) < 2 or len(points) < 20:
         raise CaptureError(

@@ -1,6 +1,5 @@
 """Collision checking with the Flexible Collision Library (Pan et al. 2012): the exact reference for other checkers."""
 
-import math
 from typing import Any
 
 import fcl
@@ -15,6 +14,7 @@ from splatrl.collision.distances import DistanceField
 from splatrl.collision.occupancy import Occupancy
 from splatrl.collision.octree import encode_octree
 from splatrl.collision.rays import ranges_by_formula
+from splatrl.values import require_number
 
 _SLACK = 1e-5
 """Gap to the nearest voxel, metres, beyond which a body is free without asking FCL: far above rounding error."""
@@ -48,10 +48,8 @@ class FclChecker:
             ValueError: for a voxel outside the range of the octree's keys, or blocks that are not finite metres above
                 0.
         """
-        if blocks is not None and not (math.isfinite(blocks) and blocks > 0):
-            raise ValueError(
-                f"blocks: expected a positive, finite number of metres, or None for one octree, got {blocks}"
-            )
+        if blocks is not None:
+            require_number("blocks", blocks, above=0.0, unit="metres")
         self.occupancy = occupancy
         self.body = body
         self.blocks = blocks

@@ -1,6 +1,5 @@
 """Finds unreachable free space, so that it can be made solid: captured objects are hollow."""
 
-import math
 import warnings
 
 import numpy as np
@@ -11,6 +10,7 @@ from torch import Tensor
 from splatrl.collision.voxel_grid import MAX_VOXELS, Bounds, checked_box, checked_points, grid_shape, within
 from splatrl.native import _core
 from splatrl.native.threads import threads_of
+from splatrl.values import require_number
 
 Region = tuple[NDArray[np.bool_], tuple[int, int, int]]
 """Voxels [X, Y, Z] bool, and the key of the first one."""
@@ -53,8 +53,7 @@ def unreached_voxels(
         ValueError: for an ``opening`` that is not finite or below 0, malformed seeds or corners, or a grid that is
             too large to be flooded.
     """
-    if not (math.isfinite(opening) and opening >= 0):
-        raise ValueError(f"fill: expected a non-negative, finite number of metres, got {opening}")
+    require_number("fill", opening, 0.0, unit="metres")
     places = None if seeds is None else checked_points("seeds", seeds)
     padded, origin = _widened(occupied, np.array(origin_key, np.int64), resolution, around, max_voxels)
     wide = round(opening / resolution)

@@ -1,7 +1,5 @@
 """Casts rays against voxels: the ranges of a lidar's beams."""
 
-import math
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -10,6 +8,7 @@ from torch import Tensor
 
 from splatrl.collision.displacement import checked_poses
 from splatrl.collision.voxels import Voxels
+from splatrl.values import require_number
 
 MOST_ROOM = 255
 _PAIRS = 2**20
@@ -29,8 +28,7 @@ def room_around(voxels: Voxels) -> NDArray[np.uint8]:
 
 def check_reach(reach: float) -> None:
     """Refuse a reach that is not a finite number above 0."""
-    if not (math.isfinite(reach) and reach > 0):
-        raise ValueError(f"reach: expected a positive, finite number of metres, got {reach}")
+    require_number("reach", reach, above=0.0, unit="metres")
 
 
 def check_beams(beams: Tensor) -> None:

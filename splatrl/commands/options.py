@@ -4,6 +4,8 @@ import argparse
 from collections.abc import Callable, Mapping, Sequence
 from typing import NoReturn
 
+from splatrl.values import split_words
+
 
 class Parser(argparse.ArgumentParser):
     """An argument parser that reports errors in one line."""
@@ -21,7 +23,7 @@ def is_word(word: str) -> bool:
 def is_numbers(word: str) -> bool:
     """Return whether an argument is one number, or several separated by blanks or commas."""
     try:
-        return len([float(part) for part in split(word)]) > 0
+        return len([float(part) for part in split_words(word)]) > 0
     except ValueError:
         return False
 
@@ -40,12 +42,7 @@ def joined(arguments: Sequence[str], words: Mapping[str, int], fits: Callable[[s
         if argument in words:
             taken: list[str] = []
             while rest and len(taken) < words[argument] and fits(rest[0]):
-                taken += split(rest.pop(0))
+                taken += split_words(rest.pop(0))
             argument = f"{argument}={' '.join(taken)}" if taken else argument
         result.append(argument)
     return result
-
-
-def split(text: str) -> list[str]:
-    """Split a text into words at blanks and commas."""
-    return text.replace(",", " ").split()

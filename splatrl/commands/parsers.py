@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from splatrl.commands.options import Parser, is_numbers, joined, split
+from splatrl.commands.options import Parser, is_numbers, joined
+from splatrl.values import split_words
 
 if TYPE_CHECKING:
     from splatrl.capture.scale import Distance
@@ -85,7 +86,7 @@ def _distance(text: str) -> "Distance":
         argparse.ArgumentTypeError: for anything else.
     """
     try:
-        values = [float(word) for word in split(text)]
+        values = [float(word) for word in split_words(text)]
         if len(values) == 6:  # both points are in one image
             values.insert(3, values[0])
         if len(values) != 7 or values[0] % 1 != 0 or values[3] % 1 != 0:

@@ -17,6 +17,7 @@ from splatrl.evaluation.video import encode
 from splatrl.evaluation.walk_looks import GAMMA
 from splatrl.files import replacing
 from splatrl.renderers.base import Renderer
+from splatrl.values import require_number
 
 DRIFT = 17.0
 """Period of the exposure drift, seconds."""
@@ -53,8 +54,7 @@ class Phone:
             if getattr(self, name) < 2 or getattr(self, name) % 2:
                 raise ValueError(f"{name}: expected an even number of pixels, got {getattr(self, name)}")
         for name in ("fps", "glimpses"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
+            require_number(name, getattr(self, name), 1, whole=True)
 
     @property
     def K(self) -> Tensor:

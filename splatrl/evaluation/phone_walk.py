@@ -12,6 +12,7 @@ from torch import Tensor
 from splatrl.collision.occupancy import Occupancy
 from splatrl.evaluation.tours import round_trip
 from splatrl.evaluation.walks import Hand, sway
+from splatrl.values import require_number
 
 Floats = NDArray[np.float64]
 
@@ -68,8 +69,7 @@ class Stroll:
 
     def __post_init__(self) -> None:
         for name in ("radius", "speed", "turn", "nod"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name}: expected a positive, finite number, got {getattr(self, name)}")
+            require_number(name, getattr(self, name), above=0.0)
         if not all(low < high for low, high in zip(self.lower, self.upper, strict=True)):
             raise ValueError(f"lower, upper: expected lower below upper, got {self.lower} and {self.upper}")
 

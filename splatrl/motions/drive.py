@@ -8,6 +8,7 @@ from torch import Tensor
 from torchrl.data import Bounded
 
 from splatrl.motions.planar import StoppingMotion, along
+from splatrl.values import require_number
 
 CELL = 0.05
 """Distance between the positions at which paths are computed, metres."""
@@ -56,8 +57,7 @@ class DriveMotion(StoppingMotion):
         spacing: float = 0.1,
         headings: int = 36,
     ):
-        if not time_step > 0:
-            raise ValueError(f"task.motion.time_step: expected a positive number of seconds, got {time_step}")
+        require_number("task.motion.time_step", time_step, above=0.0, unit="seconds")
         if len(linear) != 2 or not linear[0] <= 0 < linear[1] or not angular_deg > 0:
             raise ValueError(
                 f"task.motion: expected linear = [at most 0, more than 0] m/s and angular_deg > 0, "

@@ -8,6 +8,7 @@ from torch import Tensor
 from torchrl.data import Categorical
 
 from splatrl.motions.planar import PlanarMotion, along
+from splatrl.values import require_number
 
 
 class StepMotion(PlanarMotion):
@@ -45,8 +46,7 @@ class StepMotion(PlanarMotion):
         headings: int | None,
         cell: float,
     ):
-        if not step > 0:
-            raise ValueError(f"task.motion.step: expected a positive number of metres, got {step}")
+        require_number("task.motion.step", step, above=0.0, unit="metres")
         turns = round(360.0 / angle_step_deg) if angle_step_deg > 0 else 0
         if turns < 1 or abs(turns * angle_step_deg - 360.0) > 1e-6:
             raise ValueError(f"task.motion.angle_step_deg: expected a divisor of 360, got {angle_step_deg}")

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
+from splatrl.values import require_number
+
 AXES = {f"{sign}{axis}": (i, value) for i, axis in enumerate("xyz") for sign, value in (("", 1.0), ("-", -1.0))}
 
 
@@ -62,8 +64,7 @@ def similarity(
         return checked_similarity(matrix)
     if sorted(AXES[axis][0] for axis in axes) != [0, 1, 2]:
         raise ValueError(f"world_from_splat.axes: expected each of x, y and z once, got {list(axes)}")
-    if not 0.0 < _number("scale", scale) < float("inf"):
-        raise ValueError(f"world_from_splat.scale: expected a positive, finite number, got {scale}")
+    require_number("world_from_splat.scale", _number("scale", scale), above=0.0)
     transform = torch.zeros(4, 4, dtype=torch.float64)
     for row, axis in enumerate(axes):
         column, sign = AXES[axis]

@@ -12,6 +12,7 @@ from torch import Tensor
 from splatrl.documents import read_json
 from splatrl.scenes.frame import AXES, checked_similarity, similarity
 from splatrl.scenes.upright import Upright, axis_name
+from splatrl.values import require_number
 
 MOST_BYTES = 2**20
 """Maximum size of nerfstudio's file in bytes; it holds 13 numbers."""
@@ -93,8 +94,7 @@ def nerfstudio_transform(path: Path) -> Tensor:
         raise ValueError(f"{path}: expected numbers for transform and scale, got {error}") from error
     if moved.shape not in ((3, 4), (4, 4)) or not np.isfinite(moved).all():
         raise ValueError(f"{path}: transform: expected 3 rows of 4 finite numbers, got shape {list(moved.shape)}")
-    if not (np.isfinite(scale) and scale > 0):
-        raise ValueError(f"{path}: scale: expected a positive, finite number, got {scale}")
+    require_number(f"{path}: scale", scale, above=0.0)
     rotation, shift = moved[:3, :3], moved[:3, 3]
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0:
         raise ValueError(f"{path}: transform: expected a rotation and a shift, got {moved.tolist()}")
@@ -118,10 +118,8 @@ def metres_per_unit(start: Sequence[float], end: Sequence[float], metres: float)
     apart = float(np.linalg.norm(np.subtract(end, start)))
     if not np.isfinite(apart) or apart == 0.0:
         raise ValueError(f"distance: expected two different points, got {list(start)} and {list(end)}")
-    scale = metres / apart
-    if not (np.isfinite(scale) and scale > 0):
-        raise ValueError(f"distance: expected a positive, finite number of metres between the points, got {metres}")
-    return scale
+    require_number("distance", metres, above=0.0, unit="metres")
+    return metres / apart
 
 
 def rescaled(transform: Tensor, scale: float) -> Tensor:

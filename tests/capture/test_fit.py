@@ -269,9 +269,9 @@ def test_small_errors_of_the_poses_are_corrected(capture: Reconstruction) -> Non
 
 
 def test_invalid_settings_and_captures_are_refused_in_one_line(capture: Reconstruction) -> None:
-    with pytest.raises(ValueError, match=r"^sh_degree: expected 0 to 3, got 4$"):
+    with pytest.raises(ValueError, match=r"^sh_degree: expected a whole number from 0 to 3, got 4$"):
         FitSettings(sh_degree=4)
-    with pytest.raises(ValueError, match=r"^cap: expected at least 1, got 0$"):
+    with pytest.raises(ValueError, match=r"^cap: expected a whole number of at least 1, got 0$"):
         FitSettings(cap=0)
     with pytest.raises(CaptureError, match=r"^points: expected at least one"):
         fit(replace(capture, points=capture.points[:0], seen_point=capture.seen_point[:0],

@@ -51,7 +51,7 @@ def test_impossible_robot_cameras_and_widths_are_refused() -> None:
     for wrong in ({"robot_width": 0}, {"robot_fov_deg": 180.0}):
         with pytest.raises(ValueError, match="robot: expected"):
             Resolution(**wrong)
-    with pytest.raises(ValueError, match="width: expected at least 1, got 0"):
+    with pytest.raises(ValueError, match="width: expected a whole number of at least 1, got 0"):
         Resolution(width=0).of(photos(), FitSettings())
 
 

@@ -257,7 +257,7 @@ def test_two_clicks_in_one_image_give_the_scale(image: int) -> None:
     points = two_points(image)
     (x0, y0), (x1, y1) = pixels(image, points).tolist()
     lying, transform = strewn(image % 5)
-    distance = Distance.in_image(image, x0, y0, x1, y1, float((points[0] - points[1]).norm()))
+    distance = Distance.between(Click(image, x0, y0), Click(image, x1, y1), float((points[0] - points[1]).norm()))
     placed = place(lying, marker=None, distance=distance, camera_height=9.0)
     assert placed.scale_from == "distance" and scale_error(placed, transform) < 0.05
 
@@ -315,14 +315,14 @@ def test_the_scale_has_no_known_error_without_a_floor_or_where_the_camera_leaps(
 
 
 def test_impossible_heights_distances_and_clicks_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"camera_height: expected a positive, finite number of metres, got -1\.0"):
+    with pytest.raises(ValueError, match=r"camera_height: expected a number of metres above 0\.0, got -1\.0"):
         place(walk(), marker=None, camera_height=-1.0)
-    with pytest.raises(ValueError, match=r"distance: expected a positive, finite number of metres, got 0\.0"):
-        Distance.in_image(0, 0, 0, 1, 1, 0.0)
+    with pytest.raises(ValueError, match=r"distance: expected a number of metres above 0\.0, got 0\.0"):
+        Distance.between(Click(0, 0, 0), Click(0, 1, 1), 0.0)
     with pytest.raises(CaptureError, match="expected an image index from 0 to 39, got 99"):
-        place(walk(), marker=None, distance=Distance.in_image(99, 0, 0, 1, 1, 1.0))
+        place(walk(), marker=None, distance=Distance.between(Click(99, 0, 0), Click(99, 1, 1), 1.0))
     with pytest.raises(CaptureError, match=r"at least 3 points .* around \(-900, 0\) in image 3, found \d"):
-        place(walk(), marker=None, distance=Distance.in_image(3, -900, 0, 1, 1, 1.0))
+        place(walk(), marker=None, distance=Distance.between(Click(3, -900, 0), Click(3, 1, 1), 1.0))
     with pytest.raises(CaptureError, match="at least 2 cameras and 20 points"):
         place(without_points(walk(), torch.arange(len(walk().points)) < 5), marker=None)
 

@@ -255,6 +255,6 @@ def test_every_block_that_contains_a_voxel_has_an_octree():
 def test_copies_keep_their_block_size_and_invalid_block_sizes_are_refused():
     assert copy.deepcopy(FclChecker(CUBE, Sphere(0.1), blocks=0.5)).blocks == 0.5
     for blocks in (0.0, -4.0, math.nan, math.inf):
-        with pytest.raises(ValueError, match="blocks: expected a positive, finite number of metres"):
+        with pytest.raises(ValueError, match="blocks: expected a number of metres above 0"):
             FclChecker(CUBE, Sphere(0.1), blocks=blocks)
     assert not FclChecker(Occupancy.empty(), Sphere(0.1), blocks=4.0).collides(at((0.0, 0.0, 0.0))).any()

@@ -431,7 +431,7 @@ def test_each_point_of_a_distance_may_be_in_its_own_image(
         (["1", "2", "3"], "expected IMAGE X Y X Y M or IMAGE X Y IMAGE X Y M, got '1 2 3'"),
         (["1.5", "2", "3", "4", "5", "6"], "expected IMAGE X Y X Y M"),
         (["1", "2", "3", "inf", "4", "5", "6"], "expected IMAGE X Y X Y M"),
-        (["1", "2", "3", "4", "5", "-6"], "expected a positive, finite number of metres, got -6"),
+        (["1", "2", "3", "4", "5", "-6"], "expected a number of metres above 0.0, got -6"),
     ],
 )
 def test_an_invalid_distance_is_a_usage_error(

@@ -9,6 +9,7 @@ import torch
 from PIL import Image
 
 from splatrl.building import build_world
+from splatrl.capture import inspection
 from splatrl.collision.point_clouds import write_points
 from splatrl.commands.scene import main
 from splatrl.configuration import load_config
@@ -48,15 +49,16 @@ def few_places(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def few_pictures(few_places: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw only the view and the occupancy."""
-    for name in ("evaluation.scene_pictures.draw_maps", "commands.scene.draw_goals", "commands.scene.show_terrain"):
+    for name in ("evaluation.scene_pictures.draw_maps", "capture.inspection.draw_goals"):
         monkeypatch.setattr(f"splatrl.{name}", lambda *_: None)
+    monkeypatch.setattr(inspection, "inspect_terrain", lambda *_: [])
 
 
 @pytest.fixture
 def unproposed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw nothing, and propose nothing but the scene's bounds, for tests that look at none of it."""
-    monkeypatch.setattr("splatrl.commands.scene.draw", lambda *_: None)
-    monkeypatch.setattr("splatrl.commands.scene.propose", lambda scene, *_: (scene.bounds, {}))
+    monkeypatch.setattr(inspection, "inspect_occupancy", lambda *_: (None, []))
+    monkeypatch.setattr(inspection, "propose", lambda scene, *_: inspection.Proposed(scene.bounds, {}, []))
 
 
 def heights(folder: Path) -> tuple[float, float]:
@@ -210,7 +212,7 @@ def test_nerfstudios_own_frame_is_undone(tmp_path: Path) -> None:
         ),
         (["--nerfstudio", "nowhere.json"], "found no file"),
         (["--scale", "1", "--distance", "0 0 0 1 0 0 1"], "got both"),
-        (["--scale", "-1"], "--scale: expected a positive, finite number"),
+        (["--scale", "-1"], "--scale: expected a number above 0"),
         (["--height", "nan"], "--height: expected"),
         (["--distance", "0 0 0 0 0 0 1"], "two different points"),
         (["--distance", "0 0 0 1 0 0"], "expected 7 numbers, got 6"),
@@ -354,7 +356,7 @@ def test_blocks_are_not_written_into_a_folder_with_a_scene_yaml(splat: Path) -> 
     main([str(splat)])
     with pytest.raises(SystemExit, match=r"--split: expected a folder without scene.yaml"):
         main([str(splat.parent), "--split", "2"])
-    with pytest.raises(SystemExit, match="--split: expected a positive, finite number"):
+    with pytest.raises(SystemExit, match="--split: expected a number above 0"):
         main([str(splat), "--split", "0", "--out", str(splat.parent / "town")])
     main([str(splat.parent), "--split", "2", "--out", str(splat.parent / "town")])
     assert isinstance(read_scene(splat.parent / "town"), BlockScene)

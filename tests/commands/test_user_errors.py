@@ -91,7 +91,7 @@ ERRORS = [
     (f"train {ROOM} scene.bounds=[[0,0,0],[0,0,0]]", "scene: bounds: expected lower below upper along x"),
     (
         f"train {ROOM} scene.world_from_splat.scale=-1",
-        "scene: world_from_splat.scale: expected a positive, finite number",
+        "scene: world_from_splat.scale: expected a number above 0",
     ),
     (f"train {ROOM} curriculum.stride=0", "curriculum.stride: expected a whole number of at least 1"),
     ("train task=gates +task.course.gate=3", "task.course.gate: no such key in TrackSettings"),

@@ -80,5 +80,5 @@ def test_the_exposure_drifts_and_noise_covers_the_image(tmp_path: Path) -> None:
 def test_invalid_phone_settings_are_refused() -> None:
     with pytest.raises(ValueError, match="width: expected an even number of pixels, got 95"):
         replace(PHONE, width=95)
-    with pytest.raises(ValueError, match="glimpses: expected at least 1, got 0"):
+    with pytest.raises(ValueError, match="glimpses: expected a whole number of at least 1, got 0"):
         replace(PHONE, glimpses=0)

@@ -96,7 +96,7 @@ def test_episodes_begin_on_a_lattice_of_places_and_headings() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"time_step": 0.0}, r"task\.motion\.time_step: expected a positive number of seconds, got 0\.0"),
+        ({"time_step": 0.0}, r"task\.motion\.time_step: expected a number of seconds above 0\.0, got 0\.0"),
         ({"linear": (0.1, 0.5)}, r"task\.motion: expected linear = .* got \[0\.1, 0\.5\] and 90\.0"),
         ({"linear": (-0.2, 0.0)}, r"task\.motion: expected linear"),
         ({"linear": (0.5,)}, r"task\.motion: expected linear"),

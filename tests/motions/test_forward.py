@@ -109,7 +109,7 @@ def test_the_body_faces_its_heading_at_its_height() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"step": 0.0}, r"task\.motion\.step: expected a positive number of metres, got 0\.0"),
+        ({"step": 0.0}, r"task\.motion\.step: expected a number of metres above 0\.0, got 0\.0"),
         ({"step": math.nan}, r"task\.motion\.step"),
         ({"angle_step_deg": 25.0}, r"task\.motion\.angle_step_deg: expected a divisor of 360, got 25\.0"),
         ({"angle_step_deg": -10.0}, r"task\.motion\.angle_step_deg"),

@@ -3,16 +3,18 @@
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
 
+from splatrl.capture.inspection import ScenePictures
 from splatrl.commands.scene import main
 from splatrl.configuration import load_config, run_config, save_config, with_scene_paths
 from splatrl.evaluation.scene_pictures import draw_scene
-from splatrl.scenes import Gaussians, read_scene, similarity, write_gaussians
+from splatrl.scenes import Gaussians, Scene, read_scene, similarity, write_gaussians
 from splatrl.scenes.description import read_description
 from splatrl.scenes.nerfstudio import antialiased_beside
 from tests.scenes.samples import assert_same, sample_gaussians
@@ -81,7 +83,10 @@ def test_a_frame_that_is_not_z_up_gives_a_warning(tmp_path: Path) -> None:
     [
         ('{"transform": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}', "expected a rotation and a shift"),
         ('{"transform": [[1, 0, 0, NaN], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}', "3 rows of 4 finite numbers"),
-        ('{"transform": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": Infinity}', "positive, finite number"),
+        (
+            '{"transform": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": Infinity}',
+            "scale: expected a number above 0",
+        ),
         ('{"transform": [[1, 0, 0, 1e999], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}', "3 rows of 4 finite numbers"),
         (f'{{"transform": [[{10**400}, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}}', "expected numbers"),
         ("[" * 100_000, "expected JSON"),
@@ -139,12 +144,12 @@ def test_splatrl_scene_reads_frame_and_mode_from_the_files_beside_the_splat(
 ) -> None:
     drawn: list[bool] = []
 
-    def draw(*arguments: object) -> list[Path]:
-        drawn.append(bool(arguments[-1]))
+    def draw(pictures: ScenePictures, scene: Scene, *others: Any) -> list[Path]:
+        drawn.append(pictures.antialiased)
         again = len(drawn) % 2 == 0  # the same pictures again, so they need not be drawn
-        return [] if again else draw_scene(*arguments)  # type: ignore[arg-type]
+        return [] if again else draw_scene(scene, *others, pictures.folder, pictures.antialiased)
 
-    monkeypatch.setattr("splatrl.commands.scene.draw_scene", draw)
+    monkeypatch.setattr(ScenePictures, "of_scene", draw)
     world = surfaces([FLOOR, *BOXES])
     for mode in ("classic", "antialiased"):
         splat = trained(tmp_path / mode, world, turned_about_z(1.0), mode)

@@ -46,7 +46,7 @@ def test_up_is_known_where_axes_or_a_transform_state_it() -> None:
             {"translation": [0.0, 0.0, 1.0], "transform": TURNED},
             "transform: expected either a transform or axes and translation",
         ),
-        ({"scale": 0.0}, "scale: expected a positive, finite number of metres per unit, got 0.0"),
+        ({"scale": 0.0}, "scale: expected a number of metres per unit above 0.0, got 0.0"),
     ],
 )
 def test_invalid_and_contradictory_frames_are_refused(arguments: dict, message: str) -> None:

@@ -14,6 +14,7 @@ from splatrl.envs.drawing.billboard import overlay
 from splatrl.envs.drawing.sprite import Sprite, load_sprite
 from splatrl.renderers.base import Renderer, to_pixels
 from splatrl.renderers.parts import Parts
+from splatrl.values import require_number
 
 
 class SpriteDrawing:
@@ -43,8 +44,7 @@ class SpriteDrawing:
         near: float = 0.05,
     ):
         for name, value in {"size": size, "near": near}.items():
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"drawing.{name}: expected a positive, finite number of metres, got {value}")
+            require_number(f"drawing.{name}", value, above=0.0, unit="metres")
         if position is not None and not (len(position) == 3 and all(math.isfinite(value) for value in position)):
             raise ValueError(f"drawing.position: expected finite x, y and z in metres, got {list(position)}")
         self.renderer = renderer

@@ -100,7 +100,7 @@ class NavigationTask(TaskModule):
                 "type motion@task.motion=navigate"
             )
         super().__init__(motion, max_steps)
-        require_number("task.success_distance", success_distance, 1e-6, 1e6)
+        require_number("task.success_distance", success_distance, high=1e6, above=0.0)
         require_number("task.nearest", nearest, 0.0, 1e6)
         require_number("task.farthest", farthest, nearest, 1e6)
         require_number("task.goals", goals, 1, 10**5, whole=True)

@@ -140,7 +140,7 @@ class Push(TaskModule):
         super().__init__(motion, max_steps)
         numbers = {"success_distance": success_distance, "mark_radius": mark_radius, "farthest": farthest}
         for name, value in numbers.items():
-            require_number(f"task.{name}", value, 1e-6, 1e6)
+            require_number(f"task.{name}", value, high=1e6, above=0.0)
         least = {"apart": apart, "clearance": clearance, "leeway": leeway, "nearest": nearest}
         for name, value in {**least, "mark_height": mark_height}.items():
             require_number(f"task.{name}", value, 0.0, 1e6)

@@ -10,6 +10,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import ParallelEnv
 
 from splatrl.envs.transforms.randomness import RandomTransform
+from splatrl.values import require_number
 
 EDGE = 1 - 1e-6
 """Fraction of its range that a uniform offset may use, so that the underlying normal variable stays finite."""
@@ -65,8 +66,7 @@ class PoseNoise(RandomTransform):
         super().__init__(seed, out_keys=["camera_offset"])
         given = {"x": x, "y": y, "height": height, "pitch_deg": pitch_deg, "roll_deg": roll_deg, "yaw_deg": yaw_deg}
         for name, value in {**given, "smooth": smooth}.items():
-            if not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"pose_noise.{name}: expected a finite number of at least 0, got {value}")
+            require_number(f"pose_noise.{name}", value, 0.0)
         if distribution not in ("uniform", "normal"):
             raise ValueError(f"pose_noise.distribution: expected uniform or normal, got {distribution!r}")
         self.distribution = distribution

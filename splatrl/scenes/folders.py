@@ -1,0 +1,139 @@
+"""Writes the folders of scenes: a splat and its ``scene.yaml``, or blocks and their ``blocks.yaml``."""
+
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from splatrl.files import replacing
+from splatrl.scenes.blocks import BLOCKS_FILE
+from splatrl.scenes.description import (
+    SCENE_FILE,
+    SMALL_SPLAT,
+    SPLAT,
+    check_absent,
+    scene_folder,
+    write_description,
+)
+from splatrl.scenes.formats import write_gaussians
+from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes.placement import Frame
+from splatrl.scenes.scene import Bounds, Scene
+from splatrl.scenes.splitting import write_split
+
+AS_IT_IS: Frame = {"axes": ["x", "y", "z"], "scale": 1.0}
+"""Frame of a splat file whose Gaussians are in the world frame."""
+ONE_FILE = (".ply", ".spz", ".splat", ".sog")
+"""Formats of splats that are one file, which can be copied as it is."""
+
+
+@dataclass(frozen=True)
+class SceneFolder:
+    """A folder in which a scene is to be written, and the form in which it is stored.
+
+    Attributes:
+        path: the folder; created if necessary.
+        small: whether splat files are written as SPZ.
+        block: side of the blocks that the scene is split into, metres; None for a single splat.
+        force: whether to replace an existing scene.
+    """
+
+    path: Path
+    small: bool = False
+    block: float | None = None
+    force: bool = False
+
+    @classmethod
+    def at(cls, out: Path, block: float | None = None, force: bool = False) -> "SceneFolder":
+        """Return the folder of an ``--out`` such as ``garden``, or ``garden.spz`` for small splat files."""
+        path, splat = scene_folder(out)
+        return cls(path, splat == SMALL_SPLAT, block, force)
+
+    @property
+    def converts(self) -> bool:
+        """Whether the scene's Gaussians are written anew, in the world frame."""
+        return self.small or self.block is not None
+
+    def check(self) -> None:
+        """Refuse to hide blocks behind a ``scene.yaml`` or vice versa, and to replace a scene without ``force``.
+
+        Raises:
+            FileExistsError: names the file, or the folder.
+        """
+        if self.block is None:
+            check_absent(self.path, self.force)
+        elif (self.path / SCENE_FILE).exists():
+            raise FileExistsError(
+                f"--split: expected a folder without {SCENE_FILE}, which would be read instead of the blocks, "
+                f"got {self.path}; pass another folder as --out"
+            )
+        if (self.path / BLOCKS_FILE).exists() and not self.force:
+            raise FileExistsError(
+                f"{self.path / BLOCKS_FILE}: already exists; pass another folder as --out, or --force"
+            )
+
+    def write(self, scene: Scene, bounds: Bounds, proposals: Mapping[str, Any]) -> list[str]:
+        """Write a scene in the world frame, as blocks or with a small splat file.
+
+        Args:
+            scene: the scene; where its ``free`` is known, a small scene keeps it.
+            bounds: bounds of the region for robots, metres.
+            proposals: training settings that the scene proposes.
+
+        Returns:
+            Lines that say what was written.
+
+        Raises:
+            FileExistsError: for an existing ``scene.yaml``, without ``force``.
+            ValueError: for a size of blocks that ``write_split`` refuses.
+        """
+        self.path.mkdir(parents=True, exist_ok=True)
+        if self.block is not None:
+            told = {key: value for key, value in proposals.items() if key != "free"}
+            ending = Path(SMALL_SPLAT if self.small else SPLAT).suffix
+            names = write_split(self.path, scene, self.block, ending, bounds, told)
+            return [f"wrote       {self.path / BLOCKS_FILE} and {len(names)} blocks of {self.block:g} m"]
+        if scene.free is not None:
+            _copy(scene.free.path, self.path / scene.free.path.name)
+        splat = self.path / SMALL_SPLAT
+        write_gaussians(splat, scene.gaussians, proposals.get("antialiased", True))
+        line = f"wrote       {splat}, {splat.stat().st_size / 1e6:.1f} MB"
+        described = write_description(self.path, splat.name, scene.name, AS_IT_IS, bounds, self.force, proposals)
+        return [line, f"wrote       {described}"]
+
+    def describe(
+        self, file: Path, gaussians: Gaussians, name: str, frame: Frame, bounds: Bounds, proposals: Mapping[str, Any]
+    ) -> list[str]:
+        """Write a ``scene.yaml`` for a splat file, after copying the file to the folder unless it is there.
+
+        Args:
+            file: the splat file.
+            gaussians: its Gaussians, from which formats with several files are rewritten as one.
+            name: name of the scene.
+            frame: arguments of ``similarity`` from the file to the world, by name.
+            bounds: bounds of the region for robots, metres.
+            proposals: training settings that the scene proposes.
+
+        Returns:
+            Lines that say what was written.
+
+        Raises:
+            FileExistsError: for an existing ``scene.yaml``, without ``force``.
+        """
+        self.path.mkdir(parents=True, exist_ok=True)
+        lines, splat = [], file
+        if self.path.resolve() != file.parent.resolve():
+            splat = self.path / (file.name if file.suffix in ONE_FILE else SPLAT)
+            if file.suffix in ONE_FILE:
+                _copy(file, splat)
+            else:
+                write_gaussians(splat, gaussians)
+            lines.append(f"wrote       {splat}")
+        described = write_description(self.path, splat.name, name, frame, bounds, self.force, proposals)
+        return [*lines, f"wrote       {described}"]
+
+
+def _copy(old: Path, new: Path) -> None:
+    with replacing(new) as stream, old.open("rb") as source:
+        shutil.copyfileobj(source, stream)
