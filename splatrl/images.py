@@ -12,6 +12,7 @@ from PIL import Image, ImageChops, ImageOps
 from splatrl.files import refusing
 
 if TYPE_CHECKING:
+    from av import VideoFrame
     from av.container import InputContainer
 
 PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
@@ -57,17 +58,18 @@ def _rgb(image: Image.Image) -> Image.Image:
     return shown
 
 
-def photo_size(path: Path) -> tuple[int, int]:
-    """Return the width and height that a photo has once upright, in pixels, without decoding it.
+def photo_size(path: Path, upright: bool = True) -> tuple[int, int]:
+    """Return a photo's width and height in pixels, without decoding it.
 
     Args:
         path: path of a PNG, JPEG or WebP.
+        upright: whether to return the size that it has once it is rotated as its EXIF says.
 
     Raises:
         ValueError: for a file that is damaged, in another format, or too large.
     """
     with _opened(path, None, PHOTO_FORMATS) as image:
-        lies = image.getexif().get(ORIENTATION) in (5, 6, 7, 8)
+        lies = upright and image.getexif().get(ORIENTATION) in (5, 6, 7, 8)
         return (image.height, image.width) if lies else image.size
 
 
@@ -142,6 +144,23 @@ def square_pixels(image: Image.Image, aspect: float) -> Image.Image:
     """Resample a video frame with a given ``pixel_aspect`` to square pixels."""
     size = square_size(*image.size, aspect)
     return image if size == image.size else image.resize(size, Image.Resampling.BILINEAR)
+
+
+def displayed(frame: "VideoFrame", aspect: float) -> Image.Image:
+    """Return a video frame as players show it: RGB, with square pixels, and turned or mirrored as the file says.
+
+    Args:
+        frame: the frame as decoded.
+        aspect: the video's ``pixel_aspect``.
+    """
+    image = square_pixels(frame.to_image(), aspect)
+    told: Any = frame.side_data  # PyAV's stubs know only motion vectors
+    if (matrix := told.get("DISPLAYMATRIX")) is None:
+        return image
+    a, b, _, c, d, *_ = np.frombuffer(matrix, np.int32).tolist()
+    if a * d < b * c:  # a mirror image, whose rotation FFmpeg takes from the horizontal axis alone
+        image = image.transpose(Image.Transpose.FLIP_TOP_BOTTOM)
+    return image.rotate(frame.rotation, expand=True)
 
 
 def require_small(path: Path, width: int, height: int) -> None:

@@ -32,6 +32,7 @@ class Photos:
             them.
         turned: [N] bool, whether an image was turned a quarter clockwise, onto its side, to have the size of the
             others; None where none was.
+        remarks: what of the source was not used although it should have been, one sentence each.
     """
 
     paths: list[Path]
@@ -45,6 +46,7 @@ class Photos:
     metric: bool = False
     gps: Tensor | None = None
     turned: Tensor | None = None
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 
 from splatrl.capture.ground import lowest_level
-from splatrl.capture.jerks import Floats, jerks, leaps
+from splatrl.capture.jerks import TORN, Floats, jerks, leaps
 from splatrl.capture.world import Placed
 
 PARTS = 8
@@ -18,8 +18,6 @@ SEEN = 3
 MOST = 3.0
 """Ratio of two parts' heights from which the scale counts as lost; tables and steps in view raise it to 2.3 in captures
 that are right."""
-TORN = 8.0
-"""Jerk from which a camera's path counts as torn: twice the jerk above which a film is mapped a second way."""
 
 
 def leap(placed: Placed) -> str | None:

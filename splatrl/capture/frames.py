@@ -3,7 +3,7 @@
 import itertools
 import json
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -69,10 +69,15 @@ def read_photos(
         raise CaptureError(f"{source}: expected a video or a folder of photos, found none")
     if source.is_file() and source.suffix.lower() in (*PHOTO_SUFFIXES, *photo_files.UNREAD):
         raise CaptureError(f"{source}: expected a video or a folder of photos, got a single photo; name its folder")
-    read = _from_folder if source.is_dir() else _from_video
 
     def write(made: Path) -> None:
-        _write(made, read(source, count, longest, progress), source)
+        remarks: list[str] = []
+        taken = (
+            _from_folder(source, count, longest, progress)
+            if source.is_dir()
+            else _from_video(source, count, longest, progress, remarks.append)
+        )
+        _write(made, taken, source, remarks)
 
     key = fingerprint([count, longest], files=photo_files.photos_of(source) if source.is_dir() else [source])
     return _photos(Stages(folder).folder("frames", key, write))
@@ -115,13 +120,15 @@ def sharpest(graded: Iterable[tuple[int, Thing, float]]) -> Iterator[Thing]:
             yield best
 
 
-def _from_video(source: Path, count: tuple[int, int], longest: int, progress: Progress) -> Iterator[_Taken]:
+def _from_video(
+    source: Path, count: tuple[int, int], longest: int, progress: Progress, remark: Callable[[str], object]
+) -> Iterator[_Taken]:
     times = videos.packet_times(source)
     ends, start, found = buckets(times, count), float(times[0]), False
     encoding = videos.encoding_of(source)
 
     def graded() -> Iterator[tuple[int, "VideoFrame", float]]:
-        for number, (seconds, frame) in enumerate(videos.frames(source)):
+        for number, (seconds, frame) in enumerate(videos.frames(source, remark)):
             progress("frames", min(number, len(times)), len(times))
             grey = videos.grey(frame, SHARPNESS_WIDTH)
             if grey.mean() >= BLACK:
@@ -155,7 +162,8 @@ def _from_folder(source: Path, count: tuple[int, int], longest: int, progress: P
     progress("photos", len(paths), len(paths))
 
 
-def _write(made: Path, taken: Iterator[_Taken], source: Path) -> None:
+def _write(made: Path, taken: Iterator[_Taken], source: Path, remarks: list[str]) -> None:
+    """Write the images and what is known of them; ``remarks`` are complete once all images were taken."""
     names, seconds, gps, turned = [], [], [], []
     rows, columns = np.zeros(1), np.zeros(1)
     for number, photo in enumerate(taken):
@@ -177,6 +185,7 @@ def _write(made: Path, taken: Iterator[_Taken], source: Path) -> None:
         "focal": focal,
         "gps": gps,
         "turned": turned,
+        "remarks": remarks,
     }
     (made / INDEX).write_text(json.dumps(index), "utf-8")
 
@@ -199,4 +208,13 @@ def _photos(kept: Path) -> Photos:
     gps = torch.tensor(index["gps"], dtype=torch.float64)
     seconds = torch.tensor(index["seconds"], dtype=torch.float64)
     turned = torch.tensor(index["turned"]) if any(index["turned"]) else None
-    return Photos(paths, width, height, seconds, K, gps=None if gps.isnan().all() else gps, turned=turned)
+    return Photos(
+        paths,
+        width,
+        height,
+        seconds,
+        K,
+        gps=None if gps.isnan().all() else gps,
+        turned=turned,
+        remarks=tuple(index["remarks"]),
+    )

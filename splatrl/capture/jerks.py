@@ -5,6 +5,8 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
+TORN = 8.0
+"""Jerk from which a camera's path counts as torn: twice the jerk above which a film is mapped a second way."""
 FEWEST = 38
 """Minimum number of velocity changes, those of 40 images; with fewer, the 99th percentile says nothing."""
 

@@ -61,13 +61,14 @@ def report_page(
 
 def _figures(placed: Placed, area: Area, found: Suggestions, quality: Quality) -> list[tuple[str, str]]:
     reconstruction = placed.reconstruction
-    error = "" if placed.scale_error is None else f", within {100 * placed.scale_error:.1g} %"
+    error = placed.scale_error
+    within = "error unknown" if error is None else f"within {100 * error:.1g} %"
     (x0, y0), (x1, y1) = area.walk
     size = " × ".join(f"{high - low:.1f}" for low, high in zip(*area.bounds, strict=True))
     rows = [
         ("Cameras and points", f"{len(reconstruction.paths)} and {len(reconstruction.points)}"),
         ("Images without a pose", f"{100 * reconstruction.missing:.0f} %"),
-        ("Scale from", f"{placed.scale_from.replace('_', ' ')}{error}" if placed.metric else "unknown: not metric"),
+        ("Scale from", f"{placed.scale_from.replace('_', ' ')}, {within}" if placed.metric else "unknown: not metric"),
         ("Up from", f"{placed.up_from}, within {placed.up_error_deg:g}°"),
         ("Camera above the floor", f"{placed.camera_height:.2f} m"),
         ("Size", f"{size} m"),

@@ -62,6 +62,18 @@ def read_photo(path: Path, stream: BinaryIO | None = None, upright: bool = True)
         raise CaptureError(str(error)) from error
 
 
+def photo_size(path: Path, upright: bool = True) -> tuple[int, int]:
+    """Return the width and height of a photo; arguments as for ``images.photo_size``.
+
+    Raises:
+        CaptureError: for a file that is broken, of another kind, or too large.
+    """
+    try:
+        return images.photo_size(path, upright)
+    except ValueError as error:
+        raise CaptureError(str(error)) from error
+
+
 def lying(paths: list[Path], longest: int) -> list[bool]:
     """Return which photos must be turned by a quarter to have the size that most of the others have.
 
@@ -72,10 +84,7 @@ def lying(paths: list[Path], longest: int) -> list[bool]:
     Raises:
         CaptureError: where some have another size whichever way they are turned, or cannot be read.
     """
-    try:
-        sizes = [shrunk_size(images.photo_size(path), longest) for path in paths]
-    except ValueError as error:
-        raise CaptureError(str(error)) from error
+    sizes = [shrunk_size(photo_size(path), longest) for path in paths]
     usual = Counter(sizes).most_common(1)[0][0]
     other = [path.name for path, size in zip(paths, sizes, strict=True) if size not in (usual, usual[::-1])]
     if other:

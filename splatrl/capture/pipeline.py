@@ -11,6 +11,7 @@ from splatrl.capture.area import dense_voxels
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
 from splatrl.capture.check import Quality
 from splatrl.capture.depth_points import with_measured_points
+from splatrl.capture.drift import leap
 from splatrl.capture.fit import FitSettings, fit, held_out, trained
 from splatrl.capture.fit_checkpoint import CHECKPOINT, Checkpoint
 from splatrl.capture.fit_pictures import Frame, frame_of
@@ -150,14 +151,17 @@ def reconstruct(
     else:
         photos = read_photos(source, stages, settings.count, settings.longest, progress)
     knows = f", with poses{' and depth' if photos.depths else ''}" if known else ""
-    say(f"frames      {len(photos.paths)} of {photos.width} × {photos.height} pixels{knows}")
-    notes = [] if known else _first_look(photos, settings.force, progress, say)
+    frames = f"frames      {len(photos.paths)} of {photos.width} × {photos.height} pixels{knows}"
+    say("\n".join([frames, *(f"            {remark}" for remark in photos.remarks)]))
+    notes = [*photos.remarks, *([] if known else _first_look(photos, settings.force, progress, say))]
     least = 0.0 if settings.force else ENOUGH
     found = with_measured_points(find_poses(photos, stages, settings.seed, progress, least=least))
     say(f"poses       {len(found.paths)} of {len(photos.paths)} images, {len(found.points):,} points")
     if photos.up is None and (rotated := why_not_upright(found)) is not None:
         notes.append(_unless_forced(rotated, settings.force, "poses", say))
     placed = place(found, photos.up, photos.metric, settings.marker, settings.distance, settings.camera_height)
+    if placed.up_from == "cameras" and (torn := leap(placed)) is not None:  # with force, the report says both
+        _unless_forced(f"{torn} No floor was found, either: the scale may be far off.", settings.force, "world", say)
     say(f"world       up from {placed.up_from}, scale from {placed.scale_from}, camera at {placed.camera_height:.2f} m")
     return placed, notes
 

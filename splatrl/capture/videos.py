@@ -1,7 +1,7 @@
 """The frames of a video, upright, and the times at which they are shown."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from av.container import InputContainer
 
 
+MOST_DAMAGED = 0.03
+"""Maximum fraction of a video's frames that may be damaged; some bytes are often lost in a transfer."""
 BLACK, THINNEST, EDGE = 24, 0.01, 0.005
 """Maximum grey level of a bar, its minimum width as a fraction of the image's side, and the extra fraction that is cut
 off because the bar's edge is blurred."""
@@ -102,30 +104,49 @@ def packet_times(path: Path) -> np.ndarray:
     return np.sort(np.asarray(times, np.float64)) * base
 
 
-def frames(path: Path) -> Iterator[tuple[float, "VideoFrame"]]:
-    """Decode a video.
+def frames(path: Path, remark: Callable[[str], object] = lambda _: None) -> Iterator[tuple[float, "VideoFrame"]]:
+    """Decode a video; a few damaged frames are left out.
 
     Args:
         path: the video file.
+        remark: called at the end with a sentence that says how many, if any.
 
     Yields:
         Seconds in the time of the file, and the frame, not yet turned upright.
 
     Raises:
-        CaptureError: as ``open_video`` does, or where the size of the images changes.
+        CaptureError: as ``open_video`` does, where the size of the images changes, or where more than ``MOST_DAMAGED``
+            of the frames are damaged.
     """
+    import av
+
     with open_video(path) as container:
         stream = container.streams.video[0]
         stream.thread_type = "AUTO"
-        size, aspect = None, images.pixel_aspect(container)
-        for frame in container.decode(stream):
-            images.require_small(path, *images.square_size(frame.width, frame.height, aspect))
-            if frame.time is None:
+        size, aspect, count, damaged = None, images.pixel_aspect(container), 0, 0
+        for packet in container.demux(stream):
+            count += packet.size > 0
+            try:
+                decoded = packet.decode()
+            except av.InvalidDataError:
+                damaged += 1
                 continue
-            size = size or (frame.width, frame.height)
-            if size != (frame.width, frame.height):
-                raise CaptureError(f"{path}: expected frames of one size, got {size} and {frame.width, frame.height}")
-            yield frame.time, frame
+            for frame in decoded:
+                images.require_small(path, *images.square_size(frame.width, frame.height, aspect))
+                if frame.time is None:
+                    continue
+                size = size or (frame.width, frame.height)
+                if size != (frame.width, frame.height):
+                    raise CaptureError(
+                        f"{path}: expected frames of one size, got {size} and {frame.width, frame.height}"
+                    )
+                yield frame.time, frame
+        if damaged > max(1.0, MOST_DAMAGED * count):
+            raise CaptureError(
+                f"{path}: expected at most {100 * MOST_DAMAGED:.0f} % damaged frames, got {damaged} of {count}"
+            )
+        if damaged:
+            remark(f"{damaged} of {count} frames of {path.name} are damaged, and are not used.")
 
 
 def grey(frame: "VideoFrame", longest: int) -> np.ndarray:
@@ -148,10 +169,7 @@ def upright(frame: "VideoFrame", longest: int, encoding: Encoding) -> Image.Imag
         longest: maximum pixels along the longer side.
         encoding: encoding of the video.
     """
-    image = images.square_pixels(frame.to_image(), encoding.aspect)
-    if frame.rotation:
-        image = image.rotate(frame.rotation, expand=True)
-    return usual_range(shrunk(image, longest), encoding.transfer)
+    return usual_range(shrunk(images.displayed(frame, encoding.aspect), longest), encoding.transfer)
 
 
 def shrunk(image: Image.Image, longest: int) -> Image.Image:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.ground import Ground, UpFrom, find_ground
+from splatrl.capture.jerks import TORN, jerks, leaps
 from splatrl.capture.marker import MARKER_SIDE, scale_by_marker
 from splatrl.capture.scale import Distance, ScaleFrom, scale_by_distance, scale_by_gps
 from splatrl.capture.upright import entropy
@@ -34,7 +35,8 @@ class Placed:
         reconstruction: cameras and points in that frame, in metres where ``metric``.
         world_from_capture: [4, 4] float64 similarity that brought it there.
         scale_from: source of the scale.
-        scale_error: possible relative error of the scale; None where it is unknown.
+        scale_error: possible relative error of the scale; None where it is unknown, as without a scale, with the
+            camera's height above a floor that was hardly seen, or where parts may be joined wrongly.
         up_from: source of the upward direction.
         up_error_deg: possible error of the upward direction, degrees.
         camera_height: mean height of the cameras above the floor, as defined by ``mean_height``, metres.
@@ -94,8 +96,10 @@ def place(
     if not above > 0:
         raise CaptureError("expected a floor below the cameras, found none; film so that the floor is visible")
     scale, scale_from, error = _scale(
-        reconstruction, ground.up, above + ground.below, metric, marker, distance, camera_height
+        reconstruction, ground, above + ground.below, metric, marker, distance, camera_height
     )
+    if scale_from != "recorded" and _torn(reconstruction):
+        error = None
     transform = _world_from_capture(poses, points, ground, scale)
     return Placed(
         moved(reconstruction, transform),
@@ -148,7 +152,7 @@ def held_poses(reconstruction: Reconstruction) -> Floats:
 
 def _scale(
     reconstruction: Reconstruction,
-    up: Floats,
+    ground: Ground,
     above: float,
     metric: bool,
     marker: float | None,
@@ -164,13 +168,21 @@ def _scale(
     if distance is not None:
         return scale_by_distance(reconstruction, distance), "distance", SCALE_ERROR["distance"]
     if camera_height is not None:
-        return camera_height / above, "camera_height", SCALE_ERROR["camera_height"]
+        seen = ground.up_from != "cameras"
+        return camera_height / above, "camera_height", SCALE_ERROR["camera_height"] if seen else None
     by_gps = scale_by_gps(
-        reconstruction.gps, (reconstruction.camera_to_world[:, :3, 3].numpy() @ _standing(up).T)[:, :2]
+        reconstruction.gps, (reconstruction.camera_to_world[:, :3, 3].numpy() @ _standing(ground.up).T)[:, :2]
     )
     if by_gps is not None:
         return by_gps[0], "gps", by_gps[1]
     return USUAL_HEIGHT / above, "unknown", None
+
+
+def _torn(reconstruction: Reconstruction) -> bool:
+    """Return whether the camera of a film seems to leap, so that its parts may be joined wrongly."""
+    if reconstruction.seconds is None:
+        return False
+    return jerks(leaps(reconstruction.camera_to_world[:, :3, 3].numpy(), reconstruction.seconds.numpy())) >= TORN
 
 
 def _world_from_capture(poses: Floats, points: Floats, ground: Ground, scale: float) -> Floats:

@@ -48,7 +48,7 @@ def _beside(source: Path) -> Path:
 
     In the source folder the pictures that a capture writes would be mistaken for photos.
     """
-    named = Path(source.resolve().stem)
+    named = Path(source.resolve().name if source.is_dir() else source.resolve().stem)
     return named.with_name(f"{named.name}-scene") if named.resolve() == source.resolve() else named
 
 

@@ -20,11 +20,11 @@ from torch import Tensor
 from splatrl.files import natural, new_folder
 from splatrl.images import (
     PHOTO_SUFFIXES,
+    displayed,
     open_video,
     pixel_aspect,
     read_photo,
     require_small,
-    square_pixels,
     square_size,
 )
 
@@ -174,7 +174,7 @@ def _video(path: Path) -> Iterator[Image.Image]:
         aspect = pixel_aspect(container)
         for frame in container.decode(container.streams.video[0]):
             require_small(path, *square_size(frame.width, frame.height, aspect))  # the size may change within a stream
-            yield square_pixels(frame.to_image(), aspect).rotate(frame.rotation, expand=True)
+            yield displayed(frame, aspect)
 
 
 def write_clip(folder: Path, images: Tensor, allowed: Tensor, action_names: Sequence[str]) -> None:

@@ -88,29 +88,50 @@ def photos_of(folder: Path, images: list[np.ndarray], seconds: list[float] | Non
     return Photos(paths, images[0].shape[1], images[0].shape[0], times)
 
 
-def write_video(path: Path, images: list[np.ndarray], rate: int = 10, quarter_turn: bool = False) -> None:
+QUARTER_TURN = (0, 1, -1, 0)
+"""Display matrix of a video whose frames players rotate clockwise by 90°."""
+
+
+def write_video(
+    path: Path,
+    images: list[np.ndarray],
+    rate: int = 10,
+    shown: tuple[int, int, int, int] = (1, 0, 0, 1),
+    intra: bool = False,
+) -> None:
     """Write a video as H.264 in MP4.
 
     Args:
         path: the file to write.
         images: [H, W, 3] uint8 each.
         rate: frames per second.
-        quarter_turn: whether the file tells players to rotate the frames clockwise by 90°, as videos of phones do.
+        shown: display matrix a, b, c, d, by which the file tells players to rotate or mirror the frames.
+        intra: whether no frame refers to another.
     """
     with av.open(str(path), "w") as container:
         stream = container.add_stream("h264", rate=rate)
         stream.height, stream.width = images[0].shape[:2]
-        stream.pix_fmt, stream.options = "yuv420p", {"crf": "12"}
+        stream.pix_fmt, stream.options = "yuv420p", {"crf": "12"} | ({"g": "1"} if intra else {})
         for image in images:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
         container.mux(stream.encode())
-    if quarter_turn:
+    if shown != (1, 0, 0, 1):
         header = bytearray(path.read_bytes())
         matrix = np.array([0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000], ">i4").tobytes()
-        turned = np.array([0, 0x10000, 0, -0x10000, 0, 0, 0, 0, 0x40000000], ">i4").tobytes()
+        a, b, c, d = (0x10000 * value for value in shown)
+        turned = np.array([a, b, 0, c, d, 0, 0, 0, 0x40000000], ">i4").tobytes()
         place = header.index(matrix, header.index(b"tkhd"))
         header[place : place + len(matrix)] = turned
         path.write_bytes(header)
+
+
+def damage_frame(path: Path, number: int) -> None:
+    """Overwrite the data of one frame of a video, so that it cannot be decoded."""
+    with av.open(str(path)) as container:
+        packets = [packet for packet in container.demux(video=0) if packet.size]
+    content = bytearray(path.read_bytes())
+    content[packets[number].pos : packets[number].pos + packets[number].size] = b"\xff" * packets[number].size
+    path.write_bytes(content)
 
 
 def _cast(camera_to_world: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

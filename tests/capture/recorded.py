@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from tests.capture.ray_cast import HEIGHT, WIDTH, room_depth, room_image, walk, write_video
+from tests.capture.ray_cast import HEIGHT, QUARTER_TURN, WIDTH, room_depth, room_image, walk, write_video
 
 SENSOR = (64, 48)
 """Width and height of the depth images, pixels."""
@@ -97,7 +97,7 @@ def write_stray(folder: Path, images: list[Taken]) -> Path:
     """Write a recording of Stray Scanner; its video tells players to rotate the frames."""
     for name in ("depth", "confidence"):
         (folder / name).mkdir(parents=True)
-    write_video(folder / "rgb.mp4", [one.image for one in images], quarter_turn=True)
+    write_video(folder / "rgb.mp4", [one.image for one in images], shown=QUARTER_TURN)
     (folder / "camera_matrix.csv").write_text("262.0, 0.0, 160.0\n0.0, 262.0, 120.0\n0.0, 0.0, 1.0")
     with (folder / "odometry.csv").open("w", newline="") as stream:
         table = csv.writer(stream)

@@ -67,7 +67,11 @@ def test_lens_distortion_is_removed(tmp_path: Path) -> None:
         ({"names": ["../../secret.png"]}, "expected an image within"),
         ({"names": ["/etc/passwd"]}, "expected an image within"),
         ({"names": ["images/77.png"]}, "found none"),
-        ({"w": None}, "expected frames as nerfstudio"),
+        ({"w": None}, r"9\.png: w and h: expected the size of the image, or neither, got None and 480\.0"),
+        ({"fl_x": None}, r"9\.png: fl_x: expected a focal length in pixels, or camera_angle_x in \(0, π\), got None"),
+        ({"cx": [1]}, r"9\.png: cx: expected a number, got \[1\]"),
+        ({"is_fisheye": True}, "camera_model: expected a perspective model, got is_fisheye"),
+        ({"k4": 0.01}, r"9\.png: k4: expected 0, .* got 0\.01"),
         ({"w": 480}, "with the aspect ratio of"),
         ({"camera_model": "OPENCV_FISHEYE"}, "perspective"),
     ],
@@ -78,6 +82,71 @@ def test_malformed_transforms_and_images_outside_the_folder_are_refused(
     Image.new("RGB", (320, 240)).save(tmp_path / "secret.png")
     with pytest.raises(CaptureError, match=message):
         read_recording(_write(tmp_path / "a" / "in", **change), tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ([1, 2], "frames: expected a list of at least one image, got null"),
+        ({"frames": []}, r"frames: expected a list of at least one image, got \[\]"),
+        ({"frames": [{"file_path": "a.png"}, 3]}, r"frames\[1\]\.file_path: expected the name of an image, got null"),
+        ({"frames": [{"file_path": "a\0.png"}]}, "expected an image within"),
+        ({**SETTINGS, "frames": [{"file_path": "a.png"}]}, "a.png: transform_matrix: expected 4 rows of 4 .* got null"),
+    ],
+)
+def test_a_message_about_transforms_says_what_was_expected_where(tmp_path: Path, content: object, message: str) -> None:
+    Image.new("RGB", (320, 240)).save(tmp_path / "a.png")
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    with pytest.raises(CaptureError, match=message) as error:
+        read_recording(tmp_path, tmp_path / "out")
+    assert "Error(" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("names", "files"),
+    [
+        (["images\\9.png", ".\\images\\10.png"], None),
+        (["images/9", "./images/10", "images/11"], None),
+        (["images/9", "images/10.png", "images/11.Png"], ["9.PNG", "10.PNG", "11.png"]),
+        (["images/f.9", "images/f.10", "images/f.11"], ["f.9.png", "f.10.jpg", "f.11.PNG"]),
+    ],
+)
+def test_images_are_found_by_names_of_windows_and_without_or_with_another_suffix(
+    tmp_path: Path, names: list[str], files: list[str] | None
+) -> None:
+    source = _write(tmp_path / "in", names=names[::-1] if len(names) == 3 else [f"images/{11}.png", *names[::-1]])
+    for number, file in zip((9, 10, 11), files or [], strict=False):
+        (source / "images" / f"{number}.png").rename(source / "images" / file)
+    photos = read_recording(source, tmp_path / "out")
+    assert [path.name for path in photos.paths] == (files or ["9.png", "10.png", "11.png"])
+    torch.testing.assert_close(photos.camera_to_world, torch.from_numpy(walk(3)))
+
+
+def test_transforms_without_an_image_size_take_it_from_the_first_image(tmp_path: Path) -> None:
+    bare: dict[str, object] = dict.fromkeys([*SETTINGS, "camera_angle_x"])
+    source = _write(tmp_path / "in", **bare | {"camera_angle_x": 2 * np.arctan(160 / 260)})
+    photos = read_recording(source, tmp_path / "out")
+    torch.testing.assert_close(photos.K, torch.tensor([[260, 0, 160], [0, 260, 120], [0, 0, 1]]).double())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (np.diag([1.0, 1, np.nan, 1]), "numbers that are not finite"),
+        (np.diag([2.0, 2, 2, 1]), r"axes of length 2: is it scaled\?"),
+        (np.diag([-1.0, 1, 1, 1]), "a reflection: its axes are left-handed"),
+        (np.eye(4) + 0.1 * np.eye(4, k=1), "axes of lengths .*, or that are not perpendicular"),
+    ],
+)
+def test_the_first_image_with_a_bad_pose_is_named(tmp_path: Path, change: np.ndarray, message: str) -> None:
+    source = _write(tmp_path / "in")
+    data = json.loads((source / "transforms.json").read_text())
+    for frame in data["frames"][:2]:  # of images 11 and 10
+        frame["transform_matrix"] = (change @ np.array(frame["transform_matrix"])).tolist()
+    (source / "transforms.json").write_text(json.dumps(data))
+    expected = rf"transforms\.json: \./images/10\.png: expected a pose of a rotation .*, got {message}"
+    with pytest.raises(CaptureError, match=expected):
+        read_recording(source, tmp_path / "out")
 
 
 @pytest.mark.parametrize("photos", [0, 3])
@@ -124,6 +193,14 @@ def test_the_poses_and_intrinsics_of_a_colmap_model_are_read(text: bool, tmp_pat
     torch.testing.assert_close(photos.K, torch.tensor([[260.0, 0, 163], [0, 259, 118], [0, 0, 1]]).double())
 
 
+def test_a_colmap_model_in_text_with_line_ends_of_windows_is_read(tmp_path: Path) -> None:
+    source = _model(tmp_path / "in", "PINHOLE", True)
+    for file in (source / "sparse" / "0").glob("*.txt"):
+        file.write_bytes(file.read_bytes().replace(b"\n", b"\r\n"))
+    photos = read_recording(source, tmp_path / "out")
+    torch.testing.assert_close(photos.camera_to_world, torch.from_numpy(walk(3)))
+
+
 @pytest.mark.parametrize("text", [False, True])
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_every_supported_colmap_camera_model_is_read(camera: str, text: bool, tmp_path: Path) -> None:
@@ -149,7 +226,12 @@ def test_every_supported_colmap_camera_model_is_read(camera: str, text: bool, tm
             "expected camera ids that are in cameras.bin, got 7",
         ),
         ("images.bin", struct.pack("<QI7dI", 1, 1, 1, *[0] * 6, 7) + b"0 a.png\0\0\0\0\0\0\0\0\x7f", "too early"),
-        ("images.bin", struct.pack("<QI7dI", 1, 1, *[0] * 7, 7) + b"0 a.png\0" + bytes(8), "quaternions"),
+        (
+            "images.bin",
+            struct.pack("<QI7dI", 1, 1, *[0] * 7, 7) + b"0 a.png\0" + bytes(8),
+            "a.png: .* non-zero",
+        ),
+        ("images.bin", bytes(8), r"images\.bin: expected at least one image, got none"),
         ("images.bin", struct.pack("<QI7dI", 1, 1, 1, *[0] * 6, 7) + b"../../b.png\0" + bytes(8), "within|none"),
     ],
 )

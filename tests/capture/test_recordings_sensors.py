@@ -22,7 +22,7 @@ from splatrl.capture.recordings.base import Lens
 from splatrl.capture.recordings.keeping import one_camera, quarter_turns
 from splatrl.capture.world import place
 from splatrl.scenes.description import read_description
-from tests.capture.ray_cast import HALF, HEIGHT, WIDTH, room_depth, room_image, walk
+from tests.capture.ray_cast import HALF, HEIGHT, WIDTH, damage_frame, room_depth, room_image, walk, write_video
 from tests.capture.recorded import (
     ARKIT_FROM_ROOM,
     KINDS,
@@ -270,6 +270,61 @@ def test_a_recording_may_lack_depth_for_all_images_or_for_one(tmp_path: Path, im
     assert sorted(empty) == [False] * 7 + [True]
 
 
+def test_images_whose_depth_file_is_missing_are_used_without_depth(tmp_path: Path, images: list[Taken]) -> None:
+    source = write_nerfstudio(tmp_path / "in", images)
+    (source / "depth" / "frame_00003.png").unlink()
+    photos = read_recording(source, tmp_path / "out")
+    empty = [not np.asarray(Image.open(path)).any() for path in photos.depths]
+    assert empty == [number == 3 for number in range(8)] and photos.metric
+    assert photos.remarks == ("1 of 8 depth images are missing: these images are used without depth.",)
+
+
+def test_the_largest_number_in_a_depth_image_means_no_depth(tmp_path: Path, images: list[Taken]) -> None:
+    source = write_nerfstudio(tmp_path / "in", images)
+    path = source / "depth" / "frame_00003.png"
+    depth = np.array(Image.open(path))
+    depth[:120] = 65_535
+    Image.fromarray(depth).save(path)
+    kept = np.asarray(Image.open(read_recording(source, tmp_path / "out").depths[3]))
+    assert kept.max() < 5000 and 0.4 < (kept == 0).mean() < 0.6
+
+
+def test_record3d_images_without_a_time_are_left_out(tmp_path: Path, images: list[Taken]) -> None:
+    source = write_record3d(tmp_path / "in", images, frameTimestamps=[number / 10 for number in range(7)])
+    photos = read_recording(source, tmp_path / "out")
+    assert len(photos.paths) == 7
+    assert photos.remarks == ("1 of 8 poses have no image or no time, and are not used.",)
+
+
+def test_a_row_of_stray_scanner_that_was_cut_off_is_left_out(tmp_path: Path, images: list[Taken]) -> None:
+    source = write_stray(tmp_path / "in", images)
+    (source / "odometry.csv").write_text((source / "odometry.csv").read_text()[:-60])
+    photos = read_recording(source, tmp_path / "out")
+    assert len(photos.paths) == 7
+    assert photos.remarks == ("The last row of odometry.csv is cut off, and is not used.",)
+
+
+def test_rows_of_stray_scanner_beyond_the_end_of_the_video_are_left_out(tmp_path: Path, images: list[Taken]) -> None:
+    source = write_stray(tmp_path / "in", images)
+    write_video(source / "rgb.mp4", [one.image for one in images[:5]])
+    photos = read_recording(source, tmp_path / "out", count=(5, 5))
+    assert len(photos.paths) == 5 and _as_seen(photos, 4, ARKIT_FROM_ROOM)[0] < 8
+    assert photos.remarks == (
+        "odometry.csv has rows up to frame 7, but rgb.mp4 has only 5 frames: 3 of 8 rows are not used.",
+    )
+
+
+def test_damaged_frames_of_stray_scanner_do_not_shift_the_poses_of_the_others(
+    tmp_path: Path, images: list[Taken]
+) -> None:
+    source = write_stray(tmp_path / "in", images)
+    write_video(source / "rgb.mp4", [one.image for one in images], intra=True)
+    damage_frame(source / "rgb.mp4", 3)
+    photos = read_recording(source, tmp_path / "out")
+    assert len(photos.paths) == 7 and _as_seen(photos, 6, ARKIT_FROM_ROOM)[0] < 8
+    assert photos.remarks == ("1 of 8 images are damaged, and are not used.",)
+
+
 def test_entries_of_an_archive_write_no_files_outside_the_output_folder(tmp_path: Path, images: list[Taken]) -> None:
     source = write_r3d(tmp_path / "a.r3d", images[:3])
     with zipfile.ZipFile(source, "a") as archive:
@@ -363,9 +418,12 @@ HEADER = "timestamp, frame, x, y, z, qx, qy, qz, qw\n"
         (_polycam_without_cameras, "expected images that each have a camera file of the same name, found none"),
         (lambda f, i: _stray(f, i, "odometry.csv", "x, y\n1, 2\n"), "odometry.csv: expected one row per frame"),
         (lambda f, i: _stray(f, i, "odometry.csv", HEADER), "odometry.csv: expected one row per frame"),
-        (lambda f, i: _stray(f, i, "odometry.csv", HEADER + "1, 0, 0, 0, 0, 0, 0, 0"), "a number in every column"),
-        (lambda f, i: _stray(f, i, "odometry.csv", HEADER + "1, 0, 0, 0, nan, 0, 0, 0, 1"), "finite numbers"),
-        (lambda f, i: _stray(f, i, "odometry.csv", HEADER + "1, 0, 0, 0, 0, 0, 0, 0, 0"), "finite positions and"),
+        (lambda f, i: _stray(f, i, "odometry.csv", HEADER + "1, 0, 0, 0, 0, 0, 0, 0"), "row 2: qw: expected a finite"),
+        (
+            lambda f, i: _stray(f, i, "odometry.csv", HEADER + "1, 0, 0, 0, nan, 0, 0, 0, 1"),
+            "row 2: z: expected a finite",
+        ),
+        (lambda f, i: _stray(f, i, "odometry.csv", HEADER + "1, 0, 0, 0, 0, 0, 0, 0, 0"), "frame 0: .* non-zero"),
         (lambda f, i: _stray(f, i, "odometry.csv", HEADER + "1, .5, 0, 0, 0, 0, 0, 0, 1"), "frame: expected ascending"),
         (lambda f, i: _stray(f, i, "camera_matrix.csv", "1, 2\n3, 4"), "expected 3 rows of 3 numbers"),
         (lambda f, i: _stray(f, i, "rgb.mp4", "no video"), r"rgb\.mp4: expected a complete video"),
@@ -413,10 +471,8 @@ def test_a_textureless_room_still_gets_points_and_a_floor_from_its_depth(tmp_pat
     assert with_measured_points(without) is without
 
 
-@pytest.mark.parametrize("name", ["../secret.png", "/etc/passwd", "depth/none.png"])
-def test_depth_files_that_are_outside_the_recording_or_missing_are_refused(
-    tmp_path: Path, images: list[Taken], name: str
-) -> None:
+@pytest.mark.parametrize("name", ["../secret.png", "/etc/passwd"])
+def test_depth_files_that_are_outside_the_recording_are_refused(tmp_path: Path, images: list[Taken], name: str) -> None:
     Image.new("L", (8, 6)).save(tmp_path / "secret.png")
     source = write_nerfstudio(tmp_path / "in", images)
     data = json.loads((source / "transforms.json").read_text())

@@ -13,7 +13,7 @@ from splatrl.capture import world
 from splatrl.capture.base import CaptureError
 from splatrl.capture.ground import Ground, cameras_up, find_ground, on_its_side, upside_down
 from splatrl.capture.scale import Click, Distance, clicked_point
-from splatrl.capture.world import Placed, place, wall_direction
+from splatrl.capture.world import SCALE_ERROR, Placed, place, wall_direction
 from splatrl.evaluation.phone_walk import camera_poses
 from tests.capture.walks import ABOVE, CAMERAS, K, strewn, walk, without_points
 
@@ -296,6 +296,22 @@ def test_without_any_source_of_scale_the_world_is_not_metric() -> None:
     placed = place(strewn(0)[0], marker=None)
     assert (placed.scale_from, placed.scale_error, placed.metric) == ("unknown", None, False)
     assert placed.camera_height == pytest.approx(1.5)
+
+
+def test_the_scale_has_no_known_error_without_a_floor_or_where_the_camera_leaps() -> None:
+    assert place(walk(), marker=None, camera_height=ABOVE).scale_error == SCALE_ERROR["camera_height"]
+    seconds = torch.arange(CAMERAS).double()
+    cloud = np.random.default_rng(0).normal(size=(3000, 3))
+    without_floor = replace(walk(), points=torch.from_numpy(cloud))
+    placed = place(without_floor, marker=None, camera_height=ABOVE)
+    assert (placed.up_from, placed.scale_from, placed.scale_error) == ("cameras", "camera_height", None)
+    assert place(without_floor, metric=True, marker=None).scale_error == SCALE_ERROR["recorded"]
+    poses = walk().camera_to_world.clone()
+    poses[:, 0, 3], poses[:, 1, 3] = 0.1 * seconds, 0.1 * torch.sin(seconds)
+    for leap, error in ((0.0, SCALE_ERROR["camera_height"]), (2.0, None)):
+        poses[CAMERAS // 2 :, 1, 3] += leap
+        film = replace(walk(), camera_to_world=poses.clone(), seconds=seconds)
+        assert place(film, marker=None, camera_height=ABOVE).scale_error == error
 
 
 def test_impossible_heights_distances_and_clicks_are_refused() -> None:

@@ -296,12 +296,18 @@ def test_a_scene_is_never_written_into_the_folder_of_its_photos(
         raise CaptureError("far enough")
 
     (tmp_path / "photos").mkdir()
+    (tmp_path / "scan.v1").mkdir()
     monkeypatch.setattr(pipeline, "reconstruct", stop)
-    for place, source in ((tmp_path, "photos"), (tmp_path / "photos", "."), (tmp_path / "photos", "../walk.mp4")):
+    for place, source in (
+        (tmp_path, "photos"),
+        (tmp_path / "photos", "."),
+        (tmp_path / "photos", "../walk.mp4"),
+        (tmp_path / "photos", "../scan.v1"),
+    ):
         monkeypatch.chdir(place)
         with pytest.raises(SystemExit, match="far enough"):
             capture.main([source])
-    assert folders == [Path("photos-scene"), Path("photos"), Path("walk")]
+    assert folders == [Path("photos-scene"), Path("photos"), Path("walk"), Path("scan.v1")]
     with pytest.raises(SystemExit, match=r"expected a scene folder other than the source.* --out"):
         capture.main([".", "--out", str(tmp_path / "photos")])
     assert not (tmp_path / "photos" / "stages").exists()
@@ -330,6 +336,34 @@ def test_a_video_that_is_not_upright_is_refused_before_the_fit(
     with pytest.raises(SystemExit, match=message):
         capture.main(["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK])
     assert stages == ["frames", "poses"]
+
+
+@pytest.mark.parametrize("up_from", ["floor", "cameras"])
+def test_a_film_that_seems_torn_and_shows_no_floor_is_refused_before_the_fit(
+    up_from: str, tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    placed, said = pipeline.place, []
+    monkeypatch.setattr(pipeline, "place", lambda *given: replace(placed(*given), up_from=up_from))
+    monkeypatch.setattr(pipeline, "leap", lambda _: "The camera seems to jump at 3 s.")
+    folder, settings = tmp_path / "garden", pipeline.CaptureSettings()
+    if up_from == "floor":
+        pipeline.reconstruct(Path("garden.mp4"), folder, settings)
+        return
+    with pytest.raises(CaptureError, match=r"^The camera seems to jump at 3 s\. No floor was found, .* --force"):
+        pipeline.reconstruct(Path("garden.mp4"), folder, settings)
+    pipeline.reconstruct(Path("garden.mp4"), folder, replace(settings, force=True), say=said.append)
+    assert stages == ["frames", "poses"] * 2 and any("No floor was found" in line for line in said)
+
+
+def test_what_was_left_out_of_a_source_is_said_and_noted_for_the_report(
+    tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read, said = pipeline.read_photos, []
+    remark = "1 of 40 frames of garden.mp4 are damaged, and are not used."
+    monkeypatch.setattr(pipeline, "read_photos", lambda *given: replace(read(*given), remarks=(remark,)))
+    settings = pipeline.CaptureSettings()
+    _, notes = pipeline.reconstruct(Path("garden.mp4"), tmp_path / "garden", settings, say=said.append)
+    assert notes == [remark] and said[0].split("\n")[1] == f"            {remark}"
 
 
 def test_an_error_in_a_stage_is_reported_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

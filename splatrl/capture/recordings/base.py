@@ -30,6 +30,8 @@ OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """Conversion between OpenCV's camera axes (y down, z forward) and OpenGL's and ARKit's (y up, z backward)."""
 ARKIT_UP = np.array([0.0, 1.0, 0.0])
 """Upward direction in a world that ARKit aligned with gravity."""
+SUFFIXES = tuple(written for suffix in PHOTO_SUFFIXES for written in (suffix, suffix.upper()))
+"""Suffixes to try where a recording names an image without its own."""
 FARTHEST = 5000
 """Maximum depth, millimetres: beyond it, an iPhone's depth sensor only guesses (Polycam's data format)."""
 
@@ -74,6 +76,7 @@ class Shot:
     """One image of a recording.
 
     Attributes:
+        name: what messages call it, within the recording: its file, or its entry in one.
         seconds: time at which it was taken; its index where that is unknown or says nothing.
         lens: intrinsics of this image alone.
         camera_to_world: [4, 4], OpenCV camera axes.
@@ -81,6 +84,7 @@ class Shot:
         depth: reads what a sensor measured from the same place with the same field of view; None without a sensor.
     """
 
+    name: str
     seconds: float
     lens: Lens
     camera_to_world: Floats
@@ -101,6 +105,7 @@ class Recording:
         metric: whether that frame's unit is the metre.
         prepared: whether its images were chosen already, so that all are taken, unchanged where possible.
         border: width of the edge of each image that shows nothing, pixels.
+        remarks: what the recording lacks although it can be read, one sentence each.
     """
 
     source: Path
@@ -111,6 +116,7 @@ class Recording:
     metric: bool = False
     prepared: bool = False
     border: float = 0.0
+    remarks: tuple[str, ...] = ()
 
 
 class FilePicture:
@@ -164,15 +170,26 @@ def read_json(source: object, text: str | bytes) -> Any:
         raise CaptureError(str(error)) from error
 
 
-def quaternion_poses(source: object, xyzw: Floats, places: Floats) -> Floats:
+def quaternion_poses(source: object, names: Sequence[str], xyzw: Floats, places: Floats) -> Floats:
     """Return poses [N, 4, 4] from quaternions [N, 4], x, y, z, w, and positions [N, 3].
 
+    Args:
+        source: the file, for messages.
+        names: N names of the poses in it, for messages.
+        xyzw: the quaternions, of any length above 0.
+        places: the positions.
+
     Raises:
-        CaptureError: for numbers that are not finite, or a quaternion of length 0.
+        CaptureError: for numbers that are not finite, or a quaternion of length 0; names the first.
     """
     norms = np.linalg.norm(xyzw, axis=1, keepdims=True)
-    if not (np.isfinite(xyzw).all() and np.isfinite(places).all() and (norms > 1e-6).all()):
-        raise CaptureError(f"{source}: expected poses of finite positions and non-zero quaternions")
+    wrong = ~(np.isfinite(xyzw).all(1) & np.isfinite(places).all(1) & (norms[:, 0] > 1e-6))
+    if wrong.any():
+        first = int(wrong.argmax())
+        raise CaptureError(
+            f"{source}: {names[first]}: expected a finite position and a non-zero quaternion x, y, z, w, got "
+            f"{places[first].tolist()} and {xyzw[first].tolist()}"
+        )
     x, y, z, w = (xyzw / norms).T
     poses = np.tile(np.eye(4), (len(xyzw), 1, 1))
     poses[:, 0, :3] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], 1)
@@ -217,16 +234,33 @@ def filtered(
 
 
 def beside(folder: Path, name: object) -> Path:
-    """Return a file within a folder and nowhere else, adding the suffix that instant-ngp leaves out.
+    """Return a file within a folder and nowhere else.
 
     Raises:
         CaptureError: for a name that leads elsewhere, or to no file.
     """
-    path = folder / str(name)
-    if not path.suffix:
-        path = next((path.with_suffix(s) for s in PHOTO_SUFFIXES if path.with_suffix(s).is_file()), path)
-    if folder.resolve() not in path.resolve().parents:
-        raise CaptureError(f"{str(name)[:80]!r}: expected an image within {folder}, got a path outside it")
+    path = path_within(folder, name)
     if not path.is_file():
         raise CaptureError(f"{path}: expected an image, found none")
+    return path
+
+
+def path_within(folder: Path, name: object) -> Path:
+    """Return the path within a folder that a recording names, whether or not there is a file.
+
+    Where there is none of exactly that name, separators may be Windows' backslashes, and the suffix of an image may be
+    missing, as instant-ngp leaves it out, or be written in the other case.
+
+    Raises:
+        CaptureError: for a name that leads elsewhere.
+    """
+    path = folder / str(name)
+    if not path.is_file():
+        given = folder / str(name).replace("\\", "/")
+        others = [given, *(Path(f"{given}{suffix}") for suffix in SUFFIXES)]
+        if given.suffix.lower() in PHOTO_SUFFIXES:
+            others += [given.with_suffix(suffix) for suffix in (given.suffix.lower(), given.suffix.upper())]
+        path = next((other for other in others if other.is_file()), path)
+    if "\0" in str(name) or folder.resolve() not in path.resolve().parents:
+        raise CaptureError(f"{str(name)[:80]!r}: expected an image within {folder}, got a path outside it")
     return path

@@ -45,18 +45,19 @@ def read(source: Path) -> Recording:
     files = [model / f"{name}.{kind}" for name in ("cameras", "images")]
     lenses = _read(files[0], read_cameras)
     images = sorted(_read(files[1], read_images), key=lambda image: natural(Path(image.name)))
+    if not images:
+        raise CaptureError(f"{files[1]}: expected at least one image, got none")
     places = [place for place in (source / "images", model / "images", source) if place.is_dir()]
     paths = [_beside_any(model, places, image.name) for image in images]
     if missing := {image.camera for image in images} - lenses.keys():
         raise CaptureError(f"{files[1]}: expected camera ids that are in {files[0].name}, got {min(missing)}")
     poses = np.tile(np.eye(4), (len(images), 1, 1))
-    if images:
-        given = np.array([image.pose for image in images])
-        world_to_camera = quaternion_poses(files[1], given[:, [1, 2, 3, 0]], given[:, 4:])
-        poses[:, :3, :3] = world_to_camera[:, :3, :3].transpose(0, 2, 1)
-        poses[:, :3, 3] = np.einsum("nij,nj->ni", poses[:, :3, :3], -given[:, 4:])
+    given = np.array([image.pose for image in images])
+    world_to_camera = quaternion_poses(files[1], [image.name for image in images], given[:, [1, 2, 3, 0]], given[:, 4:])
+    poses[:, :3, :3] = world_to_camera[:, :3, :3].transpose(0, 2, 1)
+    poses[:, :3, 3] = np.einsum("nij,nj->ni", poses[:, :3, :3], -given[:, 4:])
     shots = [
-        Shot(float(n), lenses[image.camera], pose, path)
+        Shot(image.name, float(n), lenses[image.camera], pose, path)
         for n, (image, pose, path) in enumerate(zip(images, poses, paths, strict=True))
     ]
     return Recording(model, shots, pictures_of(paths), [*files, *paths], prepared=True)
@@ -125,7 +126,7 @@ def _images_text(content: bytes) -> list[_Image]:
 
 def _lines(content: bytes) -> list[str]:
     """Return the lines of a text, without comments and without blank lines at its beginning and end."""
-    lines = [line for line in content.decode().split("\n") if not line.startswith("#")]
+    lines = [line for line in content.decode().replace("\r\n", "\n").split("\n") if not line.startswith("#")]
     while lines and not lines[0].strip():
         lines.pop(0)
     return lines[:-1] if lines and not lines[-1].strip() else lines

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -118,9 +118,9 @@ def _write(made: Path, recording: Recording, count: tuple[int, int], longest: in
     poses = np.array([shot.camera_to_world for shot in shots])
     turns = quarter_turns(poses, recording.up)
     depths = _DepthFiles(made / DEPTHS, recording.source)
-    index: dict[str, Any] = {"names": [], "seconds": [], "poses": []}
+    index: dict[str, Any] = {"names": [], "seconds": [], "poses": [], "remarks": [*recording.remarks]}
     size: tuple[int, int] | None = None
-    for number, picture in _chosen(recording, count, progress):
+    for number, picture in _chosen(recording, count, progress, index["remarks"].append):
         image, shot, name = picture.image(), shots[number], f"{len(index['names']):04}"
         stored = _scale(recording.source, image, camera)
         size = size or _size(camera, min(*stored, longest / max(camera.width, camera.height)))
@@ -152,7 +152,9 @@ def _size(camera: Lens, scale: float) -> tuple[int, int]:
     return max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
 
 
-def _chosen(recording: Recording, count: tuple[int, int], progress: Progress) -> Iterator[tuple[int, Picture]]:
+def _chosen(
+    recording: Recording, count: tuple[int, int], progress: Progress, remark: Callable[[str], object]
+) -> Iterator[tuple[int, Picture]]:
     """Yield the sharpest image of each stretch; all images where there are few, or where they were chosen already."""
     seconds = np.array([shot.seconds for shot in recording.shots])
     if recording.prepared or len(seconds) <= count[0]:
@@ -162,14 +164,19 @@ def _chosen(recording: Recording, count: tuple[int, int], progress: Progress) ->
         numbers = np.arange(0, len(seconds), max(1, len(seconds) // (GRADED * (len(ends) + 1))))
         stretches = np.searchsorted(ends, seconds, side="right")
 
+    read: set[int] = set()
+
     def graded() -> Iterator[tuple[int, tuple[int, Picture], float]]:
         for number, picture in recording.pictures(numbers.tolist()):
             progress("frames", number, len(seconds))
+            read.add(number)
             single = np.count_nonzero(stretches[numbers] == stretches[number]) == 1
             yield int(stretches[number]), (number, picture), 0.0 if single else sharpness(picture.grey())
 
     yield from sharpest(graded())
     progress("frames", len(seconds), len(seconds))
+    if unread := len(numbers) - len(read):
+        remark(f"{unread} of {len(numbers)} images are damaged, and are not used.")
 
 
 def _cut(image: Image.Image, box: Floats, size: tuple[int, int], turns: int) -> Image.Image:
@@ -247,4 +254,5 @@ def _photos(kept: Path, recording: Recording) -> Photos:
         None if recording.up is None else torch.from_numpy(recording.up),
         tuple(kept / DEPTHS / f"{name}.png" for name in names) if index["depth"] else (),
         recording.metric,
+        remarks=tuple(index["remarks"]),
     )

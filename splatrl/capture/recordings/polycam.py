@@ -77,4 +77,5 @@ def _shot(number: int, path: Path, file: Path) -> Shot:
     depth, confidence = (path.parents[1] / name / f"{path.stem}.png" for name in ("depth", "confidence"))
     trust = confidence if confidence.is_file() else None
     measured = partial(read_depth, depth, trust, MEDIUM) if depth.is_file() else None
-    return Shot(float(number), Lens(width, height, fx, fy, cx, cy), pose @ OPENGL, path, measured)
+    lens, name = Lens(width, height, fx, fy, cx, cy), f"{file.parent.name}/{file.name}"
+    return Shot(name, float(number), lens, pose @ OPENGL, path, measured)

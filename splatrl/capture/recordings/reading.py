@@ -9,7 +9,7 @@ from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.photo_files import read_photo
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.recordings import colmap, polycam, record3d, stray_scanner, transforms
-from splatrl.capture.recordings.base import Recording
+from splatrl.capture.recordings.base import Floats, Recording
 from splatrl.capture.recordings.keeping import keep
 from splatrl.capture.stages import Stages
 from splatrl.capture.undistort import undistorted
@@ -77,27 +77,40 @@ def check_recording(recording: Recording) -> None:
     """Refuse poses that are not rigid, and intrinsics that make no sense.
 
     Raises:
-        CaptureError: names the recording.
+        CaptureError: names the recording, and the first such image in it.
     """
-    poses = np.array([shot.camera_to_world for shot in recording.shots]).reshape(-1, 4, 4)
-    turns = poses[:, :3, :3]
-    straight = np.isfinite(poses).all() and np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=1e-3)
-    if not len(poses) or not straight or (np.linalg.det(turns) < 0).any():
-        raise CaptureError(
-            f"{recording.source}: expected at least one image, and poses of rotations and finite positions"
-        )
-    if len(poses) > 1 and not np.ptp(poses[:, :3, 3], axis=0).any():
+    if not recording.shots:
+        raise CaptureError(f"{recording.source}: expected at least one image, got none")
+    for shot in recording.shots:
+        fault, lens = _fault(shot.camera_to_world), shot.lens
+        if fault:
+            raise CaptureError(
+                f"{recording.source}: {shot.name}: expected a pose of a rotation and a finite position, got {fault}"
+            )
+        numbers = (lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, *lens.distortion)
+        if not np.isfinite(numbers).all() or min(lens.width, lens.height, lens.fx, lens.fy) <= 0:
+            raise CaptureError(
+                f"{recording.source}: {shot.name}: expected finite intrinsics with positive focal lengths, got {lens}"
+            )
+    places = np.array([shot.camera_to_world[:3, 3] for shot in recording.shots])
+    if len(places) > 1 and not np.ptp(places, axis=0).any():
         raise CaptureError(
             f"{recording.source}: expected poses at different positions, got all of them at one; a recording with the "
             "front camera has no poses, so capture its images alone"
         )
-    for shot in recording.shots:
-        lens = shot.lens
-        numbers = (lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, *lens.distortion)
-        if not np.isfinite(numbers).all() or min(lens.width, lens.height, lens.fx, lens.fy) <= 0:
-            raise CaptureError(
-                f"{recording.source}: expected finite intrinsics with positive focal lengths, got {lens}"
-            )
+
+
+def _fault(pose: Floats) -> str | None:
+    """Return what is wrong with a pose [4, 4]; None if it is rigid."""
+    if not np.isfinite(pose).all():
+        return "numbers that are not finite"
+    axes = pose[:3, :3]
+    if np.allclose(axes @ axes.T, np.eye(3), atol=1e-3):
+        return "a reflection: its axes are left-handed" if np.linalg.det(axes) < 0 else None
+    lengths = np.linalg.norm(axes, axis=0)
+    if np.ptp(lengths) < 1e-3 * lengths.max():
+        return f"axes of length {lengths[0]:.4g}: is it scaled?"
+    return f"axes of lengths {', '.join(f'{length:.4g}' for length in lengths)}, or that are not perpendicular"
 
 
 def _as_they_are(recording: Recording, folder: Path, progress: Progress) -> Photos:
@@ -116,4 +129,4 @@ def _as_they_are(recording: Recording, folder: Path, progress: Progress) -> Phot
     poses = torch.from_numpy(np.array([shot.camera_to_world for shot in recording.shots]))
     up = None if recording.up is None else torch.from_numpy(recording.up)
     numbers = torch.arange(len(paths), dtype=torch.float64)
-    return Photos(paths, width, height, numbers, K, poses, up, metric=recording.metric)
+    return Photos(paths, width, height, numbers, K, poses, up, metric=recording.metric, remarks=recording.remarks)

@@ -76,11 +76,11 @@ def read(source: Path) -> Recording:
         size = int(metadata.get("dh", USUAL_DEPTH[0])), int(metadata.get("dw", USUAL_DEPTH[1]))
         times = metadata.get("frameTimestamps") or [n / float(metadata.get("fps", 60)) for n in range(len(poses))]
         seconds = [float(time) for time in times]
-        numbers = [n for n in range(len(poses)) if n in images]
+        numbers = [n for n in range(min(len(poses), len(seconds))) if n in images]
         if min(size) < 1 or size[0] * size[1] > MAX_DEPTH:
             raise ValueError(f"dh, dw: expected the height and width of a depth image, got {size}")
         shots = [
-            Shot(seconds[n], lenses[n], poses[n] @ OPENGL, depth=_depth_of(files, n, size) if numbers else None)
+            Shot(f"{name}: poses[{n}]", seconds[n], lenses[n], poses[n] @ OPENGL, depth=_depth_of(files, n, size))
             for n in numbers
         ]
     except CaptureError:
@@ -88,7 +88,9 @@ def read(source: Path) -> Recording:
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, ZeroDivisionError) as error:
         raise CaptureError(f"{where}: expected the metadata of a Record3D recording: {error!r}") from error
     pictures = partial(_pictures, files, [images[n] for n in numbers])
-    return Recording(source, shots, pictures, files.stamped, up=up, metric=True)
+    left = len(poses) - len(numbers)
+    remarks = (f"{left} of {len(poses)} poses have no image or no time, and are not used.",) if left else ()
+    return Recording(source, shots, pictures, files.stamped, up=up, metric=True, remarks=remarks)
 
 
 class Files:
@@ -151,10 +153,10 @@ def _pictures(files: Files, names: list[str], wanted: Sequence[int]) -> Iterator
 def _poses(where: str, metadata: Any) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
     """Return poses [N, 4, 4] with OpenGL's camera axes, and the upward direction in their frame, None where unknown."""
     given = np.array(metadata["poses"], np.float64).reshape(-1, 7)
-    poses = quaternion_poses(where, given[:, :4], given[:, 4:])
+    poses = quaternion_poses(where, [f"poses[{n}]" for n in range(len(given))], given[:, :4], given[:, 4:])
     if len(poses) and _unturned(poses[0]):
         first = np.array(metadata.get("initPose", [0, 0, 0, 1, 0, 0, 0]), np.float64).reshape(1, 7)
-        start = quaternion_poses(where, first[:, :4], first[:, 4:])[0]
+        start = quaternion_poses(where, ["initPose"], first[:, :4], first[:, 4:])[0]
         if _unturned(start):
             return poses, None
         poses = start @ poses

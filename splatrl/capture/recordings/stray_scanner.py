@@ -48,18 +48,28 @@ def found(source: Path) -> bool:
 
 
 def read(source: Path) -> Recording:
-    """Read a recording.
+    """Read a recording; rows beyond the end of its video, and a last row that was cut off, are left out.
 
     Raises:
         CaptureError: where it is broken.
     """
     path, video = source / ODOMETRY, source / VIDEO
-    columns = _columns(path)
+    columns, remarks = _columns(path)
     numbers = columns["frame"]
     if not (np.diff(numbers) > 0).all() or (numbers % 1 != 0).any() or numbers[0] < 0:
         raise CaptureError(f"{path}: frame: expected ascending, non-negative whole numbers")
+    times = videos.packet_times(video)
+    shown = numbers < len(times)
+    if not shown.all():
+        remarks.append(
+            f"{ODOMETRY} has rows up to frame {numbers[-1]:.0f}, but {VIDEO} has only {len(times)} frames: "
+            f"{np.count_nonzero(~shown)} of {len(numbers)} rows are not used."
+        )
+        columns, numbers = {name: values[shown] for name, values in columns.items()}, numbers[shown]
+    names = [f"{ODOMETRY}: frame {number:.0f}" for number in numbers]
     poses = quaternion_poses(
-        path,
+        source,
+        names,
         np.stack([columns[name] for name in ("qx", "qy", "qz", "qw")], 1),
         np.stack([columns[name] for name in ("x", "y", "z")], 1),
     )
@@ -68,13 +78,21 @@ def read(source: Path) -> Recording:
     own = np.stack([columns[name] for name in INTRINSICS], 1)
     lenses = [Lens(width, height, *np.where(np.isfinite(row), row, usual).tolist()) for row in own]
     shots = []
-    for seconds, number, lens, pose in zip(columns["timestamp"], numbers.astype(int), lenses, poses, strict=True):
-        depth, trust = (source / name / f"{number:06}.png" for name in ("depth", "confidence"))
+    for name, seconds, number, lens, pose in zip(
+        names, columns["timestamp"], numbers.astype(int), lenses, poses, strict=True
+    ):
+        depth, trust = (source / folder / f"{number:06}.png" for folder in ("depth", "confidence"))
         trusted = trust if trust.is_file() else None
         measured = partial(read_depth, depth, trusted, MEDIUM) if depth.is_file() else None
-        shots.append(Shot(float(seconds), lens, pose, depth=measured))
+        shots.append(Shot(name, float(seconds), lens, pose, depth=measured))
     return Recording(
-        source, shots, partial(_pictures, video, numbers.astype(int)), [path, video], up=ARKIT_UP, metric=True
+        source,
+        shots,
+        partial(_pictures, video, times[numbers.astype(int)]),
+        [path, video],
+        up=ARKIT_UP,
+        metric=True,
+        remarks=tuple(remarks),
     )
 
 
@@ -97,31 +115,44 @@ class FramePicture:
         return self.frame.to_image()
 
 
-def _pictures(video: Path, numbers: NDArray[np.int64], wanted: Sequence[int]) -> Iterator[tuple[int, Picture]]:
-    rows = {int(numbers[row]): row for row in wanted}
-    for number, (_, frame) in enumerate(videos.frames(video)):
-        if number in rows:
-            yield rows[number], FramePicture(frame)
+def _pictures(video: Path, times: Floats, wanted: Sequence[int]) -> Iterator[tuple[int, Picture]]:
+    """Yield the wanted frames, given the times of all; a frame that cannot be decoded is left out."""
+    rows = np.array(wanted)
+    for seconds, frame in videos.frames(video):
+        near = np.flatnonzero(np.isclose(times[rows], seconds, rtol=0, atol=1e-6))
+        if len(near):
+            yield int(rows[near[0]]), FramePicture(frame)
 
 
-def _columns(path: Path) -> dict[str, Floats]:
-    """Return the columns of a table by name; missing values, and missing columns that are not ``NEEDED``, are NaN."""
+def _columns(path: Path) -> tuple[dict[str, Floats], list[str]]:
+    """Return the columns of a table by name, and remarks on rows that were left out.
+
+    Missing values, and missing columns that are not ``NEEDED``, are NaN. A last row that is shorter than the one before
+    is left out: the app was stopped while it wrote.
+    """
     rows = [row for row in csv.reader(io.StringIO(read_text(path)), skipinitialspace=True) if row]
     names = [name.strip() for name in rows[0]] if rows else []
+    remarks = []
+    if len(rows) > 2 and len(rows[-1]) < len(rows[-2]):
+        remarks.append(f"The last row of {ODOMETRY} is cut off, and is not used.")
+        rows.pop()
     missing = [name for name in NEEDED if name not in names]
     if missing or len(rows) < 2:
         raise CaptureError(f"{path}: expected one row per frame, with the columns {', '.join(NEEDED)}")
-    try:
-        values = {
-            name: np.array([_number(row[names.index(name)]) for row in rows[1:]])
-            for name in (*NEEDED, *INTRINSICS)
-            if name in names
-        }
-    except (ValueError, IndexError) as error:
-        raise CaptureError(f"{path}: expected a number in every column: {error}") from error
-    if not all(np.isfinite(values[name]).all() for name in NEEDED):
-        raise CaptureError(f"{path}: expected finite numbers in {', '.join(NEEDED)}")
-    return {name: np.full(len(rows) - 1, np.nan) for name in INTRINSICS} | values
+    values = {name: np.full(len(rows) - 1, np.nan) for name in (*NEEDED, *INTRINSICS)}
+    for name in values:
+        for number, row in enumerate(rows[1:] if name in names else []):
+            try:
+                values[name][number] = _number(row[names.index(name)])
+            except (ValueError, IndexError):
+                raise CaptureError(_expected(path, number, row, name)) from None
+            if name in NEEDED and not np.isfinite(values[name][number]):
+                raise CaptureError(_expected(path, number, row, name))
+    return values, remarks
+
+
+def _expected(path: Path, number: int, row: list[str], name: str) -> str:
+    return f"{path}: row {number + 2}: {name}: expected a finite number, got {', '.join(row)[:80]!r}"
 
 
 def _number(text: str) -> float:

@@ -1,5 +1,6 @@
 """``transforms.json`` of nerfstudio and instant-ngp: a list of images with OpenGL camera-to-world poses."""
 
+import json
 import math
 from collections.abc import Callable
 from functools import partial
@@ -9,13 +10,16 @@ from typing import Any
 import numpy as np
 
 from splatrl.capture.base import CaptureError
+from splatrl.capture.photo_files import photo_size
 from splatrl.capture.recordings.base import (
     OPENGL,
     Depth,
+    Floats,
     Lens,
     Recording,
     Shot,
     beside,
+    path_within,
     pictures_of,
     read_depth,
     read_json,
@@ -24,6 +28,8 @@ from splatrl.capture.recordings.base import (
 from splatrl.files import natural
 
 MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+FARTHEST = 65_534
+"""Maximum depth, millimetres; the largest number of 16 bits stands for no depth, as in 7-Scenes."""
 
 
 def found(source: Path) -> bool:
@@ -37,57 +43,113 @@ def read(source: Path) -> Recording:
 
     Depth (``depth_file_path``) is in millimetres, and so nerfstudio's poses are in metres where there is any; depth
     that COLMAP estimated has no scale and is ignored. Where ``orientation_override`` is ``none``, as for Polycam's
-    recordings, +z is up.
+    recordings, +z is up. Where the size of the images is not stated, as in NeRF's synthetic scenes, it is that of the
+    first.
 
     Raises:
         CaptureError: where it is broken, or names a camera that is not perspective.
     """
     path = _file(source)
     data = read_json(path, read_text(path))
-    try:
-        frames = sorted(data["frames"], key=lambda frame: natural(Path(frame["file_path"])))
-        paths = [beside(path.parent, frame["file_path"]) for frame in frames]
-        poses = np.array([frame["transform_matrix"] for frame in frames], np.float64)
-        poses = np.concatenate([poses[:, :3], np.tile([[[0.0, 0, 0, 1]]], (len(poses), 1, 1))], 1) @ OPENGL
-        lenses = [_lens(frame, data) for frame in frames]
-        measured = not any("colmap_im_id" in frame for frame in frames)
-        depths = [_depth(path.parent, frame) if measured else None for frame in frames]
-        up = np.array([0.0, 0.0, 1.0]) if data.get("orientation_override") == "none" else None
-    except CaptureError:
-        raise
-    except (ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError, ZeroDivisionError) as error:
-        raise CaptureError(f"{path}: expected frames as nerfstudio or instant-ngp writes them: {error!r}") from error
-    shots = [Shot(float(n), *known) for n, known in enumerate(zip(lenses, poses, paths, depths, strict=True))]
-    metric = any(depth is not None for depth in depths)
-    return Recording(path, shots, pictures_of(paths), [path, *paths], up, metric, prepared=True)
+    frames = data.get("frames") if isinstance(data, dict) else None
+    if not isinstance(frames, list) or not frames:
+        raise CaptureError(f"{path}: frames: expected a list of at least one image, got {_shown(frames)}")
+    for number, frame in enumerate(frames):
+        name = frame.get("file_path") if isinstance(frame, dict) else None
+        if not isinstance(name, str):
+            raise CaptureError(f"{path}: frames[{number}].file_path: expected the name of an image, got {_shown(name)}")
+    named = [(beside(path.parent, frame["file_path"]), frame) for frame in frames]
+    named.sort(key=lambda pair: natural(pair[0]))
+    paths = [image for image, _ in named]
+    if data.get("w") is None and data.get("h") is None:
+        data["w"], data["h"] = photo_size(paths[0], upright=False)
+    measured = not any("colmap_im_id" in frame for frame in frames)
+    shots = []
+    for number, (image, frame) in enumerate(named):
+        try:
+            lens, pose = _lens(data | frame), _pose(frame.get("transform_matrix"))
+        except ValueError as error:
+            raise CaptureError(f"{path}: {frame['file_path'][:80]}: {error}") from error
+        depth = _depth(path.parent, frame.get("depth_file_path")) if measured else None
+        shots.append(Shot(frame["file_path"], float(number), lens, pose, image, depth))
+    wanted = sum(frame.get("depth_file_path") is not None for frame in frames) if measured else 0
+    missing = wanted - sum(shot.depth is not None for shot in shots)
+    return Recording(
+        path,
+        shots,
+        pictures_of(paths),
+        [path, *paths],
+        up=np.array([0.0, 0.0, 1.0]) if data.get("orientation_override") == "none" else None,
+        metric=wanted > 0,
+        prepared=True,
+        remarks=(f"{missing} of {wanted} depth images are missing: these images are used without depth.",)
+        if missing
+        else (),
+    )
 
 
 def _file(source: Path) -> Path:
     return source / "transforms.json" if source.is_dir() else source
 
 
-def _depth(folder: Path, frame: dict[str, Any]) -> Callable[[], Depth] | None:
-    name = frame.get("depth_file_path")
-    return None if name is None else partial(read_depth, beside(folder, name), farthest=None)
+def _depth(folder: Path, name: object) -> Callable[[], Depth] | None:
+    path = None if name is None else path_within(folder, name)
+    return partial(read_depth, path, farthest=FARTHEST) if path is not None and path.is_file() else None
 
 
-def _lens(frame: dict[str, Any], data: dict[str, Any]) -> Lens:
-    """Return the intrinsics of one frame: its own values, or else those shared by all frames."""
-    model = str(frame.get("camera_model", data.get("camera_model", "OPENCV")))
-    if model not in MODELS:
-        raise ValueError(f"camera_model: expected a perspective model, got {model[:40]!r}")
-    given: dict[str, Any] = {
-        name: frame.get(name, data.get(name)) for name in ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x")
-    }
-    width, height = float(given["w"]), float(given["h"])
-    angle = given["camera_angle_x"]
-    focal = float(given["fl_x"]) if given["fl_x"] else width / 2 / math.tan(float(angle) / 2)
+def _pose(matrix: object) -> Floats:
+    """Return a pose [4, 4] with OpenCV's camera axes from one with OpenGL's, whose last row may be missing."""
+    try:
+        rows = np.array(matrix, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        rows = np.zeros(0)
+    if rows.shape not in ((3, 4), (4, 4)):
+        raise ValueError(f"transform_matrix: expected 4 rows of 4 numbers, got {_shown(matrix)}")
+    return np.concatenate([rows[:3], [[0.0, 0.0, 0.0, 1.0]]]) @ OPENGL
+
+
+def _lens(known: dict[str, Any]) -> Lens:
+    """Return the intrinsics of one frame.
+
+    Args:
+        known: the frame's own values, and those shared by all frames.
+
+    Raises:
+        ValueError: for a camera that is not perspective, or intrinsics that are missing or no numbers.
+    """
+    model = str(known.get("camera_model", "OPENCV"))
+    if model not in MODELS or known.get("is_fisheye"):
+        found = "is_fisheye" if model in MODELS else model[:40]
+        raise ValueError(f"camera_model: expected a perspective model, got {found}")
+    if _number(known, "k4"):
+        raise ValueError(f"k4: expected 0, since only k1, k2, k3, p1 and p2 are supported, got {_number(known, 'k4')}")
+    width, height = _number(known, "w"), _number(known, "h")
+    if width is None or height is None:
+        raise ValueError(f"w and h: expected the size of the image, or neither, got {width} and {height}")
+    fx, angle, cx, cy = (_number(known, name) for name in ("fl_x", "camera_angle_x", "cx", "cy"))
+    if not fx:
+        if angle is None or not 0.0 < angle < math.pi:
+            raise ValueError(f"fl_x: expected a focal length in pixels, or camera_angle_x in (0, π), got {angle}")
+        fx = width / 2 / math.tan(angle / 2)
     return Lens(
         width,
         height,
-        focal,
-        float(given["fl_y"] or focal),
-        width / 2 if given["cx"] is None else float(given["cx"]),
-        height / 2 if given["cy"] is None else float(given["cy"]),
-        tuple(float(frame.get(name, data.get(name, 0)) or 0) for name in ("k1", "k2", "p1", "p2", "k3")),
+        fx,
+        _number(known, "fl_y") or fx,
+        width / 2 if cx is None else cx,
+        height / 2 if cy is None else cy,
+        tuple(_number(known, name) or 0.0 for name in ("k1", "k2", "p1", "p2", "k3")),
     )
+
+
+def _number(known: dict[str, Any], name: str) -> float | None:
+    value = known.get(name)
+    try:
+        return None if value is None else float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{name}: expected a number, got {_shown(value)}") from None
+
+
+def _shown(value: object) -> str:
+    """Return a value of the file as a message shows it."""
+    return json.dumps(value)[:80]
