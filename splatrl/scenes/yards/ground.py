@@ -5,18 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from splatrl.scenes.yard.ground import Rect, within
 from splatrl.scenes.yard.materials import Rng, mixed, shades, waves
 from splatrl.scenes.yard.plants import grass, lawn_colors
-from splatrl.scenes.yard.sky import RADIUS
-from splatrl.scenes.yard.surfels import THICKNESS, Array, Rectangle, Surfels, join, lathe, painted, surfels
+from splatrl.scenes.yard.surfels import Array, Rectangle, Surfels, join, lathe, painted
 from splatrl.scenes.yards.style import Style
 
 NEAR = 1.9
 """Half width of the part that robots see up close, metres."""
 BLADES = 560
 """Blades of grass per square metre near the robots; half as many elsewhere."""
-Rect = tuple[float, float, float, float]
-"""Rectangle on the ground, by its lower and upper x and y: x0, y0, x1, y1, metres."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +32,6 @@ class Laid:
     terrace: Rect
     path: Array
     width: float
-
-
-def within(points: Array, rect: Rect) -> NDArray[np.bool_]:
-    """Return a mask of the points in a rectangle, [N] bool."""
-    x0, y0, x1, y1 = rect
-    return (points[:, 0] > x0) & (points[:, 0] < x1) & (points[:, 1] > y0) & (points[:, 1] < y1)
 
 
 def off_path(points: Array, path: Array) -> Array:
@@ -138,25 +130,3 @@ def stepping_stones(laid: Laid, style: Style, rng: Rng) -> Surfels:
         tone = 0.07 * waves(disc.means, rng, 0.12) + 0.05 * rng.normal(size=len(disc)) + 0.08 * rng.normal()
         parts.append(painted(disc, shades(style.stone, tone)))
     return join(parts)
-
-
-def country(outline: Rect, style: Style, rng: Rng) -> Surfels:
-    """Build the land outside a yard: rings of increasingly large surfels, which fade into the haze of the horizon."""
-    rings: list[Surfels] = []
-    radius = min(-outline[0], -outline[1], outline[2], outline[3])
-    while radius < RADIUS:
-        step = 0.16 * radius
-        around = round(2 * np.pi * radius / step)
-        angles = (np.arange(around) + 0.5 * (len(rings) % 2)) * 2 * np.pi / around
-        points = np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(around, -0.02)], -1)
-        margin = 0.45 * step
-        points = points[
-            ~within(points, (outline[0] - margin, outline[1] - margin, outline[2] + margin, outline[3] + margin))
-        ]
-        haze = min(1.0, radius / RADIUS)
-        far = 0.75 * np.array(style.sky.horizon)
-        colors = (1 - haze) * lawn_colors(points, rng, style.lawn) + haze * far
-        if len(points):
-            rings.append(surfels(points, np.eye(3), (0.72 * step, 0.72 * step, THICKNESS), colors))
-        radius += step
-    return join(rings)
