@@ -10,6 +10,7 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras
 from splatrl.curriculum import Plan
+from splatrl.envs.drawing import Shot
 from splatrl.envs.robot import Robot
 from splatrl.envs.tasks.base import Anywhere
 from splatrl.envs.world import World
@@ -271,5 +272,5 @@ def seen(walked: Walk, world: World) -> Tensor:
     for rows in torch.arange(len(walked.cameras)).split(BATCH):
         memory = {key: value.cpu().expand(len(rows), *value.shape[1:]) for key, value in begun.items()}
         parts = world.task.parts(walked.states[rows], memory)
-        images.append(world.drawing.draw(walked.cameras[rows], memory, parts).pixels)
+        images.append(world.drawing.draw(Shot(walked.cameras[rows], memory, parts)).pixels)
     return torch.cat(images)
