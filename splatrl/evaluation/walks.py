@@ -139,7 +139,14 @@ def awkwardness(plan: Plan, states: Tensor) -> float:
 
 
 def emptiness(plan: Plan, states: Tensor, robot: Robot, renderer: Renderer) -> float:
-    """Return the fraction of pixels, in views along a path, that show nothing, such as beyond the edge of a capture."""
+    """Return the fraction of pixels, in views along a path, that show nothing, such as beyond the edge of a capture.
+
+    Args:
+        plan: knows the motion.
+        states: [T, ...] states of the motion along the path; ``GLANCES`` of them are looked at.
+        robot: carries the camera.
+        renderer: renders the scene.
+    """
     some = states[torch.linspace(0, len(states) - 1, GLANCES).round().long()]
     small = replace(robot, image_height=GLANCE, image_width=GLANCE)
     alpha = renderer.render(small.cameras(plan.motion.body_to_world(some).cpu())).alpha

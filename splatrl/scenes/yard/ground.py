@@ -25,7 +25,7 @@ def square(half: float) -> Rectangle:
 
 
 def within(points: Array, rect: Rect) -> NDArray[np.bool_]:
-    """Return a mask of the points in a rectangle, [N] bool."""
+    """Return whether each point [N, 2 or 3], metres, lies in a rectangle: [N] bool."""
     x0, y0, x1, y1 = rect
     return (points[:, 0] > x0) & (points[:, 0] < x1) & (points[:, 1] > y0) & (points[:, 1] < y1)
 
@@ -49,7 +49,7 @@ def turf(rng: Rng) -> Surfels:
 
 
 def on_stones(points: Array, radius: float) -> NDArray[np.bool_]:
-    """Return a mask of the points within a radius of the centre of a stepping stone, [N] bool."""
+    """Return whether each point [N, 3] is within ``radius`` metres of the centre of a stepping stone: [N] bool."""
     return (np.linalg.norm(points[:, None, :2] - np.array(STONES), axis=-1) < radius).any(1)
 
 

@@ -35,7 +35,7 @@ class Laid:
 
 
 def off_path(points: Array, path: Array) -> Array:
-    """Return the distance of each point from the centre line of a path, [N] metres."""
+    """Return the distance of each point [N, 2 or 3] from the centre line of a path, points [P, 2]: [N] metres."""
     start, way = path[:-1], np.diff(path, axis=0)
     away = points[:, None, :2] - start
     along = np.clip((away * way).sum(-1) / (way * way).sum(-1), 0.0, 1.0)
@@ -43,7 +43,7 @@ def off_path(points: Array, path: Array) -> Array:
 
 
 def kinds_at(points: Array, laid: Laid, style: Style) -> NDArray[np.str_]:
-    """Return the surface of the ground at each point, [N] names from ``GROUNDS``."""
+    """Return the surface of the ground at each point [N, 2 or 3]: [N] names from ``GROUNDS``."""
     kinds = np.full(len(points), style.base, dtype="<U8")
     kinds[within(points, laid.terrace)] = "slabs" if style.base != "slabs" else "bricks"
     if laid.width:
@@ -79,7 +79,7 @@ def ground(laid: Laid, style: Style, rng: Rng) -> Surfels:
 
 
 def ground_colors(points: Array, laid: Laid, style: Style, rng: Rng) -> Array:
-    """Return the colours of the ground at points, [N, 3] sRGB."""
+    """Return the colours of the ground at points [N, 3] on it: [N, 3] sRGB."""
     kinds = kinds_at(points, laid, style)
     noise = rng.normal(size=len(points))
     tint = rng.normal(size=(64, 64))
@@ -107,7 +107,7 @@ def ground_colors(points: Array, laid: Laid, style: Style, rng: Rng) -> Array:
 
 
 def off_stones(points: Array, laid: Laid) -> Array:
-    """Return the distance of each point from the centre of the nearest stepping stone, [N] metres."""
+    """Return the distance from the nearest stepping stone's centre: [N, 3] -> [N] metres, infinite without stones."""
     if laid.width:
         return np.full(len(points), np.inf)
     return np.linalg.norm(points[:, None, :2] - stone_places(laid), axis=-1).min(1)
