@@ -21,6 +21,7 @@ from torch import Tensor
 
 from splatrl.building import build_world
 from splatrl.configuration import load_config
+from splatrl.envs.drawing import Shot
 from splatrl.envs.world import World
 from splatrl.motions import PhysicsMotion
 from splatrl.physics import level_ground
@@ -53,12 +54,12 @@ class Row:
 def drawn(world: World, state: Tensor, memory: dict[str, Tensor], motion: PhysicsMotion) -> Tensor:
     """Draw the views of some states with everything that moves in them."""
     cameras = world.robot.cameras(motion.body_to_world(state))
-    return world.drawing.draw(cameras, memory, world.task.parts(state, memory)).pixels
+    return world.drawing.draw(Shot(cameras, memory, world.task.parts(state, memory))).pixels
 
 
 def alone(world: World, state: Tensor, motion: PhysicsMotion) -> Tensor:
     """Draw the scene alone from the same places."""
-    return world.drawing.draw(world.robot.cameras(motion.body_to_world(state))).pixels
+    return world.drawing.draw(Shot(world.robot.cameras(motion.body_to_world(state)))).pixels
 
 
 def with_links(world: World, cameras: Any, parts: Parts | None) -> Tensor:

@@ -17,7 +17,7 @@ from tensordict import TensorDict
 from timing import take_turns
 
 from splatrl import backyard
-from splatrl.envs.drawing import DepthDrawing, SceneDrawing, View
+from splatrl.envs.drawing import DepthDrawing, SceneDrawing, Shot, View
 from splatrl.envs.transforms import Appearance, Weather
 from splatrl.renderers import NativeRenderer
 
@@ -45,10 +45,10 @@ def main() -> None:
     views = YARD.views(options.batch, options.size, options.size)
     plain = SceneDrawing(NativeRenderer(backyard(), threads=1))
     deep = DepthDrawing(plain, options.size, options.size)
-    shown = deep.draw(views)
+    shown = deep.draw(Shot(views))
     calls: dict[str, Callable[[], object]] = {
-        "drawn": partial(plain.draw, views),
-        "drawn with depth": partial(deep.draw, views),
+        "drawn": partial(plain.draw, Shot(views)),
+        "drawn with depth": partial(deep.draw, Shot(views)),
     }
     for name in (*NAMES, "all weather"):
         off = {other: 0.0 for other in NAMES if name in NAMES and other != name}

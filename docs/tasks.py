@@ -25,6 +25,7 @@ from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.configuration import load_config
 from splatrl.curriculum import plan
 from splatrl.datasets import planner_episodes
+from splatrl.envs.drawing import Shot
 from splatrl.envs.tasks import Apple, ImageNav, Outcome, Snake
 from splatrl.envs.world import World
 
@@ -140,7 +141,7 @@ def _taught() -> list[NDArray[np.uint8]]:
     eye = middle + torch.tensor([0.0, 0.0, 1.0]) - 1.6 * torch.nn.functional.normalize(middle - robot[0, :3, 3], dim=0)
     camera = look_at(eye.tolist(), middle.tolist()).expand(len(episode), 4, 4)
     cameras = Cameras(camera, intrinsics(math.radians(85.0), SIDE, SIDE), SIDE, SIDE)
-    beside = world.drawing.draw(cameras, memory, task.parts(episode["state"], memory)).pixels
+    beside = world.drawing.draw(Shot(cameras, memory, task.parts(episode["state"], memory))).pixels
     print(f"{TAUGHT}: {len(episode)} steps")
     return [episode["pixels"].numpy(), beside.numpy()]
 

@@ -13,7 +13,7 @@ from tensordict import TensorDict
 
 from splatrl import Cameras, yards
 from splatrl.cameras import intrinsics, look_at
-from splatrl.envs.drawing import DepthDrawing, SceneDrawing
+from splatrl.envs.drawing import DepthDrawing, SceneDrawing, Shot
 from splatrl.envs.transforms import Weather
 from splatrl.envs.transforms.weather import CLEAR, FIELDS
 from splatrl.renderers import NativeRenderer
@@ -44,7 +44,7 @@ def views(width: int, height: int, fov_deg: float, kinds: list[dict[str, float]]
         eye = torch.tensor([x - 0.8 * math.cos(yaw), y - 0.8 * math.sin(yaw), 0.4])
         pose = look_at(eye, torch.tensor([*one.egg]))
     cameras = Cameras(pose.expand(len(kinds), 4, 4), intrinsics(math.radians(fov_deg), width, height), width, height)
-    view = DepthDrawing(SceneDrawing(NativeRenderer(one.scene)), height, width).draw(cameras)
+    view = DepthDrawing(SceneDrawing(NativeRenderer(one.scene)), height, width).draw(Shot(cameras))
     weather = torch.tensor(
         [[kind.get(name, clear) for name, clear in zip(FIELDS, CLEAR, strict=True)] for kind in kinds]
     )

@@ -156,7 +156,11 @@ def corner_of(occupancy: Occupancy) -> tuple[float, float, float]:
 
 
 def check_shape(name: str, values: Tensor, shape: tuple[int, ...]) -> None:
-    """Refuse anything but a tensor that is a batch of this shape."""
+    """Refuse anything but a tensor [B, *shape].
+
+    Raises:
+        ValueError: names the argument, what was expected and what was given.
+    """
     if not isinstance(values, Tensor):
         raise ValueError(f"{name}: expected a torch.Tensor, got {type(values).__name__}")
     if values.shape[1:] != shape or values.ndim != len(shape) + 1:
@@ -164,7 +168,11 @@ def check_shape(name: str, values: Tensor, shape: tuple[int, ...]) -> None:
 
 
 def check_pairs(starts: Tensor, ends: Tensor) -> None:
-    """Refuse moves with different numbers of starts and ends."""
+    """Refuse moves with different numbers of starts and ends, [B, 4, 4] each.
+
+    Raises:
+        ValueError: names both numbers.
+    """
     if len(starts) != len(ends):
         raise ValueError(f"end: expected {len(starts)} poses, as many as in start, got {len(ends)}")
 

@@ -32,7 +32,7 @@ def check_reach(reach: float) -> None:
 
 
 def check_beams(beams: Tensor) -> None:
-    """Refuse beams that are not unit vectors.
+    """Refuse beams that are not unit vectors, [R, 3].
 
     Raises:
         ValueError: names the argument, what was expected and what was given.

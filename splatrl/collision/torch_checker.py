@@ -33,10 +33,11 @@ class Solid(NamedTuple):
     radius: Tensor  # [N]
 
     def at(self, rows: Tensor) -> "Solid":
+        """Return the solids in some rows: a mask [N] bool or indices [R] int64."""
         return Solid(*(values[rows] for values in self))
 
     def swept(self, way: Tensor) -> "Solid":
-        """Return the solid that this one sweeps along displacements [N, 3], both ends included."""
+        """Return the solid that this one sweeps along displacements [N, 3], world, metres, both ends included."""
         return Solid(self.center + 0.5 * way, torch.cat([self.edges, 0.5 * way[:, None]], 1), self.radius)
 
 

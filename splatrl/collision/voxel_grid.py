@@ -73,6 +73,12 @@ def grid_shape(
 ) -> tuple[int, int, int]:
     """Return the number of voxels along each axis from ``first_key`` up to, but not including, ``end_key``.
 
+    Args:
+        first_key: [3] int64, key of the grid's lowest voxel.
+        end_key: [3] int64, key of the voxel beyond the grid's highest.
+        resolution: edge of a voxel, metres.
+        max_voxels: maximum number of voxels.
+
     Raises:
         ValueError: if the grid has more than ``max_voxels``; names its bounds and resolution.
     """

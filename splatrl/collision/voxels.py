@@ -78,7 +78,7 @@ class Voxels:
         return ((self.keys() + 0.5) * self.resolution).astype(np.float32)
 
     def contains(self, points: Tensor | ArrayLike) -> NDArray[np.bool_]:
-        """Return whether each point [N, 3] (world, metres) lies in a solid voxel: [N]."""
+        """Return whether each point [N, 3] (world, metres) lies in a solid voxel: [N] bool."""
         index = np.floor(checked_points("points", points) / self.resolution).astype(np.int64) - self.origin_key
         inside = within(index, self.occupied.shape)
         result = np.zeros(len(index), bool)
@@ -95,7 +95,13 @@ class Voxels:
         )
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return plain arrays for storage in an npz file, one bit per voxel."""
+        """Return plain arrays for storage in an npz file.
+
+        Returns:
+            ``occupied_bits`` [bytes] uint8, one bit per voxel in the order of ``numpy.packbits``; ``shape`` and
+            ``origin_key``, [3] int64 each; and the single numbers ``resolution``, in metres, ``floaters`` and
+            ``filled``.
+        """
         return {
             "occupied_bits": np.packbits(self.occupied),
             "shape": np.array(self.occupied.shape, np.int64),

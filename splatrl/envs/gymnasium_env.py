@@ -154,7 +154,14 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
     def step(
         self, actions: Actions
     ) -> tuple[Observation, npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_], Infos]:
-        """Take one action per robot."""
+        """Take one action per robot.
+
+        Args:
+            actions: [B] int64, or [B, n] float32; see the class.
+
+        Returns:
+            Observation; reward [B] float64; terminated and truncated, [B] bool each; info.
+        """
         if self._present is None:
             raise gymnasium.error.ResetNeeded("step: expected a call to reset() first")
         acted = _act(self.env, self._present, self.action_space, actions)

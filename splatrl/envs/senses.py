@@ -9,7 +9,7 @@ from torch import Tensor
 from torchrl.data import TensorSpec
 
 from splatrl.collision.base import Checker
-from splatrl.envs.drawing.base import Drawing, View
+from splatrl.envs.drawing.base import Drawing, Shot, View
 from splatrl.envs.robot import Robot
 from splatrl.envs.sensors.base import Moment, Sensor
 from splatrl.envs.tasks.base import Memory, Task
@@ -66,9 +66,8 @@ class Senses(NamedTuple):
         parts = robots.task.parts(robots.state, robots.memory)
         if robots.scene is not None:
             parts = in_scenes(robots.scene, parts, robots.body_to_world)
-        if any(sensor.needs_depth for sensor in self.sensors.values()):
-            return self.drawing.draw(cameras, robots.memory, parts, only, depth=True)
-        return self.drawing.draw(cameras, robots.memory, parts, only)
+        depth = any(sensor.needs_depth for sensor in self.sensors.values())
+        return self.drawing.draw(Shot(cameras, robots.memory, parts, only, depth))
 
     def begin(
         self,

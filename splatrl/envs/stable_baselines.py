@@ -59,7 +59,7 @@ class StableBaselinesVecEnv(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> tuple[Observation, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[Infos]]:
-        """Take the stored action of each robot."""
+        """Take the stored action of each robot; returns observation, reward [B] float32, done [B] bool, and B infos."""
         assert self._actions is not None, "step_wait: expected a call to step_async() first"
         observations, rewards, terminated, truncated, infos = self.vector.step(self._actions)
         done = terminated | truncated

@@ -26,13 +26,13 @@ EXPECTED = "Habitat episodes: a list 'episodes' of entries with scene_id, start_
 
 
 def to_habitat(places: Tensor) -> Tensor:
-    """Convert positions [N, 3] from the world (z up, yaw 0 along +x) to Habitat's frame (y up, looking along −z)."""
+    """Convert positions [N, 3], metres, from the world (z up, yaw 0 along +x) to Habitat's frame (y up, facing −z)."""
     x, y, z = places.unbind(1)
     return torch.stack([-y, z, -x], 1)
 
 
 def from_habitat(places: Tensor) -> Tensor:
-    """Invert ``to_habitat``."""
+    """Convert positions [N, 3] from Habitat's frame to the world, metres: the inverse of ``to_habitat``."""
     x, y, z = places.unbind(1)
     return torch.stack([-z, -x, y], 1)
 

@@ -45,11 +45,12 @@ def start_map(
     evenly spread subset is drawn.
 
     Args:
-        planar: [N, 3] x and y in metres and yaw in radians of the starts; a pose can occur more than once.
+        planar: [N, 3] float64, x and y in metres and yaw in radians of the starts, world frame; a pose can occur more
+            than once.
         success: [N] bool.
         view: background and marks of the map.
         path: file of the figure; its suffix sets the format.
-        blocked: [M, 2] x and y of positions at which the body does not fit in any heading, metres.
+        blocked: [M, 2] x and y of positions at which the body fits in no heading, world frame, metres.
     """
     poses, rate = _mean_by_row(planar, success)
     rows = len(poses), int((rate == 1).sum())
@@ -90,7 +91,7 @@ def success_map(planar: Tensor, success: Tensor, view: MapView, path: Path) -> N
     Positions on a lattice get one cell each; other positions are pooled into 20 cells along the picture's longer side.
 
     Args:
-        planar: [N, 3] x and y in metres and yaw in radians of the starts.
+        planar: [N, 3] float64, x and y in metres and yaw in radians of the starts, world frame.
         success: [N] bool.
         view: background and marks of the map.
         path: file of the figure; its suffix sets the format.
@@ -115,14 +116,14 @@ def success_map(planar: Tensor, success: Tensor, view: MapView, path: Path) -> N
 
 
 def _mean_by_row(rows: Tensor | NDArray[np.float64], values: Tensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the distinct rows, and the mean value of each."""
+    """Return the distinct rows [M, D] of [N, D], and the mean [M] of the values [N] of each."""
     distinct, row = np.unique(np.asarray(rows, dtype=np.float64).round(6), axis=0, return_inverse=True)
     row = row.reshape(-1)
     return distinct, np.bincount(row, np.asarray(values, dtype=np.float64)) / np.bincount(row)
 
 
 def _spacing(positions: NDArray[np.float64], ground: TopDown) -> float:
-    """Return the distance between neighbouring lattice positions, or a legible size if there is no lattice."""
+    """Return the distance between neighbouring positions [N, 2] of a lattice, or a legible size without one; metres."""
     side = _side(ground)
     gaps = np.concatenate([np.diff(np.unique(positions[:, axis].round(6))) for axis in (0, 1)])
     spacing = gaps.min() if len(gaps) else side
@@ -148,7 +149,7 @@ def _thinned(positions: NDArray[np.float64], cell: float) -> NDArray[np.bool_]:
 
 
 def _arrows(planar: NDArray[np.float64], length: float, half_width: float) -> NDArray[np.float64]:
-    """Return the outlines of arrows that start at poses: [N, 3] -> [N, 7, 2]."""
+    """Return the outlines of arrows that start at poses: [N, 3] x, y and yaw -> [N, 7, 2] metres."""
     cos, sin = np.cos(planar[:, 2]), np.sin(planar[:, 2])
     turn = np.stack([np.stack([cos, sin], -1), np.stack([-sin, cos], -1)], -2)  # for row vectors
     return planar[:, None, :2] + (ARROW * (length, half_width)) @ turn

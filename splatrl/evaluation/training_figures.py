@@ -85,14 +85,17 @@ def scene_bars(names: Sequence[str], success: Sequence[float], path: Path) -> No
 
 
 def column(history: Sequence[Mapping[str, float]], key: str) -> NDArray[np.float64]:
-    """Return one value of each row of a history, NaN where a row lacks it: [rows]."""
+    """Return one value of each row of a history, NaN where a row lacks it: [R] float64."""
     return np.array([row.get(key, math.nan) for row in history], dtype=np.float64)
 
 
 def _curve(
     axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], weights: NDArray[np.float64], color: str
 ) -> None:
-    """Plot raw values faintly, and their weighted running mean over 1/12 of the rows; few rows are marked by dots."""
+    """Plot raw values faintly, and their weighted running mean over 1/12 of the rows; few rows are marked by dots.
+
+    ``x``, ``y`` and ``weights`` are [R] each; rows in which ``y`` is NaN are left out.
+    """
     known = ~np.isnan(y)
     x, y, weights = x[known], y[known], weights[known]
     axes.plot(x, y, ".-", color=color, linewidth=0.8, markersize=4, alpha=0.35)

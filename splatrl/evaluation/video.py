@@ -13,7 +13,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from splatrl.cameras import Cameras
-from splatrl.envs.drawing import Drawing
+from splatrl.envs.drawing import Drawing, Shot
 from splatrl.envs.robot import Robot
 from splatrl.envs.tasks import Outcome
 from splatrl.evaluation.chart import COLORS, Chart, font
@@ -140,7 +140,7 @@ def _drawn(recording: Recording, drawing: Drawing, cameras: Cameras) -> Iterator
     for rows in torch.arange(len(cameras)).split(BATCH):
         memory = {key: value[rows] for key, value in recording.memory.items()}
         parts = None if recording.parts is None else recording.parts.rows(rows)
-        yield from drawing.draw(cameras[rows], memory, parts).pixels.cpu().numpy()
+        yield from drawing.draw(Shot(cameras[rows], memory, parts)).pixels.cpu().numpy()
 
 
 def _action(action: Tensor, names: Sequence[str]) -> str:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras
 from splatrl.curriculum import Plan
+from splatrl.envs.drawing import Shot
 from splatrl.envs.robot import Robot
 from splatrl.envs.tasks.base import Anywhere
 from splatrl.envs.world import World
@@ -138,7 +139,14 @@ def awkwardness(plan: Plan, states: Tensor) -> float:
 
 
 def emptiness(plan: Plan, states: Tensor, robot: Robot, renderer: Renderer) -> float:
-    """Return the fraction of pixels, in views along a path, that show nothing, such as beyond the edge of a capture."""
+    """Return the fraction of pixels, in views along a path, that show nothing, such as beyond the edge of a capture.
+
+    Args:
+        plan: knows the motion.
+        states: [T, ...] states of the motion along the path; ``GLANCES`` of them are looked at.
+        robot: carries the camera.
+        renderer: renders the scene.
+    """
     some = states[torch.linspace(0, len(states) - 1, GLANCES).round().long()]
     small = replace(robot, image_height=GLANCE, image_width=GLANCE)
     alpha = renderer.render(small.cameras(plan.motion.body_to_world(some).cpu())).alpha
@@ -271,5 +279,5 @@ def seen(walked: Walk, world: World) -> Tensor:
     for rows in torch.arange(len(walked.cameras)).split(BATCH):
         memory = {key: value.cpu().expand(len(rows), *value.shape[1:]) for key, value in begun.items()}
         parts = world.task.parts(walked.states[rows], memory)
-        images.append(world.drawing.draw(walked.cameras[rows], memory, parts).pixels)
+        images.append(world.drawing.draw(Shot(walked.cameras[rows], memory, parts)).pixels)
     return torch.cat(images)

@@ -93,7 +93,7 @@ class StandalonePolicy(nn.Module):
         return ["action", *about, *(NEXT + state.name for state in self.states)]
 
     def example(self, batch: int) -> tuple[Tensor, ...]:
-        """Return all-zero inputs for a batch of robots whose episodes begin."""
+        """Return all-zero ``inputs`` for robots whose episodes begin, [batch, ...] each; ``begin`` is true."""
         seen, states = (
             [torch.zeros(batch, *each.shape, dtype=each.dtype) for each in named]
             for named in (self.observed, self.states)

@@ -37,7 +37,7 @@ class Renderer(Protocol):
     """
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
-        """Render colour, depth and alpha for each camera."""
+        """Render colour, depth and alpha for each of B cameras; see ``RenderOutput``."""
         ...
 
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:

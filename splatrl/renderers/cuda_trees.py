@@ -50,7 +50,13 @@ def joined(trees: Sequence[Tree]) -> Tree:
 
 
 def moved(clusters: NDArray[Any], nodes: int, groups: int = 0) -> NDArray[Any]:
-    """Shift the indices of a tree's nodes, to be stored after other nodes and its Gaussians after other groups."""
+    """Return the nodes of a tree, [N] ``CLUSTER``, with the indices that hold once other trees are stored before it.
+
+    Args:
+        clusters: [N] ``CLUSTER``, the nodes of the tree.
+        nodes: number of nodes that are stored before them.
+        groups: number of groups of Gaussians that are stored before those of the tree.
+    """
     clusters = clusters.copy()
     clusters["skip"] += np.uint32(nodes)
     clusters["first_group"] += np.uint32(groups)

@@ -88,7 +88,7 @@ class NativeRenderer:
 
     @torch.compiler.disable
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
-        """Render colour, depth and alpha for each camera, float32, on the cameras' device."""
+        """Render colour, depth and alpha for each camera, float32, on the cameras' device; see ``Renderer``."""
         return draw_only(self._rendered, cameras, self._checked(parts, cameras), only)
 
     def _checked(self, parts: Parts | None, cameras: Cameras) -> Parts | None:
@@ -144,7 +144,7 @@ class NativeRenderer:
 
     @torch.compiler.disable
     def efforts(self, cameras: Cameras, parts: Parts | None = None) -> Effort:
-        """Measure the work that each view takes, by drawing it."""
+        """Measure the work that each of B views takes, by drawing it; see ``Effort``."""
         efforts = torch.empty(len(cameras), len(Effort._fields))
         self._draw(cameras, self._checked(parts, cameras), empty_pixels(cameras), efforts)
         values = efforts.unbind(1)
@@ -170,12 +170,22 @@ def _checked_out(out: Tensor, cameras: Cameras) -> Tensor:
 
 
 def cpu_floats(value: Tensor) -> Tensor:
-    """Convert values to what the core reads: float32, contiguous, in main memory."""
+    """Convert values of any shape and type to what the core reads: float32, contiguous, in main memory."""
     return value.detach().to("cpu", torch.float32).resolve_neg().contiguous()
 
 
 def checked_cameras(cameras: Cameras) -> tuple[Tensor, Tensor]:
-    """Check cameras as the core relies on, and return their poses and intrinsics as it reads them."""
+    """Check cameras as the core relies on.
+
+    Args:
+        cameras: B views.
+
+    Returns:
+        ``camera_to_world`` [B, 4, 4] and ``K`` [B, 3, 3], as ``cpu_floats`` each.
+
+    Raises:
+        ValueError: for poses that are not rigid, or intrinsics that are not a pinhole's; see ``require_cameras``.
+    """
     poses, K = cpu_floats(cameras.camera_to_world), cpu_floats(cameras.K)
     if _core.first_bad_camera(poses, K) >= 0:
         require_cameras(cameras)
@@ -192,7 +202,15 @@ def _placed(cameras: Cameras, parts: Parts | None) -> tuple[Tensor | None, Tenso
 
 
 def in_models(poses: Tensor, parts: Parts) -> Tensor:
-    """Express camera poses in the frames of their parts, as the core reads them: ``camera_to_models`` in C++."""
+    """Express camera poses in the frames of their parts: ``camera_to_models`` in C++.
+
+    Args:
+        poses: [B, 4, 4] camera_to_world, as ``cpu_floats``.
+        parts: M parts of each row.
+
+    Returns:
+        [B, M, 4, 4] camera_to_model, float32, metres, in main memory.
+    """
     out = torch.empty(*parts.model.shape, 4, 4)
     _core.camera_to_models(poses, cpu_floats(parts.model_to_world), out)
     return out

@@ -23,7 +23,7 @@ class NoRenderer:
         pass
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
-        """Return black images with a depth and alpha of zero."""
+        """Return black images with a depth and alpha of zero; see ``RenderOutput``."""
         plane = torch.zeros(len(cameras), cameras.height, cameras.width, device=cameras.camera_to_world.device)
         return RenderOutput(plane.unsqueeze(-1).repeat(1, 1, 1, 3), plane, plane.clone())
 

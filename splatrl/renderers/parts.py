@@ -28,7 +28,7 @@ class Parts(NamedTuple):
     model_to_world: Tensor
 
     def rows(self, rows: slice | Tensor) -> "Parts":
-        """Select the parts of some rows of the batch by a slice, a mask or indices."""
+        """Select the parts of some rows of the batch by a slice, a mask [B] bool or indices [R] int64."""
         return Parts(self.model[rows], self.model_to_world[rows])
 
 

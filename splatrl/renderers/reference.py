@@ -92,7 +92,10 @@ class ReferenceRenderer:
         self.invisible = FAINT if antialiased else INVISIBLE
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
-        """Render colour, depth and alpha for each camera, on the device and in the float type of the Gaussians."""
+        """Render colour, depth and alpha for each camera, on the device and in the float type of the Gaussians.
+
+        See ``Renderer``.
+        """
         return draw_only(self._rendered, cameras, checked_parts(parts, cameras, len(self.models)), only)
 
     def _rendered(self, cameras: Cameras, parts: Parts | None) -> RenderOutput:
@@ -144,8 +147,11 @@ class ReferenceRenderer:
 
         Args:
             gaussians: the model's Gaussians.
-            cameras: cameras in the frame of the model.
-            row: index of the camera to use.
+            cameras: B cameras in the frame of the model.
+            row: index of the camera to use, 0 to B - 1.
+
+        Returns:
+            The Gaussians beyond the near plane, nearest first.
         """
         means = gaussians.means
         camera_to_world, K = cameras.camera_to_world[row].to(means), cameras.K[row].to(means)
@@ -183,8 +189,10 @@ def project_covariances(covariances: Tensor, x: Tensor, y: Tensor, z: Tensor, K:
 
     Args:
         covariances: [G, 3, 3] camera frame, square metres.
-        x: [G] x coordinate of the means in the camera frame, metres; likewise ``y`` and ``z``.
-        K: [3, 3] intrinsics.
+        x: [G] x of the means in the camera frame, metres.
+        y: [G] y of the means in the camera frame, metres.
+        z: [G] z of the means in the camera frame, metres, at least ``NEAR``.
+        K: [3, 3] intrinsics, pixels.
         cameras: cameras that give the size of the image.
 
     Returns:
@@ -205,11 +213,14 @@ def blend(projected: Projected, left: int, top: int, right: int, bottom: int, in
 
     Args:
         projected: the Gaussians, nearest first.
-        left: left edge of the tile, pixels; likewise ``top``, ``right`` and ``bottom``.
+        left: left edge of the tile, pixels: its first column.
+        top: top edge of the tile, pixels: its first row.
+        right: right edge of the tile, pixels: the column after its last.
+        bottom: bottom edge of the tile, pixels: the row after its last.
         invisible: opacity below which a Gaussian is not visible.
 
     Returns:
-        [bottom - top, right - left, 5]: red, green, blue, the sum of depths times blending weights, alpha.
+        [bottom - top, right - left, 5]: red, green, blue, the sum of depths times blending weights in metres, alpha.
     """
     like = projected.centers
     low, high = like.new_tensor([left, top]), like.new_tensor([right, bottom])

@@ -67,7 +67,7 @@ class ViewCache(ABC, Generic[Kept]):
         return sum(album.bytes_held() for album in self._albums.values())
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
-        """Render colour, depth and alpha for each camera; nothing is cached."""
+        """Render colour, depth and alpha for each camera; nothing is cached. See ``Renderer``."""
         return self.renderer.render(cameras, parts, only)
 
     @abstractmethod

@@ -21,6 +21,9 @@ def stated_similarity(stated: object) -> Tensor | None:
     Args:
         stated: keys and values, or None for no keys; a value of None stands for the default.
 
+    Returns:
+        [4, 4] float64, from splat coordinates to world metres.
+
     Raises:
         ValueError: for unknown keys, and as in ``similarity``.
     """
@@ -75,7 +78,14 @@ def similarity(
 
 
 def checked_similarity(matrix: Sequence[Sequence[float]] | Tensor) -> Tensor:
-    """Return a 4×4 similarity as float64, or raise a ValueError that says why the matrix is not one."""
+    """Return a matrix as float64 in main memory, if it is a similarity.
+
+    Args:
+        matrix: [4, 4], from splat coordinates to world metres.
+
+    Raises:
+        ValueError: says why the matrix is not a rotation, a positive scale and a translation.
+    """
     if not isinstance(matrix, Tensor) and not (_is_list(matrix, 4) and all(_is_list(row, 4) for row in matrix)):
         raise ValueError(f"world_from_splat.matrix: expected 4 rows of 4, got {matrix!r:.80}")
     rows = matrix if isinstance(matrix, Tensor) else [[_number("matrix", v) for v in row] for row in matrix]

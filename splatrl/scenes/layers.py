@@ -44,10 +44,10 @@ def heavy_layers(points: Floats, normals: Floats, weights: Floats, thickness: fl
     """Return the heaviest layers over all directions, heaviest first, with normals at least 30° apart.
 
     Args:
-        points: [N, 3] means of the Gaussians.
+        points: [N, 3] means of the Gaussians, in their own frame and unit.
         normals: [N, 3] normals of the Gaussians; their length, 0 to 1, is the flatness.
         weights: [N] weights of the Gaussians, summing to 1.
-        thickness: thickness of the layers on either side of their planes.
+        thickness: thickness of the layers on either side of their planes, in the same unit.
     """
     directions = np.concatenate([np.eye(3), _hemisphere(_DIRECTIONS)])
     layers = [layer_at(points, normals, weights, direction, thickness) for direction in directions]
@@ -59,7 +59,15 @@ def heavy_layers(points: Floats, normals: Floats, weights: Floats, thickness: fl
 
 
 def layer_at(points: Floats, normals: Floats, weights: Floats, normal: Floats, thickness: float) -> Layer:
-    """Return the heaviest layer with a given normal; the other arguments are as in ``heavy_layers``."""
+    """Return the heaviest layer with a given normal.
+
+    Args:
+        points: see ``heavy_layers``.
+        normals: see ``heavy_layers``.
+        weights: see ``heavy_layers``.
+        normal: [3] unit vector, the normal of the layer.
+        thickness: see ``heavy_layers``.
+    """
     heights = points @ normal
     flat = np.abs(normals @ normal) > ALIGNED
     mass = weights * np.where(flat, 1.0, _LOOSE)
@@ -85,6 +93,12 @@ def leaning_layer(points: Floats, normals: Floats, weights: Floats, layer: Layer
     perpendicular, the smallest eigenvector of the difference of their scatter matrices. Then a plane is fitted to the
     flat Gaussians of the layer, which is more precise; it is discarded if it tilts away from what the normals say.
     Neither step may cost the layer much of its weight.
+
+    Args:
+        points: see ``heavy_layers``.
+        normals: see ``heavy_layers``.
+        weights: see ``heavy_layers``.
+        layer: the layer to tilt.
     """
     for lean in (_between(normals, weights, layer.normal), None):
         normal = _plane(points, normals, weights, layer) if lean is None else lean

@@ -56,7 +56,7 @@ def upright_frame(
 
 
 def matrix_frame(transform: Tensor | ArrayLike) -> Frame:
-    """Return the frame of a 4×4 similarity, with numbers rounded for reading."""
+    """Return the frame of a similarity [4, 4], from splat coordinates to world metres, with rounded numbers."""
     matrix = checked_similarity(torch.as_tensor(np.asarray(transform, np.float64)))
     rows = [[*(_rounded(value, 8) for value in row[:3]), _rounded(row[3], 12)] for row in matrix.tolist()]
     return {"matrix": rows}
@@ -123,7 +123,12 @@ def metres_per_unit(start: Sequence[float], end: Sequence[float], metres: float)
 
 
 def rescaled(transform: Tensor, scale: float) -> Tensor:
-    """Rescale a similarity about the world's origin so that it has ``scale`` metres per file unit."""
+    """Rescale a similarity about the world's origin.
+
+    Args:
+        transform: [4, 4], from file coordinates to world metres.
+        scale: metres per file unit in the result.
+    """
     result = transform.clone()
     result[:3] *= scale / float(transform[:3, 0].norm())
     return result

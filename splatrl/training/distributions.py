@@ -33,7 +33,7 @@ class Choice(Categorical):
         return self.mode
 
     def sample(self, sample_shape: Any = torch.Size()) -> Tensor:  # noqa: B008, an empty size is a constant
-        """Draw from each distribution, as the first arrival among exponential clocks."""
+        """Draw from each distribution, as the first arrival among exponential clocks: [...] int64."""
         if len(sample_shape):
             return super().sample(sample_shape)
         return (self.probs / torch.empty_like(self.probs).exponential_()).argmax(-1)

@@ -101,7 +101,10 @@ def distribution(head: ProbabilisticTensorDictSequential, hidden: Tensor) -> Dis
 
 
 def entropy(policy: Distribution) -> Tensor:
-    """Entropy of each distribution in a batch; if it has no closed form, a differentiable one-sample estimate."""
+    """Return the entropy of each distribution in a batch, [...].
+
+    If it has no closed form, the result is an estimate from one sample, which is differentiable.
+    """
     if isinstance(policy, TanhNormal):
         return -policy.rsample_and_log_prob()[1]
     return policy.entropy()

@@ -129,7 +129,14 @@ class Learner:
             yield some
 
     def step(self, frames: dict[str, Tensor]) -> Tensor:
-        """Take one gradient step on a minibatch, and return ``STATISTICS``."""
+        """Take one gradient step on a minibatch.
+
+        Args:
+            frames: a minibatch, as ``minibatches`` yields them.
+
+        Returns:
+            ``STATISTICS``, [5] float32.
+        """
         if self._native is not None and self._native.suits(frames, self.optimizer):
             return self._native.step(frames, self.optimizer, self.loss, self.entropy_coeff)
         loss, statistics = self._measured(frames, self._bonus(frames["action"].device))

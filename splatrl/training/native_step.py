@@ -39,7 +39,12 @@ class NativeStep:
         self.heads = [head.weight, head.bias, value.weight, value.bias]
 
     def suits(self, frames: Mapping[str, Tensor], optimizer: torch.optim.Optimizer) -> bool:
-        """Whether these frames are supported, and a step on them is faster than PyTorch's."""
+        """Whether these frames are supported, and a step on them is faster than PyTorch's.
+
+        Args:
+            frames: a minibatch, see ``step``.
+            optimizer: optimizer of the network's parameters.
+        """
         images = frames["image"]
         plain = images.ndim == 4 and all(each.dtype == torch.float32 and each.is_contiguous() for each in self.heads)
         return (
@@ -53,7 +58,19 @@ class NativeStep:
         loss: LossSettings,
         entropy_coeff: float,
     ) -> Tensor:
-        """Take a step on a minibatch, as ``Learner.step`` does, and return ``STATISTICS``."""
+        """Take a step on a minibatch, as ``Learner.step`` does.
+
+        Args:
+            frames: N frames: ``image`` [M, H, W, C] float32 on the CPU; ``action`` [N] int64; ``action_log_prob``,
+                ``advantage`` and ``value_target``, [N] float32 each. With ``shown`` [N] int64, the index of each
+                frame's image, images may serve several frames; without it, M = N.
+            optimizer: Adam, with one group of parameters.
+            loss: clip range and weight of the value loss.
+            entropy_coeff: weight of the entropy bonus.
+
+        Returns:
+            ``STATISTICS``, [5] float32.
+        """
         images, shown = frames["image"].contiguous(), frames.get("shown")
         weights = [*self.trunk.convolutions.parameters(), *self.trunk.dense.parameters()]
         layers = forward(images, weights)

@@ -19,7 +19,13 @@ LARGE = 64
 
 
 def suits(images: Tensor, convolutions: nn.Sequential, dense: nn.Sequential) -> bool:
-    """Whether the compiled layers support these images and weights, and are faster than PyTorch's."""
+    """Whether the compiled layers support these images and weights, and are faster than PyTorch's.
+
+    Args:
+        images: [N, H, W, C].
+        convolutions: two convolutions, each followed by a ReLU.
+        dense: a linear layer followed by a ReLU.
+    """
     if torch.compiler.is_compiling() or torch.jit.is_tracing() or images.requires_grad:
         return False
     weights = (*convolutions.parameters(), *dense.parameters())
@@ -44,11 +50,15 @@ def encoded(images: Tensor, convolutions: nn.Sequential, dense: nn.Sequential) -
 
 
 def forward(images: Tensor, weights: Sequence[Tensor]) -> list[Tensor]:
-    """Return the output of each layer for images [N, H, W, C]; the features [N, F] come last.
+    """Return the output of each layer.
 
     Args:
-        images: float32 on the CPU, contiguous.
-        weights: weights and bias of each layer, contiguous.
+        images: [N, H, W, C] float32 on the CPU, contiguous.
+        weights: weight and bias of each of the three layers, in PyTorch's shapes, float32 on the CPU, contiguous.
+
+    Returns:
+        The outputs of the two convolutions, [N, height, width, channels], and the features [N, F]: float32, after the
+        ReLU.
     """
     count, height, width, _ = images.shape
     first, second, features = (len(bias) for bias in weights[1::2])
@@ -61,7 +71,17 @@ def forward(images: Tensor, weights: Sequence[Tensor]) -> list[Tensor]:
 
 
 def backward(images: Tensor, weights: Sequence[Tensor], layers: Sequence[Tensor], slope: Tensor) -> list[Tensor]:
-    """Return the gradients of the weights, from that of the features [N, F]."""
+    """Return the gradients of the weights.
+
+    Args:
+        images: see ``forward``.
+        weights: see ``forward``.
+        layers: what ``forward`` returned for them.
+        slope: [N, F] float32, contiguous: the gradient of the features.
+
+    Returns:
+        One gradient for each of ``weights``, of the same shape.
+    """
     gradients, count = [torch.empty_like(weight) for weight in weights], len(images)
     given = images.data_ptr(), count, addresses(weights), addresses(layers), slope.data_ptr()
     _core.trunk_backward(_shape(images, weights), *given, addresses(gradients), _threads(count))
@@ -69,7 +89,7 @@ def backward(images: Tensor, weights: Sequence[Tensor], layers: Sequence[Tensor]
 
 
 def addresses(tensors: Sequence[Tensor]) -> tuple[int, ...]:
-    """Addresses of tensors in memory."""
+    """Return the addresses of tensors of any shape in memory."""
     return tuple(tensor.data_ptr() for tensor in tensors)
 
 

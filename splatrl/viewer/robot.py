@@ -28,7 +28,7 @@ BLUE = (31, 111, 235)
 
 
 def wedge(robot: Robot) -> NDArray[np.float32]:
-    """Return the corners of a robot's mark, metres: as large as its body, but never too small to be seen."""
+    """Return the corners of a robot's mark, as large as its body but always visible: [4, 3] metres, body frame."""
     reach = 0.5 * max(robot.body.size[:2]) if isinstance(robot.body, Box) else robot.body.radius
     return WEDGE * max(reach, SMALLEST)
 

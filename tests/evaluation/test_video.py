@@ -10,10 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from splatrl.cameras import Cameras
-from splatrl.envs.drawing import SceneDrawing, View
+from splatrl.envs.drawing import SceneDrawing, Shot, View
 from splatrl.envs.tasks import Mark, Outcome
-from splatrl.envs.tasks.base import NOTHING, Memory
 from splatrl.evaluation.figure_style import BLUE, MISSED, REACHED
 from splatrl.evaluation.recording import Recording
 from splatrl.evaluation.topdown import MapView, TopDown
@@ -144,15 +142,10 @@ class Kept(SceneDrawing):
         super().__init__(ReferenceRenderer(tiny_gaussians()))
         self.asked: list[tuple[Tensor, ...]] = []
 
-    def draw(
-        self,
-        cameras: Cameras,
-        memory: Memory = NOTHING,
-        parts: Parts | None = None,
-        only: Tensor | None = None,
-    ) -> View:
-        assert parts is not None
-        self.asked.append((cameras.camera_to_world, memory["target"], parts.model))
+    def draw(self, shot: Shot) -> View:
+        assert shot.parts is not None
+        cameras = shot.cameras
+        self.asked.append((cameras.camera_to_world, shot.memory["target"], shot.parts.model))
         return View(torch.zeros(len(cameras), cameras.height, cameras.width, 3, dtype=torch.uint8), {})
 
 

@@ -1,5 +1,4 @@
 import math
-from collections.abc import Mapping
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -13,8 +12,8 @@ from torch import Tensor
 from splatrl.cameras import Cameras
 from splatrl.collision.occupancy import Occupancy
 from splatrl.curriculum import Plan, plan
-from splatrl.envs.drawing import Drawing, SceneDrawing, View
-from splatrl.envs.tasks.base import NOTHING, Anywhere, Memory
+from splatrl.envs.drawing import Drawing, SceneDrawing, Shot, View
+from splatrl.envs.tasks.base import Anywhere, Memory
 from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.world import World
 from splatrl.evaluation.clip_files import read_clips
@@ -284,17 +283,12 @@ class Photographs(SceneDrawing):
 
     def __init__(self) -> None:
         super().__init__(Painter())
-        self.asked: list[tuple[Cameras, Mapping[str, Tensor], Parts | None]] = []
+        self.asked: list[Shot] = []
 
-    def draw(
-        self,
-        cameras: Cameras,
-        memory: Mapping[str, Tensor] = NOTHING,
-        parts: Parts | None = None,
-        only: Tensor | None = None,
-    ) -> View:
-        self.asked.append((cameras, memory, parts))
-        return View(torch.full((len(cameras), cameras.height, cameras.width, 3), 200, dtype=torch.uint8), {})
+    def draw(self, shot: Shot) -> View:
+        self.asked.append(shot)
+        size = (len(shot.cameras), shot.cameras.height, shot.cameras.width, 3)
+        return View(torch.full(size, 200, dtype=torch.uint8), {})
 
 
 def test_walks_are_drawn_by_the_worlds_drawing_with_the_tasks_memory_and_parts(tmp_path: Path) -> None:
@@ -303,8 +297,8 @@ def test_walks_are_drawn_by_the_worlds_drawing_with_the_tasks_memory_and_parts(t
     clips = read_clips(tmp_path, NAMES)
     for clip in clips:
         assert all((np.asarray(image) == 200).all() for image in clip.images())
-    assert sum(len(cameras) for cameras, _, _ in drawing.asked) == sum(len(list(clip.images())) for clip in clips)
-    for cameras, memory, parts in drawing.asked:
+    assert sum(len(shot.cameras) for shot in drawing.asked) == sum(len(list(clip.images())) for clip in clips)
+    for cameras, memory, parts, *_ in drawing.asked:
         assert torch.equal(memory["target"], torch.tensor([0.7, 1.0, HEIGHT]).expand(len(cameras), 3))
         assert parts is not None and (parts.model == 3).all()
         places = parts.model_to_world[:, 0, :3, 3]
@@ -329,7 +323,7 @@ def test_a_failed_recording_leaves_no_partial_clip(tmp_path: Path) -> None:
 class Broken(SceneDrawing):
     """Fails to draw."""
 
-    def draw(self, *_: object) -> View:
+    def draw(self, shot: Shot) -> View:
         raise RuntimeError("no picture")
 
 

@@ -23,6 +23,7 @@ from splatrl.renderers import NativeRenderer
 from splatrl.scenes.yard import backyard_obstacles
 from splatrl.scenes.yard.layout import Solid
 from splatrl.scenes.yards import Yard, source, yard, yards
+from splatrl.scenes.yards.layout import beside, span, strip
 from splatrl.scenes.yards.solvable import BLOCKED, LONGEST, Cells, difficulty, footprints, solvable
 from tests.preloaded import Process, start
 
@@ -154,6 +155,14 @@ def test_the_measured_difficulty_of_the_backyard_is_that_of_the_planner() -> Non
     found = difficulty(cells, (0.6, 0.4, 0.0))
     assert found.blocked == pytest.approx(33 / 121) and found.longest == 24  # as tests/scenes/test_backyard.py plans it
     assert solvable(found)
+
+
+def test_strips_lie_inside_the_sides_of_a_yard_and_points_beside_them_in_or_outside() -> None:
+    outline, low, high = (-3.0, -2.0, 5.0, 4.0), 0.5, 1.5
+    strips = [strip(outline, quarters, low, high, 0.25, 1.0) for quarters in range(4)]
+    assert strips == [(0.5, 3.0, 1.5, 3.75), (-2.75, 0.5, -2.0, 1.5), (0.5, -1.75, 1.5, -1.0), (4.0, 0.5, 4.75, 1.5)]
+    assert [beside(outline, quarters, 0.5, -1.0) for quarters in range(4)] == [(0.5, 5), (-4, 0.5), (0.5, -3), (6, 0.5)]
+    assert [span(outline, quarters) for quarters in range(4)] == 2 * [(-3.0, 5.0), (-2.0, 4.0)]
 
 
 def test_a_yard_divided_by_a_wall_is_not_solvable_and_an_empty_one_is_too_easy() -> None:

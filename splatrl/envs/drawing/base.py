@@ -14,6 +14,24 @@ from splatrl.renderers.parts import Parts
 NO_MEMORY: Mapping[str, Tensor] = {}
 
 
+class Shot(NamedTuple):
+    """What is to be drawn: the views of B cameras.
+
+    Attributes:
+        cameras: the cameras, world frame.
+        memory: the task's memory of each robot, [B, ...] by key, such as the position of its ``target``.
+        parts: placed models in each robot's world; None draws the scene alone.
+        only: [B] bool, which views to draw; the others are zero. None draws all.
+        depth: whether ``View.depth`` is requested.
+    """
+
+    cameras: Cameras
+    memory: Mapping[str, Tensor] = NO_MEMORY
+    parts: Parts | None = None
+    only: Tensor | None = None
+    depth: bool = False
+
+
 class View(NamedTuple):
     """Views of B cameras.
 
@@ -42,23 +60,8 @@ class Drawing(Protocol):
         """Specs of one robot's observations other than the pixels, by key."""
         ...
 
-    def draw(
-        self,
-        cameras: Cameras,
-        memory: Mapping[str, Tensor] = NO_MEMORY,
-        parts: Parts | None = None,
-        only: Tensor | None = None,
-        depth: bool = False,
-    ) -> View:
-        """Draw the views of cameras.
-
-        Args:
-            cameras: B views.
-            memory: the task's memory of each robot, [B, ...] by key, such as the position of its ``target``.
-            parts: placed models in each robot's world; None draws the scene alone.
-            only: [B] bool, which views to draw; the others are zero. None draws all.
-            depth: whether to return the depth as well.
-        """
+    def draw(self, shot: Shot) -> View:
+        """Draw the views of cameras."""
         ...
 
 
@@ -77,18 +80,11 @@ class SceneDrawing:
         """Empty: there are no observations other than the pixels."""
         return {}
 
-    def draw(
-        self,
-        cameras: Cameras,
-        memory: Mapping[str, Tensor] = NO_MEMORY,
-        parts: Parts | None = None,
-        only: Tensor | None = None,
-        depth: bool = False,
-    ) -> View:
+    def draw(self, shot: Shot) -> View:
         """Draw the views of cameras; see ``Drawing``."""
-        if not depth:
-            return View(self.renderer.pixels(cameras, parts, only), {})
-        rgb, metres, alpha = self.renderer.render(cameras, parts, only)
+        if not shot.depth:
+            return View(self.renderer.pixels(shot.cameras, shot.parts, shot.only), {})
+        rgb, metres, alpha = self.renderer.render(shot.cameras, shot.parts, shot.only)
         return View(to_pixels(rgb), {}, solid_depth(metres, alpha))
 
 

@@ -2,13 +2,10 @@
 
 from collections.abc import Mapping
 
-from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 
-from splatrl.cameras import Cameras
-from splatrl.envs.drawing.base import NO_MEMORY, Drawing, View
+from splatrl.envs.drawing.base import Drawing, Shot, View
 from splatrl.renderers.base import Renderer
-from splatrl.renderers.parts import Parts
 from splatrl.values import require_number
 
 VIEW_DEPTH = "view_depth"
@@ -49,15 +46,8 @@ class DepthDrawing:
         """Specs of the wrapped drawing, and ``view_depth``."""
         return {**self.drawing.specs, VIEW_DEPTH: Unbounded(shape=self.size)}
 
-    def draw(
-        self,
-        cameras: Cameras,
-        memory: Mapping[str, Tensor] = NO_MEMORY,
-        parts: Parts | None = None,
-        only: Tensor | None = None,
-        depth: bool = True,
-    ) -> View:
+    def draw(self, shot: Shot) -> View:
         """Draw the views of cameras; see ``Drawing``."""
-        view = self.drawing.draw(cameras, memory, parts, only, depth=True)
+        view = self.drawing.draw(shot._replace(depth=True))
         assert view.depth is not None
         return View(view.pixels, {**view.shown, VIEW_DEPTH: view.depth}, view.depth)

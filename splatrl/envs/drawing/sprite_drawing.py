@@ -8,12 +8,10 @@ import torch
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
-from splatrl.cameras import Cameras
-from splatrl.envs.drawing.base import HAZE, NO_MEMORY, View, solid_depth
+from splatrl.envs.drawing.base import HAZE, Shot, View, solid_depth
 from splatrl.envs.drawing.billboard import overlay
 from splatrl.envs.drawing.sprite import Sprite, load_sprite
 from splatrl.renderers.base import Renderer, to_pixels
-from splatrl.renderers.parts import Parts
 from splatrl.values import require_number
 
 
@@ -58,28 +56,21 @@ class SpriteDrawing:
         """Spec of ``sprite_share``."""
         return {"sprite_share": Bounded(0.0, 1.0, shape=(1,), dtype=torch.float32)}
 
-    def draw(
-        self,
-        cameras: Cameras,
-        memory: Mapping[str, Tensor] = NO_MEMORY,
-        parts: Parts | None = None,
-        only: Tensor | None = None,
-        depth: bool = False,
-    ) -> View:
+    def draw(self, shot: Shot) -> View:
         """Draw the views of cameras; see ``Drawing``.
 
         Raises:
             ValueError: if neither ``position`` nor the task gives the sprite's position.
         """
-        rgb, metres, alpha = self.renderer.render(cameras, parts, only)
+        rgb, metres, alpha = self.renderer.render(shot.cameras, shot.parts, shot.only)
         sprite, position = self._on(rgb.device)
-        target = memory.get("target") if position is None else position
+        target = shot.memory.get("target") if position is None else position
         if target is None:
             raise ValueError("drawing.position: expected x, y and z in metres for a task without a target, got None")
         solid = metres.masked_fill(alpha < HAZE, 0.0)
-        view = (to_pixels(rgb), solid, cameras.camera_to_world, cameras.K[0])
-        pixels, share = overlay(*view, target, sprite, self.size, self.near, only)
-        return View(pixels, {"sprite_share": share}, solid_depth(metres, alpha) if depth else None)
+        view = (to_pixels(rgb), solid, shot.cameras.camera_to_world, shot.cameras.K[0])
+        pixels, share = overlay(*view, target, sprite, self.size, self.near, shot.only)
+        return View(pixels, {"sprite_share": share}, solid_depth(metres, alpha) if shot.depth else None)
 
     def _on(self, device: torch.device) -> tuple[Sprite, Tensor | None]:
         """Return sprite and position on a device; the copies are cached, since a captured graph keeps reading them."""

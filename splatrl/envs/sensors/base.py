@@ -60,11 +60,11 @@ class Sensor(Protocol):
         ...
 
     def begin(self, moment: Moment) -> Mapping[str, Tensor]:
-        """Return what to remember about robots whose episodes begin, with the keys of ``memory_spec``."""
+        """Return what to remember about robots whose episodes begin: [B, ...] by key of ``memory_spec``."""
         ...
 
     def read(self, moment: Moment) -> Tensor:
-        """Return the observations of all robots: [B, ...]."""
+        """Return the observations of all robots: [B, ...], one robot's shape and dtype as in ``spec``."""
         ...
 
 

@@ -16,5 +16,5 @@ class Contact(PlainSensor):
         return Categorical(2, shape=(1,), dtype=torch.bool)
 
     def read(self, moment: Moment) -> Tensor:
-        """Return whether any part of the last move was blocked."""
+        """Return whether any part of the last move was blocked: [B, 1] bool."""
         return moment.free_fraction.unsqueeze(1) < 1.0

@@ -40,7 +40,7 @@ class Depth(PlainSensor):
         return Bounded(low, high, shape=(robot.image_height, robot.image_width, 1), dtype=torch.float32)
 
     def read(self, moment: Moment) -> Tensor:
-        """Return the depth of each pixel."""
+        """Return the depth of each pixel: [B, H, W, 1] float32, metres, or in [0, 1] if normalised."""
         assert moment.depth is not None, "expected depth, which the env renders if a sensor needs it, got None"
         depth = moment.depth.clamp(self.nearest, self.farthest)
         if self.normalize:

@@ -36,7 +36,7 @@ class PointGoal(PlainSensor):
         return Unbounded(shape=(2,), dtype=torch.float32)
 
     def read(self, moment: Moment) -> Tensor:
-        """Return rho and phi."""
+        """Return rho, metres, and phi, radians: [B, 2] float32."""
         away = goal_of(moment)[:, :2] - moment.planar[:, :2]
         phi = wrapped(torch.atan2(away[:, 1], away[:, 0]) - moment.planar[:, 2])
         return torch.stack([away.norm(dim=1), phi], 1).float()
@@ -59,11 +59,11 @@ class ImageGoal(PlainSensor):
         return {self.KEY: self.spec(robot)}
 
     def begin(self, moment: Moment) -> Mapping[str, Tensor]:
-        """Render the view at the goal."""
+        """Render the view at the goal: [B, H, W, 3] uint8."""
         goal = goal_of(moment).float()
         place = torch.cat([goal[:, :2], moment.body_to_world[:, 2:3, 3]], 1)
         return {self.KEY: moment.look(rigid(axis_rotations(2, goal[:, 2]), place))}
 
     def read(self, moment: Moment) -> Tensor:
-        """Return the episode's goal image."""
+        """Return the episode's goal image: [B, H, W, 3] uint8."""
         return moment.memory[self.KEY].clone()

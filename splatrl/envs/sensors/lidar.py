@@ -46,7 +46,7 @@ class Lidar(PlainSensor):
         return Bounded(0.0, self.reach, shape=(count,), dtype=torch.float32)
 
     def read(self, moment: Moment) -> Tensor:
-        """Return the ranges."""
+        """Return the range of each beam: [B, beams] float32, metres."""
         device = moment.body_to_world.device
         if device not in self._beams:  # cached, since each copy would block the host
             self._beams[device] = self._beams[torch.device("cpu")].to(device)

@@ -15,7 +15,7 @@ START = "episode_start"
 
 
 def wrapped(angle: Tensor) -> Tensor:
-    """Wrap angles to [-π, π]."""
+    """Wrap angles, radians, to [-π, π]; any shape."""
     return torch.atan2(angle.sin(), angle.cos())
 
 
@@ -32,7 +32,7 @@ class SinceStart(PlainSensor):
         return {START: Unbounded(shape=(3,), dtype=torch.float32)}
 
     def begin(self, moment: Moment) -> Mapping[str, Tensor]:
-        """Return the pose in which the episode begins."""
+        """Return the pose in which the episode begins: [B, 3] float32, x and y in metres and yaw in radians."""
         return {START: moment.planar.float()}
 
 
@@ -48,7 +48,7 @@ class Gps(SinceStart):
         return Unbounded(shape=(2,), dtype=torch.float32)
 
     def read(self, moment: Moment) -> Tensor:
-        """Return the displacement ahead and to the right, metres."""
+        """Return the displacement ahead and to the right: [B, 2] float32, metres."""
         start = moment.memory[START].double()
         x, y = (moment.planar - start)[:, :2].unbind(1)
         cos, sin = start[:, 2].cos(), start[:, 2].sin()
@@ -66,7 +66,7 @@ class Compass(SinceStart):
         return angle_spec()
 
     def read(self, moment: Moment) -> Tensor:
-        """Return the rotation since the start."""
+        """Return the rotation since the start: [B, 1] float32, radians."""
         return wrapped(moment.planar[:, 2:] - moment.memory[START][:, 2:].double()).float()
 
 
@@ -81,5 +81,5 @@ class Heading(PlainSensor):
         return angle_spec()
 
     def read(self, moment: Moment) -> Tensor:
-        """Return the yaw."""
+        """Return the yaw: [B, 1] float32, radians."""
         return wrapped(moment.planar[:, 2:]).float()

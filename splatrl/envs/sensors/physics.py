@@ -54,12 +54,12 @@ class Measured(PlainSensor):
         return {self.key: self.spec(robot)}
 
     def begin(self, moment: Moment) -> Mapping[str, Tensor]:
-        """Return the reading with the actuators at rest."""
+        """Return the reading with the actuators at rest: [B, n] float32."""
         motion = with_physics(moment)
         return {self.key: self._said(motion, motion.sensed(moment.state).unsqueeze(1))}
 
     def read(self, moment: Moment) -> Tensor:
-        """Return the mean over the last move, or the remembered reading where an episode begins."""
+        """Return the mean over the last move, or the remembered reading where an episode begins: [B, n] float32."""
         if moment.sensed is None:
             return moment.memory[self.key].clone()
         return self._said(with_physics(moment), moment.sensed)
@@ -95,7 +95,7 @@ class Joints(PlainSensor):
         return Unbounded(shape=(2 * len(self.places),), dtype=torch.float32)
 
     def read(self, moment: Moment) -> Tensor:
-        """Return positions and scaled velocities."""
+        """Return positions relative to the home pose, then scaled velocities: [B, 2 J] float32."""
         motion, state = with_physics(moment), moment.state
         layout, places, rates = motion.layout, self.places.to(state.device), self.rates.to(state.device)
         angles = state[:, layout.positions][:, places] - motion.home[layout.positions][places].to(state)
@@ -114,7 +114,7 @@ class Velocity(PlainSensor):
         return Unbounded(shape=(6,), dtype=torch.float32)
 
     def read(self, moment: Moment) -> Tensor:
-        """Return the velocity."""
+        """Return the linear and the angular velocity in the body's frame: [B, 6] float32."""
         return with_physics(moment).velocity(moment.state).float()
 
 
@@ -130,7 +130,7 @@ class EgoMotion(PlainSensor):
         return Unbounded(shape=(9,), dtype=torch.float32)
 
     def read(self, moment: Moment) -> Tensor:
-        """Return the velocity and the up direction."""
+        """Return the velocity and the world's up direction in the body's frame: [B, 9] float32."""
         motion = with_physics(moment)
         up = quats_to_rotations(moment.state[:, motion.layout.orientation])[:, 2]
         return torch.cat([motion.velocity(moment.state), up], 1).float()
@@ -144,7 +144,11 @@ class Felt(PlainSensor):
         return Unbounded(shape=(FELT,), dtype=torch.float32)
 
     def read(self, moment: Moment) -> Tensor:
-        """Return the proprioception."""
+        """Return the proprioception: [B, 46] float32.
+
+        Raises:
+            ValueError: for a robot without legs.
+        """
         motion: Any = moment.motion
         if not isinstance(motion, LegsMotion):
             raise ValueError(f"sensors: expected a legged robot, got {type(motion).__name__}")

@@ -52,5 +52,5 @@ def from_gsply(path: Path, decoded: Any) -> Gaussians:
 
 
 def opacity_logits(opacities: Tensor) -> Tensor:
-    """Return the logits that a file stores for opacities: [N] float64, finite even for 0 and 1."""
+    """Return the logits that a file stores for opacities [N] in [0, 1]: [N] float64, finite even for 0 and 1."""
     return opacities.double().clamp(EDGE, 1 - EDGE).logit()

@@ -11,14 +11,14 @@ from splatrl.scenes.town.plan import ROADWAY, SIZE, STREET, Plot, drawn_plot, ho
 from splatrl.scenes.yard.enclosure import cut, framed, panel
 from splatrl.scenes.yard.furniture import eggshell
 from splatrl.scenes.yard.generator import to_gaussians
-from splatrl.scenes.yard.ground import bed
+from splatrl.scenes.yard.ground import bed, country
 from splatrl.scenes.yard.layout import Solid
 from splatrl.scenes.yard.light import lit, occluders
 from splatrl.scenes.yard.materials import Rng, boards, plaster, shades, waves
 from splatrl.scenes.yard.plants import grass, lawn_colors, tree
 from splatrl.scenes.yard.sky import RADIUS, sky
 from splatrl.scenes.yard.surfels import Array, Rectangle, Surfels, faces, join
-from splatrl.scenes.yards.ground import country, ground
+from splatrl.scenes.yards.ground import ground
 from splatrl.scenes.yards.kinds import IN_THE_WAY, UNDER_THE_EGG, Size, box, gable
 from splatrl.scenes.yards.pieces import EGG_HEIGHT, Egg, Piece
 from splatrl.scenes.yards.sides import SIDES
@@ -69,7 +69,8 @@ def around_gaussians(seed: int, columns: Sequence[int], rows: Sequence[int]) -> 
     outline = (SIZE * columns[0], SIZE * rows[0], SIZE * (columns[-1] + 1), SIZE * (rows[-1] + 1))
     scale = max(1.0, 2.2 * max(map(abs, outline)) / RADIUS)
     x0, y0, x1, y1 = (edge / scale for edge in outline)
-    land = lit(country((min(x0, -0.1), min(y0, -0.1), x1, y1), style, rng), occluders(_nothing(), ()), style.light)
+    land = country((min(x0, -0.1), min(y0, -0.1), x1, y1), rng, style.lawn, style.far)
+    land = lit(land, occluders(_nothing(), ()), style.light)
     return to_gaussians(_grown(join([land, sky(rng, style.sky)]), scale))
 
 

@@ -10,11 +10,12 @@ from functools import cache
 
 import numpy as np
 
+from splatrl.scenes.yard.ground import Rect
 from splatrl.scenes.yard.layout import Solid, Tree
 from splatrl.scenes.yard.light import Light
 from splatrl.scenes.yard.materials import Rng
 from splatrl.scenes.yard.sky import SkyLook
-from splatrl.scenes.yards.ground import Laid, Rect
+from splatrl.scenes.yards.ground import Laid
 from splatrl.scenes.yards.layout import FRINGE, drawn_beds, drawn_core, drawn_edge, drawn_laid, drawn_trees
 from splatrl.scenes.yards.pieces import House, Piece, Side
 from splatrl.scenes.yards.sides import SIDES

@@ -138,7 +138,14 @@ def egg(rng: Rng) -> Surfels:
 def eggshell(
     center: tuple[float, float, float], radii: tuple[float, float, float], to_light: Array, rng: Rng
 ) -> Surfels:
-    """Build a red egg, narrower at the top, with a soft highlight on the side of the light."""
+    """Build a red egg, narrower at the top, with a soft highlight on the side of the light.
+
+    Args:
+        center: its centre, metres.
+        radii: its half extents along x, y and z, metres.
+        to_light: [3] direction to the light, of any length but zero.
+        rng: generator of the colours' grain.
+    """
     angles = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 25)
     pointed = 1 - 0.13 * np.sin(angles)  # narrower at the top
     outline = [

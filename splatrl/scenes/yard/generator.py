@@ -8,11 +8,11 @@ from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.yard.enclosure import enclosure
 from splatrl.scenes.yard.furniture import furniture
 from splatrl.scenes.yard.ground import bed, country, stones, turf
-from splatrl.scenes.yard.layout import HOUSE, solids, trees
+from splatrl.scenes.yard.layout import HALF_WIDTH, HOUSE, solids, trees
 from splatrl.scenes.yard.light import lit, occluders
 from splatrl.scenes.yard.materials import Rng
 from splatrl.scenes.yard.plants import tree
-from splatrl.scenes.yard.sky import RADIUS, sky
+from splatrl.scenes.yard.sky import sky
 from splatrl.scenes.yard.surfels import Surfels, join
 from splatrl.spherical_harmonics import C0
 
@@ -39,7 +39,7 @@ def backyard_gaussians(seed: int = 0, clutter: int = 0) -> Gaussians:
         furniture(rng, clutter),
         enclosure(rng),
         *orchard(seed, rng),
-        country(rng, RADIUS),
+        country((-HALF_WIDTH, -HALF_WIDTH, HALF_WIDTH, HALF_WIDTH), rng, offset=0.5),
     ]
     blockers = occluders([*solids(seed, clutter), HOUSE], trees(seed))
     return to_gaussians(join([lit(join(things), blockers), sky(rng)]))

@@ -5,18 +5,29 @@ from numpy.typing import NDArray
 
 from splatrl.scenes.yard.layout import HALF_WIDTH
 from splatrl.scenes.yard.materials import Color, Rng, shades, waves
-from splatrl.scenes.yard.plants import grass, lawn_colors, shrub
+from splatrl.scenes.yard.plants import GREENS, grass, lawn_colors, shrub
+from splatrl.scenes.yard.sky import RADIUS
 from splatrl.scenes.yard.surfels import THICKNESS, Array, Rectangle, Surfels, join, lathe, painted, surfels
 
 NEAR = 1.8
 """Half width of the part of the lawn that robots see up close, metres."""
 STONES = ((-0.75, -2.45), (-0.72, -1.95), (-0.62, -1.45), (-0.55, -0.95), (-0.58, -0.45), (-0.66, 0.08), (-0.6, 0.6))
 """Centres of the stepping stones that lead from the shed's door into the yard, metres."""
+FAR = (0.55, 0.62, 0.52)
+"""Colour of the land at the horizon, sRGB."""
+Rect = tuple[float, float, float, float]
+"""Rectangle on the ground, by its lower and upper x and y: x0, y0, x1, y1, metres."""
 
 
 def square(half: float) -> Rectangle:
     """Return the square on the ground around the origin with this half width."""
     return Rectangle((-half, -half, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), 2 * half, 2 * half)
+
+
+def within(points: Array, rect: Rect) -> NDArray[np.bool_]:
+    """Return whether each point [N, 2 or 3], metres, lies in a rectangle: [N] bool."""
+    x0, y0, x1, y1 = rect
+    return (points[:, 0] > x0) & (points[:, 0] < x1) & (points[:, 1] > y0) & (points[:, 1] < y1)
 
 
 def turf(rng: Rng) -> Surfels:
@@ -38,7 +49,7 @@ def turf(rng: Rng) -> Surfels:
 
 
 def on_stones(points: Array, radius: float) -> NDArray[np.bool_]:
-    """Return a mask of the points within a radius of the centre of a stepping stone, [N] bool."""
+    """Return whether each point [N, 3] is within ``radius`` metres of the centre of a stepping stone: [N] bool."""
     return (np.linalg.norm(points[:, None, :2] - np.array(STONES), axis=-1) < radius).any(1)
 
 
@@ -82,18 +93,32 @@ def flowers(foot: tuple[float, float], color: Color, rng: Rng) -> Surfels:
     return join([green, heads])
 
 
-def country(rng: Rng, reach: float) -> Surfels:
-    """Build the land outside the yard: rings of increasingly large surfels out to ``reach`` metres."""
+def country(
+    rect: Rect, rng: Rng, greens: tuple[Color, Color] = GREENS, far: Color = FAR, offset: float = 0.0
+) -> Surfels:
+    """Build the land outside a yard: rings of increasingly large surfels, which fade into the haze of the horizon.
+
+    Args:
+        rect: extent of the yard, which contains the origin.
+        rng: generator of the colours' grain.
+        greens: colours of fresh and dry grass.
+        far: colour of the land at the horizon, sRGB.
+        offset: angle by which the first ring is turned, as a fraction of that between two of its surfels; each further
+            ring is turned by another half.
+    """
+    x0, y0, x1, y1 = rect
     rings: list[Surfels] = []
-    radius = HALF_WIDTH
-    while radius < reach:
+    radius = min(-x0, -y0, x1, y1)
+    while radius < RADIUS:
         step = 0.16 * radius
         around = round(2 * np.pi * radius / step)
-        angles = (np.arange(around) + 0.5 * (len(rings) % 2)) * 2 * np.pi / around
+        angles = (np.arange(around) + (offset + 0.5 * len(rings)) % 1.0) * 2 * np.pi / around
         points = np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(around, -0.02)], -1)
-        points = points[np.abs(points).max(1) > HALF_WIDTH + 0.45 * step]
-        haze = min(1.0, radius / reach)
-        colors = (1 - haze) * lawn_colors(points, rng) + haze * np.array([0.55, 0.62, 0.52])
-        rings.append(surfels(points, np.eye(3), (0.72 * step, 0.72 * step, THICKNESS), colors))
+        margin = 0.45 * step
+        points = points[~within(points, (x0 - margin, y0 - margin, x1 + margin, y1 + margin))]
+        haze = min(1.0, radius / RADIUS)
+        colors = (1 - haze) * lawn_colors(points, rng, greens) + haze * np.array(far)
+        if len(points):
+            rings.append(surfels(points, np.eye(3), (0.72 * step, 0.72 * step, THICKNESS), colors))
         radius += step
     return join(rings)

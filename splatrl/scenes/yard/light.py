@@ -69,7 +69,16 @@ def occluders(solids: list[Solid], trees: tuple[Tree, ...], shrink: float = 0.01
 
 
 def in_box(points: Array, direction: Array, blockers: Occluders) -> NDArray[np.bool_]:
-    """Return whether a ray from each point enters a box, [N] bool (slab test); a box never shades points inside it."""
+    """Return whether a ray from each point enters a box (slab test); a box never shades points inside it.
+
+    Args:
+        points: [N, 3] world, metres.
+        direction: [3] direction of the rays.
+        blockers: the boxes.
+
+    Returns:
+        [N] bool.
+    """
     safe = np.where(np.abs(direction) < 1e-6, 1e-6, direction)
     hit = np.zeros(len(points), bool)
     scaled = np.ascontiguousarray((points / safe).T)  # [3, N]: the reductions below run along contiguous memory
@@ -81,7 +90,16 @@ def in_box(points: Array, direction: Array, blockers: Occluders) -> NDArray[np.b
 
 
 def through_crowns(points: Array, direction: Array, blockers: Occluders) -> Array:
-    """Return the fraction of light that reaches each point through tree crowns, [N]: longer paths let less through."""
+    """Return the fraction of light that reaches each point through tree crowns; longer paths let less through.
+
+    Args:
+        points: [N, 3] world, metres.
+        direction: [3] direction to the light.
+        blockers: the crowns.
+
+    Returns:
+        [N] in [0, 1].
+    """
     share = np.ones(len(points))
     for center, radii in zip(blockers.centers, blockers.radii, strict=True):
         start, way = (points - center) / radii, direction / radii
@@ -93,7 +111,7 @@ def through_crowns(points: Array, direction: Array, blockers: Occluders) -> Arra
 
 
 def sunlight(points: Array, blockers: Occluders, sun: Array = SUN) -> Array:
-    """Return the fraction of the sun's disc that each point sees, [N] in [0, 1]."""
+    """Return the fraction of the sun's disc, in direction ``sun`` [3], that each point [N, 3] sees: [N] in [0, 1]."""
     total = np.zeros(len(points))
     for ray in range(RAYS):
         angle = 2 * np.pi * ray / RAYS
@@ -104,7 +122,16 @@ def sunlight(points: Array, blockers: Occluders, sun: Array = SUN) -> Array:
 
 
 def openness(points: Array, normals: Array, blockers: Occluders) -> Array:
-    """Return the visible fraction of the sky near contacts, [N]: the feet of things and the ground there are darker."""
+    """Return the visible fraction of the sky near contacts: the feet of things and the ground there are darker.
+
+    Args:
+        points: [N, 3] world, metres.
+        normals: [N, 3] surface normals, see ``Surfels``.
+        blockers: the things.
+
+    Returns:
+        [N] in [0, 1].
+    """
     height = np.maximum(points[:, 2], 0.0)
     flat = np.maximum(normals[:, 2], 0.0)
     foot = 1 - 0.45 * (1 - flat) * np.exp(-height / CONTACT)
@@ -114,12 +141,12 @@ def openness(points: Array, normals: Array, blockers: Occluders) -> Array:
 
 
 def to_linear(srgb: Array) -> Array:
-    """Convert sRGB in [0, 1] to linear light."""
+    """Convert sRGB in [0, 1] to linear light, in any shape."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
 def to_srgb(linear: Array) -> Array:
-    """Convert linear light to sRGB in [0, 1]; highlights roll off rather than clip."""
+    """Convert linear light to sRGB in [0, 1], in any shape; highlights roll off rather than clip."""
     rolled = np.where(linear < 0.6, linear, 0.6 + 0.4 * np.tanh((linear - 0.6) / 0.4))
     return np.where(rolled <= 0.0031308, 12.92 * rolled, 1.055 * np.maximum(rolled, 1e-9) ** (1 / 2.4) - 0.055)
 

@@ -28,7 +28,7 @@ def waves(points: Array, rng: Rng, wavelength: float, count: int = 10) -> Array:
 
 
 def shades(color: Color | Array, brightness: Array) -> Array:
-    """Brighten or darken a colour: [N] relative changes -> [N, 3]."""
+    """Brighten or darken a colour, sRGB, [3] or [N, 3]: [N] relative changes -> [N, 3] in [0, 1]."""
     return np.clip(np.asarray(color) * (1 + brightness)[:, None], 0.0, 1.0)
 
 

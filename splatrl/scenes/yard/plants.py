@@ -28,7 +28,18 @@ def leaves(points: Array, outward: Array, depth: Array, size: float, palette: tu
 
 
 def ball(center: Array, radii: Array, count: int, rng: Rng, shell: float = 0.55) -> tuple[Array, Array, Array]:
-    """Draw points in the outer part of an ellipsoid: positions [N, 3], outward directions [N, 3] and depths [N]."""
+    """Draw points in the outer part of an ellipsoid.
+
+    Args:
+        center: [3] centre of the ellipsoid, metres.
+        radii: [3] half extents of the ellipsoid, metres.
+        count: N.
+        rng: generator of the points.
+        shell: smallest distance from the centre, as a fraction of the radius.
+
+    Returns:
+        Positions [N, 3], outward unit vectors [N, 3], and depths [N], from 0 at the surface to 1.
+    """
     outward = rng.normal(size=(count, 3))
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     radius = rng.uniform(shell**2, 1.0, count) ** 0.5
@@ -117,7 +128,7 @@ def grass(points: Array, length: float, rng: Rng, greens: tuple[Color, Color] = 
 
 
 def lawn_colors(points: Array, rng: Rng, greens: tuple[Color, Color] = GREENS) -> Array:
-    """Return the greens of a lawn at points on it: large patches, drier spots and fine grain, [N, 3] sRGB."""
+    """Return the greens of a lawn at points [N, 3] on it: large patches, drier spots and fine grain; [N, 3] sRGB."""
     fixed = np.random.default_rng(20)  # blades and the ground beneath them share their patches
     flat = points * np.array([1.0, 1.0, 0.0])
     dry = 0.28 + 0.16 * waves(flat, fixed, 1.6) + 0.12 * waves(flat, fixed, 0.45) + 0.1 * rng.normal(size=len(points))

@@ -70,7 +70,16 @@ def surfels(
     normals: Array | None = None,
     opacity: float = OPAQUE,
 ) -> Surfels:
-    """Build surfels whose scales, colours and axes may be shared; the normals default to the third axes."""
+    """Build N surfels from values that they may share.
+
+    Args:
+        means: [N, 3] metres.
+        axes: [N, 3, 3] or [3, 3] rotations, see ``Surfels``.
+        scales: [N, 3] or [3] standard deviations, metres.
+        colors: [N, 3] or [3] sRGB, clipped to [0, 1].
+        normals: [N, 3] or [3] surface normals; None takes the third axes.
+        opacity: opacity of all of them.
+    """
     count = len(means)
     axes = np.broadcast_to(axes, (count, 3, 3))
     return Surfels(

@@ -7,14 +7,14 @@ import numpy as np
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.yard.furniture import eggshell
 from splatrl.scenes.yard.generator import to_gaussians
-from splatrl.scenes.yard.ground import bed
+from splatrl.scenes.yard.ground import bed, country
 from splatrl.scenes.yard.layout import Tree
 from splatrl.scenes.yard.light import Occluders, lit, occluders
 from splatrl.scenes.yard.materials import Color, Rng
 from splatrl.scenes.yard.plants import BARK, tree
 from splatrl.scenes.yard.sky import sky
 from splatrl.scenes.yard.surfels import Surfels, join
-from splatrl.scenes.yards.ground import country, ground
+from splatrl.scenes.yards.ground import ground
 from splatrl.scenes.yards.kinds import UNDER_THE_EGG
 from splatrl.scenes.yards.layout import drawn_layout
 from splatrl.scenes.yards.pieces import Layout
@@ -86,7 +86,7 @@ def blockers(layout: Layout) -> Occluders:
 
 def built(layout: Layout, style: Style, rng: Rng) -> Surfels:
     """Build all surfels of a yard except the sky, before lighting."""
-    parts = [ground(layout.laid, style, rng), country(layout.outline, style, rng)]
+    parts = [ground(layout.laid, style, rng), country(layout.outline, rng, style.lawn, style.far)]
     for side in layout.sides:
         parts.append(turned(SIDES[side.name].build(side.box, style, rng), side.x, side.y, side.quarters))
     for piece in layout.core + layout.edge:

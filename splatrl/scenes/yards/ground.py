@@ -5,18 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from splatrl.scenes.yard.ground import Rect, within
 from splatrl.scenes.yard.materials import Rng, mixed, shades, waves
 from splatrl.scenes.yard.plants import grass, lawn_colors
-from splatrl.scenes.yard.sky import RADIUS
-from splatrl.scenes.yard.surfels import THICKNESS, Array, Rectangle, Surfels, join, lathe, painted, surfels
+from splatrl.scenes.yard.surfels import Array, Rectangle, Surfels, join, lathe, painted
 from splatrl.scenes.yards.style import Style
 
 NEAR = 1.9
 """Half width of the part that robots see up close, metres."""
 BLADES = 560
 """Blades of grass per square metre near the robots; half as many elsewhere."""
-Rect = tuple[float, float, float, float]
-"""Rectangle on the ground, by its lower and upper x and y: x0, y0, x1, y1, metres."""
 
 
 @dataclass(frozen=True)
@@ -36,14 +34,8 @@ class Laid:
     width: float
 
 
-def within(points: Array, rect: Rect) -> NDArray[np.bool_]:
-    """Return a mask of the points in a rectangle, [N] bool."""
-    x0, y0, x1, y1 = rect
-    return (points[:, 0] > x0) & (points[:, 0] < x1) & (points[:, 1] > y0) & (points[:, 1] < y1)
-
-
 def off_path(points: Array, path: Array) -> Array:
-    """Return the distance of each point from the centre line of a path, [N] metres."""
+    """Return the distance of each point [N, 2 or 3] from the centre line of a path, points [P, 2]: [N] metres."""
     start, way = path[:-1], np.diff(path, axis=0)
     away = points[:, None, :2] - start
     along = np.clip((away * way).sum(-1) / (way * way).sum(-1), 0.0, 1.0)
@@ -51,7 +43,7 @@ def off_path(points: Array, path: Array) -> Array:
 
 
 def kinds_at(points: Array, laid: Laid, style: Style) -> NDArray[np.str_]:
-    """Return the surface of the ground at each point, [N] names from ``GROUNDS``."""
+    """Return the surface of the ground at each point [N, 2 or 3]: [N] names from ``GROUNDS``."""
     kinds = np.full(len(points), style.base, dtype="<U8")
     kinds[within(points, laid.terrace)] = "slabs" if style.base != "slabs" else "bricks"
     if laid.width:
@@ -87,7 +79,7 @@ def ground(laid: Laid, style: Style, rng: Rng) -> Surfels:
 
 
 def ground_colors(points: Array, laid: Laid, style: Style, rng: Rng) -> Array:
-    """Return the colours of the ground at points, [N, 3] sRGB."""
+    """Return the colours of the ground at points [N, 3] on it: [N, 3] sRGB."""
     kinds = kinds_at(points, laid, style)
     noise = rng.normal(size=len(points))
     tint = rng.normal(size=(64, 64))
@@ -115,7 +107,7 @@ def ground_colors(points: Array, laid: Laid, style: Style, rng: Rng) -> Array:
 
 
 def off_stones(points: Array, laid: Laid) -> Array:
-    """Return the distance of each point from the centre of the nearest stepping stone, [N] metres."""
+    """Return the distance from the nearest stepping stone's centre: [N, 3] -> [N] metres, infinite without stones."""
     if laid.width:
         return np.full(len(points), np.inf)
     return np.linalg.norm(points[:, None, :2] - stone_places(laid), axis=-1).min(1)
@@ -138,25 +130,3 @@ def stepping_stones(laid: Laid, style: Style, rng: Rng) -> Surfels:
         tone = 0.07 * waves(disc.means, rng, 0.12) + 0.05 * rng.normal(size=len(disc)) + 0.08 * rng.normal()
         parts.append(painted(disc, shades(style.stone, tone)))
     return join(parts)
-
-
-def country(outline: Rect, style: Style, rng: Rng) -> Surfels:
-    """Build the land outside a yard: rings of increasingly large surfels, which fade into the haze of the horizon."""
-    rings: list[Surfels] = []
-    radius = min(-outline[0], -outline[1], outline[2], outline[3])
-    while radius < RADIUS:
-        step = 0.16 * radius
-        around = round(2 * np.pi * radius / step)
-        angles = (np.arange(around) + 0.5 * (len(rings) % 2)) * 2 * np.pi / around
-        points = np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(around, -0.02)], -1)
-        margin = 0.45 * step
-        points = points[
-            ~within(points, (outline[0] - margin, outline[1] - margin, outline[2] + margin, outline[3] + margin))
-        ]
-        haze = min(1.0, radius / RADIUS)
-        far = 0.75 * np.array(style.sky.horizon)
-        colors = (1 - haze) * lawn_colors(points, rng, style.lawn) + haze * far
-        if len(points):
-            rings.append(surfels(points, np.eye(3), (0.72 * step, 0.72 * step, THICKNESS), colors))
-        radius += step
-    return join(rings)

@@ -7,9 +7,10 @@ of the backyard. The extent of the yard beyond the core and its enclosure differ
 import numpy as np
 from numpy.typing import NDArray
 
+from splatrl.scenes.yard.ground import Rect
 from splatrl.scenes.yard.layout import Solid, Tree
 from splatrl.scenes.yard.materials import Rng
-from splatrl.scenes.yards.ground import Laid, Rect
+from splatrl.scenes.yards.ground import Laid
 from splatrl.scenes.yards.kinds import AT_THE_EDGE, IN_THE_WAY, UNDER_THE_EGG, Kind, Size
 from splatrl.scenes.yards.pieces import Egg, House, Layout, Piece, Side, fill
 from splatrl.scenes.yards.sides import SIDES
@@ -123,6 +124,31 @@ def drawn_sides(outline: Rect, rng: Rng) -> tuple[Side, ...]:
     return tuple(sides)
 
 
+def span(outline: Rect, quarters: int) -> tuple[float, float]:
+    """Return the lower and upper coordinate of a side along itself; see ``beside``."""
+    x0, y0, x1, y1 = outline
+    return (x0, x1) if quarters % 2 == 0 else (y0, y1)
+
+
+def beside(outline: Rect, quarters: int, along: float, inwards: float = 0.0) -> tuple[float, float]:
+    """Return x and y of a point beside a side of a yard.
+
+    Args:
+        outline: extent of the yard.
+        quarters: the side: 0 north, 1 west, 2 south, 3 east.
+        along: coordinate of the point along the side, metres: its x beside north and south, its y beside west and east.
+        inwards: distance of the point from the side, metres; negative for a point outside.
+    """
+    x0, y0, x1, y1 = outline
+    return ((along, y1 - inwards), (x0 + inwards, along), (along, y0 + inwards), (x1 - inwards, along))[quarters]
+
+
+def strip(outline: Rect, quarters: int, low: float, high: float, near: float, far: float) -> Rect:
+    """Return the rectangle between two coordinates along a side and between two distances from it; see ``beside``."""
+    (a, b), (c, d) = beside(outline, quarters, low, near), beside(outline, quarters, high, far)
+    return min(a, c), min(b, d), max(a, c), max(b, d)
+
+
 def drawn_edge(outline: Rect, taken: list[Rect], rng: Rng) -> list[Piece]:
     """Draw things with their backs to the sides."""
     x0, y0, x1, y1 = outline
@@ -133,11 +159,8 @@ def drawn_edge(outline: Rect, taken: list[Rect], rng: Rng) -> list[Piece]:
         for _ in range(6):
             size, quarters = drawn_size(kind, rng), int(rng.integers(4))
             back = size[1] / 2 + rng.uniform(0.06, 0.3)
-            middle_x = rng.uniform(x0 + size[0] / 2, x1 - size[0] / 2)
-            middle_y = rng.uniform(y0 + size[0] / 2, y1 - size[0] / 2)
-            x, y = ((middle_x, y1 - back), (x0 + back, middle_y), (middle_x, y0 + back), (x1 - back, middle_y))[
-                quarters
-            ]
+            middle = [rng.uniform(low + size[0] / 2, high - size[0] / 2) for low, high in ((x0, x1), (y0, y1))]
+            x, y = beside(outline, quarters, middle[quarters % 2], back)
             piece = Piece(kind, size, float(x), float(y), quarters)
             a, b, c, d = piece.rect
             if a > x0 and b > y0 and c < x1 and d < y1 and fits(piece.rect, taken, 0.1):
@@ -149,20 +172,14 @@ def drawn_edge(outline: Rect, taken: list[Rect], rng: Rng) -> list[Piece]:
 
 def drawn_beds(outline: Rect, taken: list[Rect], sides: tuple[Side, ...], rng: Rng) -> list[Rect]:
     """Draw strips of flowers in front of some of the sides, clear of what stands there."""
-    x0, y0, x1, y1 = outline
     beds = []
     for side in sides:
         if side.name == "facade" or rng.random() < 0.45:
             continue
         deep, (start, length) = rng.uniform(0.3, 0.45), (rng.uniform(0.05, 0.4), rng.uniform(0.35, 0.55))
-        low, high = (x0, x1) if side.quarters % 2 == 0 else (y0, y1)
-        a, b = low + start * (high - low), low + (start + length) * (high - low)
-        rect = (
-            (a, y1 - deep, b, y1 - 0.03),
-            (x0 + 0.03, a, x0 + deep, b),
-            (a, y0 + 0.03, b, y0 + deep),
-            (x1 - deep, a, x1 - 0.03, b),
-        )[side.quarters]
+        low, high = span(outline, side.quarters)
+        first, last = low + start * (high - low), low + (start + length) * (high - low)
+        rect = strip(outline, side.quarters, first, last, 0.03, deep)
         if fits(rect, taken, 0.02):
             beds.append(rect)
             taken.append(rect)
@@ -184,38 +201,33 @@ def drawn_trees(outline: Rect, taken: list[Rect], rng: Rng) -> tuple[list[Tree],
                 break
     for _ in range(int(rng.integers(5, 10))):
         side, off, crown = int(rng.integers(4)), rng.uniform(2.2, 6.0), rng.uniform(1.2, 1.9)
-        x, y = rng.uniform((x0 - 3, y0 - 3), (x1 + 3, y1 + 3))
-        x, y = ((x, y1 + off), (x0 - off, y), (x, y0 - off), (x1 + off, y))[side]
-        beyond.append(Tree(float(x), float(y), 0.2, float(rng.uniform(2.6, 4.2)), crown))
+        place = rng.uniform((x0 - 3, y0 - 3), (x1 + 3, y1 + 3))
+        x, y = beside(outline, side, float(place[side % 2]), -off)
+        beyond.append(Tree(x, y, 0.2, float(rng.uniform(2.6, 4.2)), crown))
     return inside, beyond
 
 
 def drawn_houses(outline: Rect, sides: tuple[Side, ...], rng: Rng) -> list[House]:
     """Draw up to two houses beyond sides that are not fronts of houses themselves."""
-    x0, y0, x1, y1 = outline
     houses = []
     for side in rng.permutation(4)[: int(rng.integers(1, 3))]:
         if sides[side].name == "facade":
             continue
         size = (float(rng.uniform(5.5, 8.0)), float(rng.uniform(5.0, 7.0)), float(rng.choice([2.9, 3.2, 5.4])))
         off, along = size[1] / 2 + rng.uniform(3.5, 7.0), rng.uniform(-2.5, 2.5)
-        x, y = ((along, y1 + off), (x0 - off, along), (along, y0 - off), (x1 + off, along))[side]
+        x, y = beside(outline, side, along, -off)
         houses.append(House(size, float(x), float(y), int(side)))
     return houses
 
 
 def drawn_laid(outline: Rect, sides: tuple[Side, ...], rng: Rng) -> Laid:
     """Draw a path through the yard, and a terrace in front of the house."""
-    x0, y0, x1, y1 = outline
     terrace: Rect = (0.0, 0.0, 0.0, 0.0)
     house = [side.quarters for side in sides if side.name == "facade"]
     if house and rng.random() < 0.75:
-        deep = rng.uniform(0.9, 1.6)
-        terrace = ((x0, y1 - deep, x1, y1), (x0, y0, x0 + deep, y1), (x0, y0, x1, y0 + deep), (x1 - deep, y0, x1, y1))[
-            house[0]
-        ]
+        terrace = strip(outline, house[0], *span(outline, house[0]), 0.0, rng.uniform(0.9, 1.6))
     middle = rng.uniform(-0.7, 0.7, (2, 2))
-    ends = [(rng.uniform(x0, x1), y1), (x0, rng.uniform(y0, y1)), (rng.uniform(x0, x1), y0), (x1, rng.uniform(y0, y1))]
+    ends = [beside(outline, side, rng.uniform(*span(outline, side))) for side in range(4)]
     start, end = rng.choice(4, 2, replace=False)
     corners = np.array([ends[start], middle[0], middle[1], ends[end]])
     t = np.linspace(0.0, 1.0, 24)[:, None]
@@ -241,9 +253,7 @@ def drawn_layout(rng: Rng) -> Layout | None:
     taken: list[Rect] = [(-FRINGE - 0.1, -FRINGE - 0.1, FRINGE + 0.1, FRINGE + 0.1)]
     for side in sides:
         if side.name == "facade":  # nothing stands in front of its door
-            x0, y0, x1, y1 = outline
-            before = ((x0, y1 - 0.7, x1, y1), (x0, y0, x0 + 0.7, y1), (x0, y0, x1, y0 + 0.7), (x1 - 0.7, y0, x1, y1))
-            taken.append(before[side.quarters])
+            taken.append(strip(outline, side.quarters, *span(outline, side.quarters), 0.0, 0.7))
     edge = drawn_edge(outline, taken, rng)
     beds = drawn_beds(outline, taken, sides, rng)
     inside, beyond = drawn_trees(outline, taken, rng)

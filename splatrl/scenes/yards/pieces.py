@@ -6,8 +6,9 @@ World frame, metres, ground at z = 0.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from splatrl.scenes.yard.ground import Rect
 from splatrl.scenes.yard.layout import Solid, Tree
-from splatrl.scenes.yards.ground import Laid, Rect
+from splatrl.scenes.yards.ground import Laid
 from splatrl.scenes.yards.kinds import Kind, Size
 from splatrl.scenes.yards.sides import SIDES
 from splatrl.scenes.yards.solvable import Cells

@@ -135,7 +135,15 @@ def footprints(half: float = HALF) -> NDArray[np.float32]:
 
 
 def free_places(cells: Cells, masks: NDArray[np.float32]) -> Bools:
-    """Return whether bodies fit at each corner of the core's cells: T footprints -> [41, 41, T] bool."""
+    """Return whether bodies fit at each corner of the core's cells.
+
+    Args:
+        cells: solid cells of the yard.
+        masks: [T, 2·REACH, 2·REACH] float32, the bodies' footprints; see ``footprints``.
+
+    Returns:
+        [41, 41, T] bool.
+    """
     count = round(2 * CORE / CELL) + 1
     start = [round(-CORE / CELL) - first - REACH for first in cells.first]
     window = np.ascontiguousarray(

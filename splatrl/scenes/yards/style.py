@@ -145,6 +145,12 @@ class Style:
     roof: Color
     blossoms: tuple[Color, ...]
 
+    @property
+    def far(self) -> Color:
+        """Colour of the land at the horizon, sRGB: that of the sky there, darkened."""
+        red, green, blue = self.sky.horizon
+        return 0.75 * red, 0.75 * green, 0.75 * blue
+
 
 def drawn_style(rng: Rng) -> Style:
     """Draw a style."""

@@ -7,7 +7,7 @@ from tensordict import TensorDict
 
 from splatrl.cameras import Cameras
 from splatrl.configuration import load_config
-from splatrl.envs.drawing import SceneDrawing, SpriteDrawing, overlay
+from splatrl.envs.drawing import SceneDrawing, Shot, SpriteDrawing, overlay
 from splatrl.renderers.base import to_pixels
 from tests.envs.contract import EnvContract, seeded_rollout
 from tests.envs.transforms.views import PLACE, plain_drawing, plain_sprite, renderer, seeing_env
@@ -41,7 +41,7 @@ def test_an_episode_shows_the_sprite_over_the_rendered_scene() -> None:
 
 def test_the_block_in_the_middle_hides_the_sprite_behind_it() -> None:
     # looking along +x, from x = -1 through the block and from x = 0.5 beyond it
-    share = plain_drawing().draw(cameras([0, 3, 0], [3, 3, 0])).shown["sprite_share"].flatten()
+    share = plain_drawing().draw(Shot(cameras([0, 3, 0], [3, 3, 0]))).shown["sprite_share"].flatten()
     assert share[0] == 0 and share[1] > 0.1
 
 
@@ -49,10 +49,10 @@ def test_the_sprite_is_drawn_at_the_target_of_the_task() -> None:
     seen = cameras([0, 3, 2], [3, 3, 6])
     ahead = seen.camera_to_world[:, :3, 3] + 0.3 * seen.camera_to_world[:, :3, 2]
     drawing = SpriteDrawing(renderer(), plain_sprite(), size=0.1)
-    view = drawing.draw(seen, {"target": ahead})
+    view = drawing.draw(Shot(seen, {"target": ahead}))
     assert (view.shown["sprite_share"] > 0.01).all()
-    assert (view.pixels != SceneDrawing(renderer()).draw(seen).pixels).any()
-    swapped = drawing.draw(seen, {"target": ahead.flip(0)})
+    assert (view.pixels != SceneDrawing(renderer()).draw(Shot(seen)).pixels).any()
+    swapped = drawing.draw(Shot(seen, {"target": ahead.flip(0)}))
     assert not torch.equal(swapped.pixels, view.pixels)
 
 
@@ -60,14 +60,14 @@ def test_a_position_in_the_settings_overrides_the_target() -> None:
     seen = cameras([3, 3, 0])
     elsewhere = SpriteDrawing(renderer(), plain_sprite(), size=0.1, position=[0.0, 0.0, -50.0])
     ahead = seen.camera_to_world[:, :3, 3] + 0.3 * seen.camera_to_world[:, :3, 2]
-    assert (elsewhere.draw(seen, {"target": ahead}).shown["sprite_share"] < 0.01).all()
+    assert (elsewhere.draw(Shot(seen, {"target": ahead})).shown["sprite_share"] < 0.01).all()
 
 
 def test_rows_that_are_not_requested_are_not_rendered_and_stay_black() -> None:
     drawing = plain_drawing()
     drawing.renderer = counting = CountingRenderer(renderer())
     seen, only = cameras([3, 3, 0], [3, 3, 0]), torch.tensor([False, True])
-    some, every = drawing.draw(seen, only=only), plain_drawing().draw(seen)
+    some, every = drawing.draw(Shot(seen, only=only)), plain_drawing().draw(Shot(seen))
     assert counting.rendered == 1
     assert not some.pixels[0].any() and some.shown["sprite_share"][0] == 0
     assert torch.equal(some.pixels[1], every.pixels[1])

@@ -10,6 +10,7 @@ from hydra.utils import instantiate
 
 from splatrl.collision.nothing import NoChecker
 from splatrl.configuration import load_config
+from splatrl.envs.drawing import Shot
 from splatrl.envs.tasks import Outcome, Push, PushRewards, Step, Verdict
 from splatrl.envs.tasks.base import Anywhere
 from splatrl.envs.tasks.push_teacher import pushing
@@ -214,7 +215,7 @@ class TestPush(ConfiguredContract):
         assert parts.model[0].tolist() == [0, 1, 2, 3, 4, 5] and len(env.task.models) == 5
         torch.testing.assert_close(parts.model_to_world[:, 5, :3, 3], td["mark"])
         cameras = env.robot.cameras(env.task.motion.body_to_world(td["state"]))
-        bare = env.drawing.draw(cameras).pixels
+        bare = env.drawing.draw(Shot(cameras)).pixels
         assert (bare != td["pixels"]).flatten(1).any(1).all(), "the robot sees its own bumper"
         assert not env.capturable
 
