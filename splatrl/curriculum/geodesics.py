@@ -18,6 +18,8 @@ WAYS: tuple[tuple[int, int], ...] = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1
 WAYS += ((3, 1), (1, 3), (3, -1), (1, -3), (3, 2), (2, 3), (3, -2), (2, -3))
 """Half of the 32 directions in which nodes are connected: a path across open ground is at most 1.3 % too long."""
 MOST_NODES = 4_000_000
+MOST_DISTANCES = 2**29
+"""Most distances, nodes times goals, of one scene: each takes up to 24 bytes while they are computed."""
 NEAR = 2.0
 """Distance from a goal within which the straight-line distance is used, cells."""
 
@@ -172,11 +174,13 @@ class Geodesics(nn.Module):
         """Draw goals anywhere in the largest connected component of a ground, from a seed.
 
         Raises:
-            ValueError: if there are fewer free places than goals.
+            ValueError: if there are fewer free places than goals, or more than ``MOST_DISTANCES`` distances to them.
         """
         nodes, wanted = np.flatnonzero(place.open), for_training + for_tests
-        if len(nodes) < wanted:
-            raise ValueError(f"task.goals: expected at most {len(nodes)} goals, one per free place, got {wanted}")
+        most = min(len(nodes), MOST_DISTANCES // place.open.size)
+        if wanted > most:
+            why = "one per free place" if most == len(nodes) else f"for a grid of {place.open.size:,} nodes"
+            raise ValueError(f"task.goals: expected at most {most} goals, {why}, got {wanted}")
         return cls([place], [np.random.default_rng(seed).choice(nodes, wanted, replace=False)], for_training)
 
     @classmethod

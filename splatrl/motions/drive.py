@@ -16,6 +16,8 @@ STILL = 0.1
 """Fraction of both velocity limits below which an action means stop, in tasks in which the robot declares arrival."""
 HEADINGS_A_TURN = 4
 """Headings at which paths are computed within the largest turn of one time step."""
+SLOWEST = 1e-6
+"""Smallest turn in one time step, radians."""
 REACH = 0.25
 """Look-ahead distance for choosing a direction, metres."""
 WAYS = 36
@@ -41,7 +43,8 @@ class DriveMotion(StoppingMotion):
         headings: number of start headings.
 
     Raises:
-        ValueError: for a time step that is not positive, velocities out of order, or bounds without area.
+        ValueError: for a time step that is not positive, velocities out of order, turns below ``SLOWEST`` in a time
+            step, or anything that ``PlanarMotion`` refuses.
     """
 
     limits: Tensor  # [2, 2] float32: lowest and highest linear and angular velocity
@@ -64,8 +67,12 @@ class DriveMotion(StoppingMotion):
                 f"got {list(linear)} and {angular_deg}"
             )
         angular = math.radians(angular_deg)
-        angle_cell = math.tau / math.ceil(HEADINGS_A_TURN * math.tau / (angular * time_step) - 1e-9)
         step, turn = linear[1] * time_step, angular * time_step
+        if not SLOWEST <= turn < math.inf:
+            raise ValueError(
+                f"task.motion: expected a turn of at least {SLOWEST:g} radians within time_step, got {turn:g}"
+            )
+        angle_cell = math.tau / math.ceil(HEADINGS_A_TURN * math.tau / turn - 1e-9)
         super().__init__((), step, turn, height, lower, upper, spacing, headings, CELL, angle_cell)
         self.time_step = time_step
         self.reach, self.angle_between = REACH, math.tau / WAYS

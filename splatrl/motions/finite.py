@@ -9,6 +9,10 @@ from torch import Tensor
 from torchrl.data import Bounded, Categorical
 
 from splatrl.motions.base import SweptMotion, Taps
+from splatrl.motions.size import require_few
+
+PAIRS = 2**22
+"""Pairs of a pose and a state that ``nearest`` compares at once; bounds memory."""
 
 
 class FiniteMotion(SweptMotion):
@@ -23,6 +27,9 @@ class FiniteMotion(SweptMotion):
         step: longest distance that an action moves the robot, metres.
         angle_step: largest angle that an action turns the robot, radians.
         height: z of every pose, metres; None if the height varies.
+
+    Raises:
+        ValueError: for more than ``MOST_STATES`` states.
     """
 
     moves: Tensor  # [A, D] int64
@@ -39,6 +46,7 @@ class FiniteMotion(SweptMotion):
         height: float | None,
     ):
         super().__init__()
+        require_few(shape)
         assert len(action_names) == len(moves), (action_names, moves)
         self.shape, self.action_names = tuple(shape), tuple(action_names)
         self.step, self.angle_step, self.height = step, angle_step, height
@@ -83,9 +91,14 @@ class FiniteMotion(SweptMotion):
     def nearest(self, planar: Tensor) -> Tensor:
         """Return the nearest states in steps and angle steps: [N, 3] float64 x, y and yaw -> [N, D] int64."""
         states = self.states()
-        away = (planar.unsqueeze(1) - self.planar(states).to(planar.device)).abs()
-        turn = torch.minimum(away[..., 2], math.tau - away[..., 2]) / self.angle_step
-        return states[torch.hypot(away[..., :2].norm(dim=-1) / self.step, turn).argmin(1)]
+        places = self.planar(states).to(planar.device)
+
+        def rows(some: Tensor) -> Tensor:
+            away = (some.unsqueeze(1) - places).abs()
+            turn = torch.minimum(away[..., 2], math.tau - away[..., 2]) / self.angle_step
+            return torch.hypot(away[..., :2].norm(dim=-1) / self.step, turn).argmin(1)
+
+        return states[torch.cat([rows(some) for some in planar.split(max(1, PAIRS // len(states)))])]
 
     @abstractmethod
     def planar(self, state: Tensor) -> Tensor:

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from splatrl.geometry import axis_rotations, rigid
 from splatrl.motions.finite import FiniteMotion
+from splatrl.motions.size import require_area, require_few
 
 
 class LatticeMotion(FiniteMotion):
@@ -25,7 +26,8 @@ class LatticeMotion(FiniteMotion):
         upper: largest x and y, metres; a whole number of steps from ``lower``.
 
     Raises:
-        ValueError: for a step that does not divide the bounds or an angle that does not divide 360°.
+        ValueError: for bounds without area, a step that does not divide them, an angle that does not divide 360°, or
+            more than ``MOST_STATES`` states.
     """
 
     turned: Tensor  # [headings, 4, 4], poses of all headings at the world's origin
@@ -42,11 +44,13 @@ class LatticeMotion(FiniteMotion):
         lower: Sequence[float] = (-1.0, -1.0),
         upper: Sequence[float] = (1.0, 1.0),
     ):
+        require_area(lower, upper)
         headings = whole_steps("task.motion.angle_step_deg", 360.0, angle_step_deg)
         columns, rows = (
             whole_steps(f"task.motion.step: bounds along {axis}", high - low, step) + 1
             for axis, low, high in zip("xy", lower, upper, strict=True)
         )
+        require_few((columns, rows, headings), f" from {list(lower)} to {list(upper)} m in steps of {step} m")
         moves = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
         names = ("+x", "-x", "+y", "-y", "+spin", "-spin")
         super().__init__((columns, rows, headings), moves, names, step, math.tau / headings, height)
@@ -97,8 +101,8 @@ def whole_steps(name: str, length: float, step: float) -> int:
     Raises:
         ValueError: if that is not a whole number of at least one.
     """
-    count = round(length / step) if step > 0 and length > 0 else 0
+    got = length / step if step else 0.0
+    count = round(got) if step > 0 and length > 0 and math.isfinite(got) else 0
     if count < 1 or abs(count * step - length) > 1e-6 * length:
-        got = length / step if step else 0.0
         raise ValueError(f"{name}: expected a whole number of steps of {step} in {length:.6g}, got {got:.6g}")
     return count

@@ -26,7 +26,7 @@ class OrbitMotion(FiniteMotion):
         elevation_deg: smallest and largest elevation, degrees, a whole number of steps apart, both in [−90, 90].
 
     Raises:
-        ValueError: for steps that do not divide their ranges, or ranges out of order.
+        ValueError: for steps that do not divide their ranges, ranges out of order, or more than ``MOST_STATES`` states.
     """
 
     smallest: Tensor  # [3] float64: azimuth, distance, elevation
@@ -42,7 +42,7 @@ class OrbitMotion(FiniteMotion):
         distance: Sequence[float] = (0.5, 1.5),
         elevation_deg: Sequence[float] = (0.0, 90.0),
     ):
-        if origin is None or len(origin) != 3:
+        if origin is None or len(origin) != 3 or not all(math.isfinite(value) for value in origin):
             raise ValueError(f"task.motion.origin: expected x, y and z in metres, got {origin}")
         if not 0 < distance[0] <= distance[1] or not -90 <= elevation_deg[0] <= elevation_deg[1] <= 90:
             raise ValueError(

@@ -11,6 +11,7 @@ from torchrl.data import Bounded, TensorSpec
 from splatrl.geometry import axis_rotations, rigid
 from splatrl.motions.base import SweptMotion, Taps
 from splatrl.motions.pose_grid import PoseGrid
+from splatrl.motions.size import require_area, require_few, values_within
 
 EDGE = 1e-5
 """Tolerance for rounding at the inclusive bounds, metres."""
@@ -35,7 +36,8 @@ class PlanarMotion(SweptMotion):
         angle_cell: angle between the headings at which paths are computed, radians; must divide a full turn.
 
     Raises:
-        ValueError: for bounds without area, a spacing that is not positive, or fewer than one heading.
+        ValueError: for bounds without area, a spacing that is not positive, fewer than one heading, or more than
+            ``MOST_STATES`` starts.
     """
 
     lower: Tensor  # [2] float32; [S, 2] for several scenes
@@ -57,10 +59,12 @@ class PlanarMotion(SweptMotion):
         angle_cell: float,
     ):
         super().__init__()
-        if len(lower) != 2 or len(upper) != 2 or not all(low < high for low, high in zip(lower, upper, strict=True)):
-            raise ValueError(f"task.motion: expected lower < upper in x and y, got {list(lower)} and {list(upper)}")
-        if not spacing > 0 or headings < 1:
+        require_area(lower, upper)
+        if not 0 < spacing < math.inf or headings < 1:
             raise ValueError(f"task.motion: expected spacing > 0 and headings ≥ 1, got {spacing} and {headings}")
+        columns, rows = (values_within(low, high, spacing) for low, high in zip(lower, upper, strict=True))
+        where = f" from {list(lower)} to {list(upper)} m in steps of {spacing} m"
+        require_few((columns, rows, headings), where, remedy="choose a larger task.motion.spacing or a smaller area")
         self.action_names, self.step, self.angle_step = tuple(action_names), step, angle_step
         self.height, self.spacing, self.headings = height, spacing, headings
         self.cell, self.angle_cell = cell, angle_cell

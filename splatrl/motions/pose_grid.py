@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from splatrl.motions.base import Taps
+from splatrl.motions.size import require_few
 
 PLACES = 1024
 """Poses snap to 1 / PLACES of a cell, so that rounding does not spread a pose on a node over eight nodes."""
@@ -37,9 +38,14 @@ class PoseGrid:
             upper: [2] largest x and y, metres.
             cell: distance between neighbouring positions, metres.
             angle_cell: angle between neighbouring headings, radians; rounded so that it divides a full turn.
+
+        Raises:
+            ValueError: for more than ``MOST_STATES`` nodes.
         """
-        columns, rows = (((upper - lower) / cell).round().long() + 1).tolist()
+        columns, rows = (int(min(cells, 2.0**62)) + 1 for cells in ((upper - lower) / cell).round().tolist())
         headings = round(math.tau / angle_cell)
+        where = f" in steps of {cell:g} m"
+        require_few((columns, rows, headings), where, "poses for shortest paths", "choose a smaller area")
         return cls(lower, (columns, rows, headings), cell, math.tau / headings)
 
     def nodes(self) -> Tensor:

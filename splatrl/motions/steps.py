@@ -47,7 +47,7 @@ class StepMotion(PlanarMotion):
         cell: float,
     ):
         require_number("task.motion.step", step, above=0.0, unit="metres")
-        turns = round(360.0 / angle_step_deg) if angle_step_deg > 0 else 0
+        turns = round(min(360.0 / angle_step_deg, 2.0**62)) if angle_step_deg > 0 else 0
         if turns < 1 or abs(turns * angle_step_deg - 360.0) > 1e-6:
             raise ValueError(f"task.motion.angle_step_deg: expected a divisor of 360, got {angle_step_deg}")
         angle, directions = math.tau / turns, turns if headings is None else headings

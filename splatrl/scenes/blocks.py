@@ -23,14 +23,14 @@ from splatrl.scenes.formats.limits import MAX_INFLATION
 from splatrl.scenes.frame import stated_similarity
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.proposals import PROPOSALS, check_proposals, warn_of_scale
-from splatrl.scenes.scene import Bounds, Scene, checked_bounds
+from splatrl.scenes.scene import Bounds, FreeSpace, Scene, checked_bounds
 
 BLOCKS_FILE = "blocks.yaml"
 MOST_BLOCKS = 1024
 MAX_BYTES = 256 * MOST_BLOCKS
 """Maximum size of a ``blocks.yaml`` in bytes; each block takes a line of about 100."""
 BLOCK_KEYS = ("splat", "bounds", "world_from_splat")
-BLOCKS_KEYS = ("name", "bounds", "blocks", *(key for key in PROPOSALS if key != "free"))
+BLOCKS_KEYS = ("name", "bounds", "blocks", *PROPOSALS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,12 +79,13 @@ class BlockScene(Scene):
         name: name of the scene, used in captions and file names.
         blocks: at least one block; among Gaussians of equal depth, those of the earlier block are in front.
         bounds: lower and upper corner of the scene, metres.
-        free: always None, because a scene in blocks has no record of free space.
+        free: space that is not solid, whatever the Gaussians of any block suggest; None if nothing is known about it.
 
     Args:
         name: a valid file name.
         blocks: the blocks, at least one.
         bounds: lower and upper corner, metres; None takes the box around the bounds of all blocks.
+        free: space that is not solid; None if nothing is known about it.
 
     Raises:
         ValueError: if the name is not a valid file name, or there are no blocks.
@@ -92,10 +93,10 @@ class BlockScene(Scene):
 
     blocks: tuple[Block, ...]
 
-    def __init__(self, name: str, blocks: Sequence[Block], bounds: Bounds | None = None):
+    def __init__(self, name: str, blocks: Sequence[Block], bounds: Bounds | None = None, free: FreeSpace | None = None):
         if not blocks:
             raise ValueError("blocks: expected at least one, got none")
-        fields = {"name": name, "blocks": tuple(blocks), "bounds": bounds or _around(blocks), "free": None}
+        fields = {"name": name, "blocks": tuple(blocks), "bounds": bounds or _around(blocks), "free": free}
         for field, value in fields.items():
             object.__setattr__(self, field, value)
         self.__post_init__()
@@ -173,7 +174,8 @@ def read_blocks(
     blocks = [_block(folder, number, entry, max_inflation) for number, entry in enumerate(stated["blocks"])]
     if bounds is None and "bounds" in stated:
         bounds = _bounds(str(path), stated["bounds"])
-    return BlockScene(name or stated.get("name", folder.resolve().name), blocks, bounds)
+    free = FreeSpace.stated(path, stated)
+    return BlockScene(name or stated.get("name", folder.resolve().name), blocks, bounds, free)
 
 
 def read_blocks_description(folder: Path) -> dict[str, Any]:

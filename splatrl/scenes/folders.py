@@ -77,7 +77,7 @@ class SceneFolder:
         """Write a scene in the world frame, as blocks or with a small splat file.
 
         Args:
-            scene: the scene; where its ``free`` is known, a small scene keeps it.
+            scene: the scene; the cloud of its ``free`` space is copied to the folder.
             bounds: bounds of the region for robots, metres.
             proposals: training settings that the scene proposes.
 
@@ -89,13 +89,14 @@ class SceneFolder:
             ValueError: for a size of blocks that ``write_split`` refuses.
         """
         self.path.mkdir(parents=True, exist_ok=True)
-        if self.block is not None:
-            told = {key: value for key, value in proposals.items() if key != "free"}
-            ending = Path(SMALL_SPLAT if self.small else SPLAT).suffix
-            names = write_split(self.path, scene, self.block, ending, bounds, told)
-            return [f"wrote       {self.path / BLOCKS_FILE} and {len(names)} blocks of {self.block:g} m"]
         if scene.free is not None:
-            _copy(scene.free.path, self.path / scene.free.path.name)
+            cloud = f"free{scene.free.path.suffix}"  # the name of no splat that is written
+            _copy(scene.free.path, self.path / cloud)
+            proposals = {**proposals, "free": cloud}
+        if self.block is not None:
+            ending = Path(SMALL_SPLAT if self.small else SPLAT).suffix
+            names = write_split(self.path, scene, self.block, ending, bounds, proposals)
+            return [f"wrote       {self.path / BLOCKS_FILE} and {len(names)} blocks of {self.block:g} m"]
         splat = self.path / SMALL_SPLAT
         write_gaussians(splat, scene.gaussians, proposals.get("antialiased", True))
         line = f"wrote       {splat}, {splat.stat().st_size / 1e6:.1f} MB"

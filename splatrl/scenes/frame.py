@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -34,6 +35,34 @@ def stated_similarity(stated: object) -> Tensor | None:
     if unknown:
         raise ValueError(f"world_from_splat: expected the keys {', '.join(FRAME_KEYS)}, got {', '.join(unknown):.80}")
     return similarity(**given) if given else None
+
+
+def overridden(own: Mapping[str, Any], typed: Mapping[str, Any]) -> Tensor | None:
+    """Build the similarity that a file states, with those of its parts replaced that are typed.
+
+    The two need not have the same form: a typed matrix replaces everything, and typed axes, scale and translation each
+    replace that part of a stated matrix.
+
+    Args:
+        own: arguments of ``similarity`` by name, as the file states them; a value of None stands for the default.
+        typed: arguments that take precedence; a value of None leaves that part as the file states it.
+
+    Returns:
+        [4, 4] float64; None if neither states anything.
+
+    Raises:
+        ValueError: as in ``stated_similarity``.
+    """
+    own, typed = ({key: value for key, value in one.items() if value is not None} for one in (own, typed))
+    if "matrix" in typed or not ("matrix" in own and typed):
+        return stated_similarity(typed if "matrix" in typed else {**own, **typed})
+    old, new = stated_similarity(own), stated_similarity(typed)
+    assert old is not None and new is not None
+    scale = (new if "scale" in typed else old)[:3, 0].norm()
+    axes = (new if "axes" in typed else old)[:3, :3]
+    result = (new if "translation" in typed else old).clone()
+    result[:3, :3] = scale * axes / axes[:, 0].norm()
+    return result
 
 
 def similarity(

@@ -40,6 +40,23 @@ class FreeSpace:
     path: Path
     voxel_size: float
 
+    @classmethod
+    def stated(cls, source: Path, stated: Mapping[str, Any]) -> "FreeSpace | None":
+        """Return the free space that a scene's file states; None if it states none.
+
+        Args:
+            source: the ``scene.yaml`` or ``blocks.yaml``, in the folder of the point cloud.
+            stated: its keys and values; none is null.
+
+        Raises:
+            ValueError: for free space without a ``voxel_size``.
+        """
+        if "free" not in stated:
+            return None
+        if "voxel_size" not in stated:
+            raise ValueError(f"{source}: free: expected voxel_size to be stated with it, got none")
+        return cls(source.with_name(stated["free"]), float(stated["voxel_size"]))
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:

@@ -13,12 +13,13 @@ from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.formats import read_gaussians
 from splatrl.scenes.formats.limits import MAX_INFLATION
 from splatrl.scenes.formats.reading import META
-from splatrl.scenes.frame import checked_similarity, stated_similarity
+from splatrl.scenes.frame import checked_similarity, overridden, stated_similarity
 from splatrl.scenes.nerfstudio import DATAPARSER, stands, transform_beside
 from splatrl.scenes.proposals import warn_of_scale
 from splatrl.scenes.scene import Bounds, FreeSpace, Scene, checked_bounds, robust_bounds
 from splatrl.scenes.yard import backyard_gaussians
 from splatrl.scenes.yard.layout import HALF_WIDTH
+from splatrl.values import under_key
 
 YARD: Bounds = ((-HALF_WIDTH, -HALF_WIDTH, 0.0), (HALF_WIDTH, HALF_WIDTH, HALF_WIDTH))
 """Bounds of the backyard, without the countryside and the sky around it."""
@@ -55,7 +56,8 @@ def read_scene(
 
     A folder holds the splat file and a ``scene.yaml`` with the keys ``splat`` (the file's name), ``name``,
     ``world_from_splat`` and ``bounds``, and those of ``PROPOSALS``, which propose training settings. Arguments override
-    its values, key by key. A folder that states ``metric: false`` causes a warning.
+    its values, key by key: those of the transform too, which may be stated in the other form than it is typed. A folder
+    that states ``metric: false`` causes a warning.
 
     A folder with a ``blocks.yaml`` and no ``scene.yaml`` is a ``BlockScene``, whose splat files are read only when they
     are needed.
@@ -74,7 +76,8 @@ def read_scene(
 
     Raises:
         FileNotFoundError: if there is no such file or folder.
-        ValueError: for a damaged file, unknown keys, a frame that is not a similarity, or empty bounds.
+        ValueError: for a damaged file, unknown keys, a frame that is not a similarity, or empty bounds; names the
+            ``scene.yaml`` if that states them.
     """
     splat = Path(path).expanduser()
     if is_in_blocks(splat):
@@ -84,7 +87,7 @@ def read_scene(
             )
         return read_blocks(splat, None if bounds is None else checked_bounds(bounds), name, max_inflation)
     stated: dict[str, Any] = {}
-    fallback, free = splat.stem, None
+    fallback, free, source = splat.stem, None, splat
     if splat.name == META:
         fallback = splat.resolve().parent.name
     if splat.is_dir() and (splat / META).is_file() and not (splat / SCENE_FILE).is_file():
@@ -92,9 +95,15 @@ def read_scene(
     elif splat.is_dir():
         stated, fallback = read_description(splat), splat.resolve().name
         warn_of_scale(splat, stated)
-        free = None if _says_something(world_from_splat) else _free_space(splat, stated)
+        source = splat / SCENE_FILE
+        free = None if _says_something(world_from_splat) else FreeSpace.stated(source, stated)
         splat = splat / stated["splat"]
-    transform = _transform(stated.get("world_from_splat"), world_from_splat)
+    transform = _transform(source, stated.get("world_from_splat") or {}, world_from_splat)
+    if bounds is not None:
+        corners: Bounds | None = checked_bounds(bounds)
+    else:
+        with under_key(str(source)):
+            corners = checked_bounds(stated["bounds"]) if "bounds" in stated else None
     if transform is None:
         transform = transform_beside(splat)
         if transform is not None and not stands(transform):
@@ -104,11 +113,10 @@ def read_scene(
                 stacklevel=2,
             )
     gaussians = read_gaussians(splat, max_inflation, transform)
-    corners = stated.get("bounds") if bounds is None else bounds
     return Scene(
         name=name or stated.get("name", fallback),
         gaussians=gaussians,
-        bounds=robust_bounds(gaussians) if corners is None else checked_bounds(corners),
+        bounds=corners or robust_bounds(gaussians),
         free=free,
     )
 
@@ -117,18 +125,10 @@ def _says_something(given: Mapping[str, Any] | Tensor | None) -> bool:
     return isinstance(given, Tensor) or any(value is not None for value in (given or {}).values())
 
 
-def _free_space(folder: Path, stated: Mapping[str, Any]) -> FreeSpace | None:
-    """Return the free space that a folder states, which is in the folder's own frame."""
-    if "free" not in stated:
-        return None
-    if "voxel_size" not in stated:
-        raise ValueError(f"{folder}: free: expected voxel_size to be stated with it, got none")
-    return FreeSpace(folder / stated["free"], float(stated["voxel_size"]))
-
-
-def _transform(own: Mapping[str, Any] | None, given: Mapping[str, Any] | Tensor | None) -> Tensor | None:
-    """Return the transform that a folder states, overridden by an argument; None if neither states anything."""
+def _transform(source: Path, own: Mapping[str, Any], given: Mapping[str, Any] | Tensor | None) -> Tensor | None:
+    """Return the transform that a file states, overridden by an argument; None if neither states anything."""
     if isinstance(given, Tensor):
         return checked_similarity(given)
-    typed = {key: value for key, value in (given or {}).items() if value is not None}
-    return stated_similarity({**(own or {}), **typed})
+    stated_similarity(given)  # its errors are not those of the file
+    with under_key(str(source)):
+        return overridden(own, given or {})

@@ -16,6 +16,7 @@ from splatrl.configuration import load_config
 from splatrl.scenes import Gaussians, read_gaussians, read_scene, similarity, write_gaussians
 from splatrl.scenes.blocks import BlockScene
 from splatrl.scenes.description import read_description
+from splatrl.scenes.scene import FreeSpace
 from tests.preloaded import start
 from tests.scenes.places import place, turned
 from tests.scenes.test_survey import BOXES, FLOOR, dataparser, lying, surfaces
@@ -358,5 +359,11 @@ def test_blocks_are_not_written_into_a_folder_with_a_scene_yaml(splat: Path) -> 
         main([str(splat.parent), "--split", "2"])
     with pytest.raises(SystemExit, match="--split: expected a number above 0"):
         main([str(splat), "--split", "0", "--out", str(splat.parent / "town")])
+    description = splat.with_name("scene.yaml")
+    description.write_text(description.read_text() + "\nfree: haze.ply\n")
+    write_points(splat.with_name("haze.ply"), torch.rand(5, 3))
     main([str(splat.parent), "--split", "2", "--out", str(splat.parent / "town")])
-    assert isinstance(read_scene(splat.parent / "town"), BlockScene)
+    cut = read_scene(splat.parent / "town")
+    assert isinstance(cut, BlockScene)
+    assert cut.free == FreeSpace(splat.parent / "town" / "free.ply", read_description(splat.parent)["voxel_size"])
+    assert cut.free.path.read_bytes() == splat.with_name("haze.ply").read_bytes()

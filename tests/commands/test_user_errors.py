@@ -85,6 +85,12 @@ ERRORS = [
         "task.goal: expected a point in the walkable area, x from -1 to 1 and",
     ),
     (f"train {ROOM} robot.body.size=[9.0,9.0,0.1]", "scene: expected free poses, got"),
+    (
+        "train scene=vast landmarks.goal=[0.5,1.0,0.0]",
+        "task.motion: expected at most 16,777,216 states, got 160,003,200,016 (100,001 × 100,001 × 16) from "
+        "[-10000.0, -10000.0] to [10000.0, 10000.0] m in steps of 0.2 m; choose a larger step or a smaller area",
+    ),
+    ("train task=fps scene=vast landmarks.goal=[0.5,1.0,0.0]", "task.motion: expected at most 16,777,216 states"),
     (f"train {ROOM} task.motion.step=0.3", "task.motion.step: bounds along x: expected a whole number of steps of 0.3"),
     (f"train task=apple {ROOM}", "drawing.size: expected at least 0.2"),
     (f"train {ROOM} collision.occupancy.resolution=0", "collision.occupancy: resolution: expected 0.0001 to 1000"),
@@ -140,6 +146,10 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("empty", "bad"):
         (folder / name).mkdir()
     (folder / "bad" / "scene.yaml").write_text("splat: gone.ply\n")
+    (folder / "vast").mkdir()
+    write_gaussians(folder / "vast" / "room.ply", tiny_gaussians())
+    walk = "walk: [[-1.0e+4, -1.0e+4], [1.0e+4, 1.0e+4]]"
+    (folder / "vast" / "scene.yaml").write_text(f"splat: room.ply\nrobot_height: 0.5\n{walk}\n")
     return folder
 
 

@@ -129,9 +129,13 @@ def test_a_copy_shares_the_ground() -> None:
     assert copy.deepcopy(goals).grounds[0] is goals.grounds[0]
 
 
-def test_too_many_goals_or_nodes_are_refused() -> None:
+def test_too_many_goals_or_nodes_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match=r"task\.goals: expected at most"):
         geodesics(for_training=10**5)
+    place = ground(MOTION, checker(), 0.02)
+    monkeypatch.setattr("splatrl.curriculum.geodesics.MOST_DISTANCES", 5 * place.open.size)
+    with pytest.raises(ValueError, match=r"task\.goals: expected at most 5 goals, for a grid of [\d,]+ nodes, got 6"):
+        Geodesics.drawn(place, 3, 3, 0)
     with pytest.raises(ValueError, match=r"task\.cell"):
         ground(MOTION, checker(), 0.001)
     full = Occupancy.from_boxes([[-2.0, -2.0, 0.0]], [[2.0, 2.0, 1.0]], 0.05)

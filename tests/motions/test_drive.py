@@ -103,8 +103,20 @@ def test_episodes_begin_on_a_lattice_of_places_and_headings() -> None:
         ({"angular_deg": 0.0}, r"task\.motion: expected linear .* angular_deg > 0"),
         ({"headings": 0}, r"task\.motion: expected spacing > 0 and headings ≥ 1, got 0\.1 and 0"),
         ({"lower": (1.0, -1.0)}, r"task\.motion: expected lower < upper"),
+        (
+            {"time_step": 1e-320},
+            r"task\.motion: expected a turn of at least 1e-06 radians within time_step",
+        ),
+        ({"angular_deg": math.inf}, r"task\.motion: expected a turn of at least"),
     ],
 )
 def test_invalid_settings_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         DriveMotion(HEIGHT, **change)
+
+
+def test_more_poses_for_shortest_paths_than_fit_into_memory_are_refused() -> None:
+    motion = DriveMotion(HEIGHT, lower=(-500.0, -500.0), upper=(500.0, 500.0), spacing=50.0)
+    assert len(motion.states()) == 21 * 21 * 36
+    with pytest.raises(ValueError, match=r"at most 16,777,216 poses for shortest paths, .* in steps of 0\.05 m"):
+        motion.nodes()

@@ -118,6 +118,17 @@ def test_the_body_faces_its_heading_at_its_height() -> None:
         ({"spacing": 0.0}, r"task\.motion: expected spacing > 0 and headings ≥ 1, got 0\.0 and 4"),
         ({"spacing": -0.1}, r"task\.motion: expected spacing > 0"),
         ({"spacing": math.nan}, r"task\.motion: expected spacing > 0"),
+        ({"spacing": math.inf}, r"task\.motion: expected spacing > 0"),
+        ({"spacing": 1e-320}, r"task\.motion: expected at most 16,777,216 states"),
+        ({"angle_step_deg": 1e-310}, r"task\.motion\.angle_step_deg: expected a divisor of 360"),
+        ({"upper": (1.0, math.nan)}, r"task\.motion\.upper: expected a number from .*, got nan"),
+        ({"upper": (1e300, 1e300)}, r"task\.motion\.upper: expected a number from .*, got 1e\+300"),
+        (
+            {"lower": (-1e4, -1e4), "upper": (1e4, 1e4), "spacing": 0.1},
+            r"task\.motion: expected at most 16,777,216 states, got [\d,]+ \(200,001 × 200,001 × 4\) from "
+            r"\[-10000\.0, -10000\.0\] to \[10000\.0, 10000\.0\] m in steps of 0\.1 m; "
+            r"choose a larger task\.motion\.spacing or a smaller area",
+        ),
     ],
 )
 def test_invalid_settings_are_refused(change: dict[str, Any], message: str) -> None:

@@ -85,10 +85,24 @@ def test_a_state_has_the_same_pose_bytes_in_any_batch() -> None:
         ({"step": 0.3}, r"step: bounds along x: expected a whole number of steps of 0\.3 in 2, got 6\.6"),
         ({"upper": (1.0, 1.1)}, "step: bounds along y: expected a whole number"),
         ({"step": 0.0}, "step: bounds along x"),
-        ({"upper": (-2.0, 1.0)}, "step: bounds along x"),
+        ({"upper": (-2.0, 1.0)}, r"task\.motion: expected lower < upper in x and y, got \[-1\.0, -1\.0\]"),
         ({"angle_step_deg": 25.0}, r"angle_step_deg: expected a whole number of steps of 25\.0 in 360, got 14\.4"),
         ({"angle_step_deg": -45.0}, "angle_step_deg"),
         ({"step": math.nan}, "step: bounds along x"),
+        ({"step": 1e-320}, "step: bounds along x: expected a whole number"),
+        ({"upper": (math.inf, 1.0)}, r"task\.motion\.upper: expected a number from .*, got inf"),
+        (
+            {"lower": (-1e300, -1e300), "upper": (1e300, 1e300)},
+            r"task\.motion\.lower: .* got -1e\+300",
+        ),
+        (
+            {"lower": (-1e4, -1e4), "upper": (1e4, 1e4), "step": 0.2},
+            r"task\.motion: expected at most 16,777,216 states, got 160,003,200,016 \(100,001 × 100,001 × 16\) "
+            r"from \[-10000\.0, -10000\.0\] to \[10000\.0, 10000\.0\] m in steps of 0\.2 m; "
+            "choose a larger step or a smaller area",
+        ),
+        ({"step": 5e-4}, r"expected at most 16,777,216 states, got 256,128,016 \(4,001 × 4,001 × 16\)"),
+        ({"angle_step_deg": 1e-6}, "expected at most 16,777,216 states"),
     ],
 )
 def test_a_lattice_that_does_not_fit_is_refused(change: dict[str, Any], message: str) -> None:

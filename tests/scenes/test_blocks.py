@@ -5,9 +5,12 @@ from pathlib import Path
 import pytest
 import torch
 
+from splatrl.collision import Occupancy
+from splatrl.collision.point_clouds import write_points
 from splatrl.scenes import Gaussians, Scene, read_scene, similarity, write_gaussians
 from splatrl.scenes.blocks import BLOCKS_FILE, MOST_BLOCKS, BlockScene, read_blocks_description
 from splatrl.scenes.gaussians import INVISIBLE
+from splatrl.scenes.scene import FreeSpace
 from splatrl.scenes.splitting import AROUND, write_split
 from tests.renderers.cases import random_gaussians
 
@@ -70,6 +73,23 @@ def test_keys_of_the_whole_scene_are_read_and_can_be_overridden(tmp_path: Path) 
         read_scene(folder, world_from_splat={"scale": 2.0})
 
 
+def test_space_that_blocks_state_to_be_free_is_not_solid_in_any_block(tmp_path: Path) -> None:
+    frame = "world_from_splat: {translation: [4.0, 0.0, 0.0]}"
+    blocks = f"{LINE[:-1]}, {{splat: b.ply, bounds: [[4, 0, 0], [5, 1, 1]], {frame}}}]"
+    folder = folder_with(tmp_path, blocks)
+    every = Occupancy.from_scene(read_scene(folder), resolution=0.1)
+    cleared = every.centers()[::3]
+    write_points(folder / "haze.ply", cleared)
+    (folder / BLOCKS_FILE).write_text(f"free: haze.ply\nvoxel_size: 0.1\n{blocks}")
+    scene = read_scene(folder)
+    assert scene.free == FreeSpace(folder / "haze.ply", 0.1)
+    some = Occupancy.from_scene(scene, resolution=0.1)
+    assert every.count - some.count == len(cleared) > 2 and not some.contains(cleared).any()
+    (folder / BLOCKS_FILE).write_text(f"free: haze.ply\n{blocks}")
+    with pytest.raises(ValueError, match=r"blocks\.yaml: free: expected voxel_size to be stated with it"):
+        read_scene(folder)
+
+
 def test_blocks_of_unknown_scale_give_a_warning(tmp_path: Path) -> None:
     folder = folder_with(tmp_path, f"metric: false\n{LINE}")
     with pytest.warns(UserWarning, match="not metric: its scale is unknown"):
@@ -82,7 +102,10 @@ MALFORMED = {
     "a string": ("blocks: a.ply", r"blocks: expected a list of 1 to 1,024 blocks, got 'a.ply'"),
     "no keys": ("- a.ply", r"blocks.yaml: expected keys and values"),
     "an unknown key": (f"{LINE}\ncolour: red", r"expected the keys name, bounds, .*, got colour"),
-    "a key of captured scenes": (f"{LINE}\nfree: free.ply", r"expected the keys .*, got free"),
+    "free space in another folder": (
+        f"{LINE}\nvoxel_size: 0.1\nfree: ../free.ply",
+        r"free: expected the name of a file",
+    ),
     "a block that is a string": ("blocks: [a.ply]", r"blocks\[0\]: expected the keys splat, bounds"),
     "a block with another key": (LINE.replace("bounds", "at"), r"blocks\[0\]: expected the keys .*, got at"),
     "a relative path": (

@@ -1,5 +1,8 @@
+import json
 import math
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -76,6 +79,65 @@ def test_arguments_override_the_scene_yaml_key_by_key(folder: Path) -> None:
     assert scene.bounds == ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
     assert read_scene(folder, bounds=[np.zeros(3).tolist(), list(np.ones(3, np.float32))]).bounds == scene.bounds
     assert_same(scene.gaussians, read_scene(folder / "point_cloud.ply", UPRIGHT).gaussians)
+
+
+TURN = ["x", "-z", "y"]
+ROWS = [[2.0, 0.0, 0.0, 1.0], [0.0, 0.0, -2.0, 2.0], [0.0, 2.0, 0.0, 3.0], [0.0, 0.0, 0.0, 1.0]]
+PARTS = {"axes": TURN, "scale": 2.0, "translation": [1.0, 2.0, 3.0]}
+
+
+@pytest.mark.parametrize("own", [{"matrix": ROWS}, PARTS, {"matrix": ROWS, "axes": None, "scale": None}])
+@pytest.mark.parametrize(
+    ("typed", "expected"),
+    [
+        ({}, PARTS),
+        ({"scale": 5.0}, {**PARTS, "scale": 5.0}),
+        ({"axes": ["-x", "-y", "z"]}, {**PARTS, "axes": ["-x", "-y", "z"]}),
+        ({"translation": [0.0, 0.0, 1.0]}, {**PARTS, "translation": [0.0, 0.0, 1.0]}),
+        ({"axes": ["x", "y", "z"], "scale": 1.0, "translation": [0.0, 0.0, 0.0]}, {"axes": ["x", "y", "z"]}),
+        ({"matrix": np.diag([3.0, 3.0, 3.0, 1.0]).tolist()}, {"scale": 3.0}),
+        ({"matrix": None, "axes": None, "scale": None, "translation": None}, PARTS),
+    ],
+)
+def test_a_typed_part_of_the_frame_replaces_that_part_whatever_the_form_of_the_scene_yaml(
+    folder: Path, own: dict[str, Any], typed: dict[str, Any], expected: dict[str, Any]
+) -> None:
+    (folder / "scene.yaml").write_text(f"splat: point_cloud.ply\nworld_from_splat: {json.dumps(own)}\n")
+    found, right = read_scene(folder, typed).gaussians, read_scene(folder / "point_cloud.ply", expected).gaussians
+    torch.testing.assert_close(found.means, right.means)
+    torch.testing.assert_close(found.scales, right.scales)
+
+
+def test_a_typed_frame_of_both_forms_is_refused(folder: Path) -> None:
+    (folder / "scene.yaml").write_text("splat: point_cloud.ply\nworld_from_splat: {scale: 2.0}\n")
+    with pytest.raises(ValueError, match=r"^world_from_splat: expected either a matrix or axes, scale and translation"):
+        read_scene(folder, {"matrix": ROWS, "scale": 3.0})
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (
+            "world_from_splat: {scale: -1}",
+            r"world_from_splat\.scale: expected",
+        ),
+        ("world_from_splat: {up: z}", "world_from_splat: expected the keys"),
+        ("bounds: [[0, 0, 0], [1, 0, 1]]", "bounds: expected lower below upper along y"),
+        ("free: free.ply", "free: expected voxel_size to be stated with it"),
+    ],
+)
+def test_an_error_in_a_scene_yaml_names_the_file_and_one_that_was_typed_does_not(
+    folder: Path, line: str, message: str
+) -> None:
+    (folder / "scene.yaml").write_text(f"splat: point_cloud.ply\n{line}\n")
+    with pytest.raises(ValueError, match=rf"^{re.escape(str(folder / 'scene.yaml'))}: {message}"):
+        read_scene(folder)
+    (folder / "scene.yaml").write_text("splat: point_cloud.ply\n")
+    for typed in ({"scale": -2}, {"up": "z"}):
+        with pytest.raises(ValueError, match=r"^world_from_splat"):
+            read_scene(folder, typed)
+    with pytest.raises(ValueError, match=r"^bounds: expected lower below upper"):
+        read_scene(folder, bounds=[[0, 0, 0], [1, 0, 1]])
 
 
 def test_a_folder_without_a_frame_or_a_name_takes_the_defaults(folder: Path) -> None:

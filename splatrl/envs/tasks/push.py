@@ -17,6 +17,7 @@ from splatrl.envs.tasks.rewards import FiniteRewards
 from splatrl.geometry import planar_of, rigid
 from splatrl.motions.physics import PhysicsMotion
 from splatrl.motions.site import Fits, Site, narrowed
+from splatrl.motions.size import require_few, values_within
 from splatrl.physics.gaussians import Models
 from splatrl.physics.kinematics import matrices
 from splatrl.physics.marks import beacon
@@ -391,6 +392,8 @@ def _grid(lower: Tensor, upper: Tensor, beyond: float) -> Tensor:
 
     Maps [2] and [2] to [X, Y, 2] float64.
     """
-    corners = zip(lower.tolist(), upper.tolist(), strict=True)
+    corners = list(zip(lower.tolist(), upper.tolist(), strict=True))
+    counts = [values_within(low, high, CELL) for low, high in corners]
+    require_few(counts, f" in steps of {CELL} m", "places for ball and mark", "choose a smaller area")
     axes = [torch.arange(low, high + beyond, CELL, dtype=torch.float64) for low, high in corners]
     return torch.stack(torch.meshgrid(*axes, indexing="ij"), -1)

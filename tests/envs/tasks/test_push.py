@@ -145,6 +145,13 @@ def test_invalid_settings_are_refused(settings: dict[str, Any], message: str) ->
         push(**settings)
 
 
+def test_an_area_with_too_many_places_for_a_ball_is_refused() -> None:
+    area: Any = {"lower": [-500.0, -500.0], "upper": [500.0, 500.0], "spacing": 50.0}
+    motion = PhysicsMotion("wheels", "eye", {"ball": "ball"}, ["ball"], threads=1, **area)
+    with pytest.raises(ValueError, match=r"at most 16,777,216 places for ball and mark, got 400,040,001 \(20,001 × "):
+        Push(motion)
+
+
 def test_a_motion_without_physics_is_refused() -> None:
     with pytest.raises(ValueError, match=r"task\.motion: expected a motion with physics, got DriveMotion"):
         Push(DriveMotion(0.3))  # type: ignore[arg-type]
