@@ -124,8 +124,9 @@ class SceneFolder:
         self.path.mkdir(parents=True, exist_ok=True)
         lines, splat = [], file
         if self.path.resolve() != file.parent.resolve():
-            splat = self.path / (file.name if file.suffix in ONE_FILE else SPLAT)
-            if file.suffix in ONE_FILE:
+            one_file = file.suffix.lower() in ONE_FILE
+            splat = self.path / (file.name if one_file else SPLAT)
+            if one_file:
                 _copy(file, splat)
             else:
                 write_gaussians(splat, gaussians)

@@ -18,6 +18,7 @@ from splatrl.scenes.blocks import BlockScene
 from splatrl.scenes.description import read_description
 from tests.preloaded import start
 from tests.scenes.places import place, turned
+from tests.scenes.test_georeferenced import doubles
 from tests.scenes.test_survey import BOXES, FLOOR, dataparser, lying, surfaces
 
 UPRIGHT = ["x", "z", "-y"]
@@ -152,6 +153,14 @@ def test_out_is_a_complete_scene_folder_and_the_files_own_folder_is_unchanged(
 
 
 @pytest.mark.usefixtures("ungrounded")
+@pytest.mark.usefixtures("unproposed")
+@pytest.mark.parametrize("name", ["a.ply", "A.PLY"])
+def test_doubles_are_copied_as_they_are_whatever_the_case_of_the_extension(tmp_path: Path, name: str) -> None:
+    splat = doubles(tmp_path / name, world())
+    main([str(splat), "--axes=x,y,z", "--scale=1", "--out", str(tmp_path / "out")])
+    assert (tmp_path / "out" / name).read_bytes() == splat.read_bytes()
+
+
 def test_a_large_place_has_longer_steps_coarser_voxels_and_a_larger_object(tmp_path: Path) -> None:
     file, _ = turned(place("courtyard", spacing=0.6), 3, tilt_deg=6.0)
     write_gaussians(tmp_path / "yard.ply", file)
