@@ -15,6 +15,14 @@ from pathlib import Path
 from typing import IO, BinaryIO
 
 
+def expanded(path: str | os.PathLike[str]) -> Path:
+    """Return a path with ``~`` replaced by a home folder; unchanged where it names no user, as ``~scan.ply`` does."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        return Path(path)
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
     """Open a binary file that replaces ``path`` atomically once the block succeeds.

@@ -1,17 +1,24 @@
-"""Entries of untrusted ZIP archives: none unpacks to more than it declares."""
+"""Paths as people type them, and entries of untrusted ZIP archives: none unpacks to more than it declares."""
 
 import io
 import struct
 import tracemalloc
 import zipfile
 import zlib
+from pathlib import Path
 
 import pytest
 
-from splatrl.files import read_entry
+from splatrl.files import expanded, read_entry
 from tests.scenes.samples import lying_zip, zip_bytes
 
 MIB = 1 << 20
+
+
+def test_a_tilde_is_a_home_folder_only_where_it_names_a_user() -> None:
+    assert expanded("~/a.ply") == Path.home() / "a.ply"
+    assert expanded(Path("~t.ply")) == Path("~t.ply")
+    assert expanded("~nobody-of-this-name/a.ply") == Path("~nobody-of-this-name/a.ply")
 
 
 def _read(archive: bytes, most: int = MIB) -> bytes:

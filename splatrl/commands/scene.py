@@ -9,6 +9,7 @@ from pathlib import Path
 
 from splatrl.capture import inspection
 from splatrl.commands.entries import scene as main
+from splatrl.files import expanded
 from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks
 from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.folders import SceneFolder
@@ -44,13 +45,13 @@ def look(options: argparse.Namespace) -> None:
     for name in ("height", "resolution", "scale", "split"):
         if getattr(options, name) is not None:
             require_number(f"--{name}", getattr(options, name), above=0.0)
-    path = options.file.expanduser()
+    path = expanded(options.file)
     if is_in_blocks(path):
         raise ValueError(
             f"{path}: expected a splat file or a folder with {SCENE_FILE}, got a folder with {BLOCKS_FILE}"
         )
     stated = typed_frame(**{name: getattr(options, name) for name in FRAME_OPTIONS})
-    out = (options.out or (path if path.is_dir() else path.parent)).expanduser()
+    out = expanded(options.out or (path if path.is_dir() else path.parent))
     target = SceneFolder.at(out, options.split, options.force)
     if path.is_dir():
         look_again(options, path, target)

@@ -8,6 +8,7 @@ from typing import Any
 
 from torch import Tensor
 
+from splatrl.files import expanded
 from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks, read_blocks
 from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.formats import read_gaussians
@@ -76,7 +77,7 @@ def read_scene(
         FileNotFoundError: if there is no such file or folder.
         ValueError: for a damaged file, unknown keys, a frame that is not a similarity, or empty bounds.
     """
-    splat = Path(path).expanduser()
+    splat = expanded(path)
     if is_in_blocks(splat):
         if _says_something(world_from_splat):
             raise ValueError(
