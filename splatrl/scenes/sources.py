@@ -85,12 +85,9 @@ def read_scene(
             )
         return read_blocks(splat, None if bounds is None else checked_bounds(bounds), name, max_inflation)
     stated: dict[str, Any] = {}
-    fallback, free = splat.stem, None
-    if splat.name == META:
-        fallback = splat.resolve().parent.name
-    if splat.is_dir() and (splat / META).is_file() and not (splat / SCENE_FILE).is_file():
-        splat, fallback = splat / META, splat.resolve().name
-    elif splat.is_dir():
+    splat = splat_file(splat)
+    fallback, free = splat_name(splat), None
+    if splat.is_dir():
         stated, fallback = read_description(splat), splat.resolve().name
         warn_of_scale(splat, stated)
         free = None if _says_something(world_from_splat) else _free_space(splat, stated)
@@ -112,6 +109,17 @@ def read_scene(
         bounds=robust_bounds(gaussians) if corners is None else checked_bounds(corners),
         free=free,
     )
+
+
+def splat_file(path: Path) -> Path:
+    """Return the meta.json of an unpacked SOG in a folder without ``scene.yaml``, and any other path unchanged."""
+    unpacked = (path / META).is_file() and not (path / SCENE_FILE).is_file()
+    return path / META if unpacked else path
+
+
+def splat_name(splat: Path) -> str:
+    """Return the name of a scene without a description: that of its splat file, or of the folder of an unpacked SOG."""
+    return splat.resolve().parent.name if splat.name == META else splat.stem
 
 
 def _says_something(given: Mapping[str, Any] | Tensor | None) -> bool:
