@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splatrl.files import refusing
+from splatrl.files import open_entry, refusing
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -40,11 +40,7 @@ def read_arrays(path: Path, most: int | None = None) -> Arrays:
 
 def _check_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
     """Refuse an array whose header promises more data than follows: NumPy would allocate it before reading."""
-    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others allow dictionaries of any size
-        raise ValueError(
-            f"{entry.filename}: expected stored or deflated data, got compression type {entry.compress_type}"
-        )
-    with archive.open(entry) as stream:
+    with open_entry(archive, entry) as stream:
         version = np.lib.format.read_magic(stream)
         header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, _, dtype = header(stream)

@@ -1,16 +1,26 @@
 """Atomic files and folders, damaged and untrusted files, and the cache folder."""
 
+import copy
 import fcntl
 import os
 import re
 import secrets
 import shutil
 import tempfile
+import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from hashlib import blake2b
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO, BinaryIO
+
+
+def expanded(path: str | os.PathLike[str]) -> Path:
+    """Return a path with ``~`` replaced by a home folder; unchanged where it names no user, as ``~scan.ply`` does."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        return Path(path)
 
 
 @contextmanager
@@ -124,6 +134,45 @@ def refusing(path: Path, expected: str) -> Iterator[None]:
         if told or type(error) in (FileNotFoundError, ImportError, MemoryError):
             raise
         raise ValueError(f"{path}: expected {expected}, got {type(error).__name__}: {error}") from error
+
+
+def open_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> IO[bytes]:
+    """Open an entry of an untrusted ZIP archive as a stream whose ``read(n)`` unpacks about n bytes.
+
+    ``read()`` without a number unpacks all that the data hold, whatever size the entry declares.
+
+    Raises:
+        ValueError: for a compression other than deflate, since others unpack as much as the data ask for.
+        zipfile.BadZipFile, NotImplementedError or RuntimeError: if the entry is damaged or encrypted.
+    """
+    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(f"expected stored or deflated data, got compression type {entry.compress_type}")
+    return archive.open(entry)
+
+
+def read_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, most: int) -> bytes:
+    """Read an entry of an untrusted ZIP archive, never unpacking more than the size that it declares.
+
+    Args:
+        archive: the archive.
+        entry: the entry.
+        most: maximum size of the content, bytes.
+
+    Raises:
+        ValueError: if the entry declares more, holds another number of bytes than it declares, or as in ``open_entry``.
+        zipfile.BadZipFile, NotImplementedError or RuntimeError: if the entry is damaged or encrypted.
+    """
+    size = entry.file_size
+    if size > most:
+        raise ValueError(f"expected at most {most:,} bytes, got {size:,}")
+    one_more = copy.copy(entry)
+    one_more.file_size += 1  # otherwise zipfile would cut surplus data without a word
+    with open_entry(archive, one_more) as stream:
+        content = stream.read(one_more.file_size)
+    if len(content) != size:
+        held = "more" if len(content) > size else f"{len(content):,}"
+        raise ValueError(f"expected {size:,} bytes, as it declares, got {held}")
+    return content
 
 
 def checked_name(what: str, name: object) -> str:

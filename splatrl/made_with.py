@@ -2,12 +2,12 @@
 
 import warnings
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
 from splatrl.configuration import PATHS
+from splatrl.files import expanded
 from splatrl.native import _core
 from splatrl.values import flat
 
@@ -74,6 +74,6 @@ def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
 def _settings(config: Mapping[str, Any]) -> dict[str, Any]:
     """Return the dotted keys of a config with their values, with paths made absolute."""
     return {
-        key: str(Path(value).expanduser().absolute()) if key in PATHS and isinstance(value, str) else value
+        key: str(expanded(value).absolute()) if key in PATHS and isinstance(value, str) else value
         for key, value in flat(config)
     }

@@ -41,6 +41,7 @@ from tests.fuzzing.formats import around_demonstrations
 from tests.preloaded import start
 from tests.scenes.samples import (
     compressed_ply_bytes,
+    lying_zip,
     ply_bytes,
     ply_fields,
     sample_gaussians,
@@ -106,6 +107,11 @@ def _sog() -> bytes:
             archive.writestr(name, packed)
         archive.writestr("noise", NOISE)
     return stream.getvalue()
+
+
+def _bomb(name: str, compression: int) -> Callable[[], bytes]:
+    """Return what makes an archive whose entry declares 100 bytes but unpacks to 256 MiB."""
+    return lambda: lying_zip(name, bytes(256 * MIB), 100, compression)
 
 
 def _compressed() -> bytes:
@@ -235,6 +241,10 @@ COSTLY = {
         "a.splat", lambda: (b"\x01\x01\x01\x3f" * 6 + b"\xff" * 4 + b"\x80\x80\x80\xff") * 100_000, read_gaussians, 12
     ),
     "sog": Costly("a.sog", _sog, read_gaussians, 180, 160 * MIB),
+    "sog, deflate bomb": Costly("a.sog", _bomb("meta.json", zipfile.ZIP_DEFLATED), read_gaussians, 0),
+    "sog, bzip2 bomb": Costly("a.sog", _bomb("meta.json", zipfile.ZIP_BZIP2), read_gaussians, 0),
+    "r3d, deflate bomb": Costly("a.r3d", _bomb("metadata", zipfile.ZIP_DEFLATED), record3d.read, 0),
+    "r3d, bzip2 bomb": Costly("a.r3d", _bomb("metadata", zipfile.ZIP_BZIP2), record3d.read, 0),
     "ascii cloud": Costly("a.ply", _ascii("1 1 1\n", CLOUD, 400_000), read_points, 16),
     "pcd": Costly("a.pcd", _ascii("\x01\x01\x01", PCD + "binary\n", 400_000), read_points, 32),
     "ascii pcd": Costly("a.pcd", _ascii("1 1 1\n", PCD + "ascii\n", 400_000), read_points, 24),

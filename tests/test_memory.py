@@ -11,8 +11,10 @@ from tests.memory import COSTLY, Cost, measured
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
 LARGE = ("photo", "depth", "sprite", "large video")
 """Kinds that take most of a gigabyte or more, whatever the size of the file."""
-NEEDS = {"sog": "gsply", "compressed ply": "gsply", "lzfse": "imagecodecs"}
+NEEDS = {name: "gsply" for name in ("sog", "sog, deflate bomb", "sog, bzip2 bomb", "compressed ply")}
+NEEDS |= {"lzfse": "imagecodecs"}
 REFUSED = {"ascii ply, one line", "json, more lists", "episodes", "checkpoint", "arrays that lie"}
+REFUSED |= {f"{kind}, {how} bomb" for kind in ("sog", "r3d") for how in ("deflate", "bzip2")}
 
 
 def checked(kind: str, cost: Cost) -> None:

@@ -17,6 +17,7 @@ from splatrl.device import AUTO
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.rollouts import run_episodes
 from splatrl.evaluation.starts import spread_starts
+from splatrl.files import expanded
 from splatrl.made_with import made_with
 from splatrl.training import PPO, Actor, Cloner, Matcher, Trainer, inputs_of, make_tracker, views
 from splatrl.values import require_number
@@ -83,7 +84,7 @@ def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> Callable[[], 
     """
     dagger, matching, shown = instantiate(cfg.dagger), instantiate(cfg.matching), []
     if isinstance(cfg.demos, str):
-        shown = [read_demonstrations(Path(cfg.demos).expanduser())]
+        shown = [read_demonstrations(expanded(cfg.demos))]
     elif cfg.demos is not None:
         require_number("demos", cfg.demos, 1, 10**6, whole=True)
     elif not dagger.rounds and not matching.frames:

@@ -10,7 +10,7 @@ import plyfile
 from numpy.typing import NDArray
 
 from splatrl.collision.pcd import read_pcd
-from splatrl.files import refusing, replacing
+from splatrl.files import expanded, refusing, replacing
 from splatrl.scenes.formats.ply_header import read_ply_header
 from splatrl.scenes.formats.ply_rows import vertex_columns
 
@@ -64,7 +64,7 @@ def write_points(path: Path, points: NDArray[np.float32]) -> None:
 
 
 def _checked_path(path: str | os.PathLike[str]) -> Path:
-    path = Path(path).expanduser()
+    path = expanded(path)
     if path.suffix.lower() not in READERS:
         raise ValueError(
             f"{path}: expected a point cloud with the extension {' or '.join(READERS)}, "

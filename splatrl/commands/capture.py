@@ -15,6 +15,7 @@ from splatrl.commands.entries import INTERRUPTED
 from splatrl.commands.entries import capture as main
 from splatrl.device import chosen_device, device_line
 from splatrl.envs.robot import Robot
+from splatrl.files import expanded
 from splatrl.scenes.description import scene_folder
 
 SELDOM = 10.0
@@ -28,8 +29,8 @@ def run(options: argparse.Namespace) -> None:
         write_marker_page(options.marker, side=side)
         print(f"{options.marker}: print it at actual size (100 %) and place it where the camera will see it")
         return
-    source = options.source.expanduser()
-    folder, splat = scene_folder((options.out or _beside(source)).expanduser())
+    source = expanded(options.source)
+    folder, splat = scene_folder(expanded(options.out or _beside(source)))
     try:
         device = chosen_device(options.device)
         print(device_line(device))

@@ -105,7 +105,11 @@ def scene(arguments: Sequence[str]) -> argparse.Namespace:
         prog="splatrl-scene",
         description="Inspect a captured scene, guess its orientation, and write a scene.yaml to edit.",
     )
-    result.add_argument("file", type=Path, help="a splat file, or a folder with scene.yaml to inspect again")
+    result.add_argument(
+        "file",
+        type=Path,
+        help="a splat file, the folder of an unpacked SOG, or a folder with scene.yaml to inspect again",
+    )
     result.add_argument(
         "--up",
         metavar="AXIS",
@@ -131,7 +135,7 @@ def scene(arguments: Sequence[str]) -> argparse.Namespace:
         help="folder for scene.yaml and pictures; by default the file's folder; garden.spz makes a folder garden that "
         "also holds the splat as a small file",
     )
-    result.add_argument("--force", action="store_true", help="replace an existing scene.yaml")
+    result.add_argument("--force", action="store_true", help="replace an existing scene.yaml and splat files")
     result.add_argument(
         "--split",
         type=float,

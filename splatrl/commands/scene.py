@@ -9,6 +9,7 @@ from pathlib import Path
 
 from splatrl.capture import inspection
 from splatrl.commands.entries import scene as main
+from splatrl.files import expanded
 from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks
 from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.folders import SceneFolder
@@ -18,7 +19,7 @@ from splatrl.scenes.nerfstudio import antialiased_beside
 from splatrl.scenes.placement import floor_height
 from splatrl.scenes.proposals import PROPOSALS
 from splatrl.scenes.scene import Scene, robust_bounds
-from splatrl.scenes.sources import read_scene
+from splatrl.scenes.sources import read_scene, splat_file, splat_name
 from splatrl.scenes.stated import StatedFrame, described_upright, typed_frame
 from splatrl.scenes.survey import survey
 from splatrl.scenes.upright import UNKNOWN
@@ -44,13 +45,14 @@ def look(options: argparse.Namespace) -> None:
     for name in ("height", "resolution", "scale", "split"):
         if getattr(options, name) is not None:
             require_number(f"--{name}", getattr(options, name), above=0.0)
-    path = options.file.expanduser()
+    path = expanded(options.file)
     if is_in_blocks(path):
         raise ValueError(
             f"{path}: expected a splat file or a folder with {SCENE_FILE}, got a folder with {BLOCKS_FILE}"
         )
+    path = splat_file(path)
     stated = typed_frame(**{name: getattr(options, name) for name in FRAME_OPTIONS})
-    out = (options.out or (path if path.is_dir() else path.parent)).expanduser()
+    out = expanded(options.out or (path if path.is_dir() else path.parent))
     target = SceneFolder.at(out, options.split, options.force)
     if path.is_dir():
         look_again(options, path, target)
@@ -60,7 +62,7 @@ def look(options: argparse.Namespace) -> None:
 
 def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, target: SceneFolder) -> None:
     """Inspect a splat file, and write the folder of its scene."""
-    target.check()
+    target.check(path)
     gaussians = read_gaussians(path)
     stated, lines = stated.beside(path)
     show([*lines, survey(gaussians)])
@@ -69,7 +71,7 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
     frame = stated.frame(upright)
     world_from_splat = similarity(**frame)
     standing = read_gaussians(path, transform=world_from_splat)
-    scene = Scene(path.stem, standing, robust_bounds(standing))
+    scene = Scene(splat_name(path), standing, robust_bounds(standing))
     drawn, floor = antialiased_beside(path), floor_height(upright, world_from_splat)
     pictures = inspection.ScenePictures(target.path, drawn is not False)
     try:
@@ -93,14 +95,15 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
 
 def look_again(options: argparse.Namespace, folder: Path, target: SceneFolder) -> None:
     """Inspect a folder that already has a ``scene.yaml``, and write it in another form if that is asked for."""
+    described = read_description(folder)
     if target.converts:
-        target.check()
+        target.check(folder, described.get("free"))
     if any(getattr(options, name) is not None for name in FRAME_OPTIONS):
         raise ValueError(
             f"{folder}: expected a folder without options such as --up or --scale, got some; edit its scene.yaml, "
             "or pass the splat file instead"
         )
-    scene, described = read_scene(folder), read_description(folder)
+    scene = read_scene(folder)
     drawn = described.get("antialiased", antialiased_beside(folder / described["splat"]))
     pictures = inspection.ScenePictures(target.path, drawn is not False)
     show([survey(scene.gaussians), described_upright(scene.gaussians, described.get("metric", True))])

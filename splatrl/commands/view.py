@@ -25,6 +25,7 @@ from splatrl.configuration import (
 from splatrl.configuration.scene_overrides import CORNERS, TARGETS
 from splatrl.envs.world import World
 from splatrl.evaluation.scene_pictures import survey_occupancy
+from splatrl.files import expanded
 from splatrl.runs import TrainedPolicy, load_policy
 from splatrl.scenes.description import SCENE_FILE
 from splatrl.scenes.scene import Scene
@@ -135,7 +136,7 @@ def place_values(cfg: DictConfig, scene: Scene) -> dict[str, Any]:
 def _folder(cfg: DictConfig) -> Path | None:
     """Return the scene's folder if it has a ``scene.yaml``; None for single files and generated scenes."""
     path = cfg.scene.get("path")
-    folder = None if path is None else Path(path).expanduser()
+    folder = None if path is None else expanded(path)
     return folder if folder is not None and (folder / SCENE_FILE).is_file() else None
 
 

@@ -18,7 +18,7 @@ from splatrl.configuration.checking import check_constructors
 from splatrl.configuration.scene_choice import load_config
 from splatrl.configuration.search_path import is_group
 from splatrl.documents import read_config
-from splatrl.files import replacing, require_room
+from splatrl.files import expanded, replacing, require_room
 
 
 @functools.cache
@@ -123,8 +123,8 @@ def with_absolute_paths(cfg: DictConfig) -> DictConfig:
     """Return a config with absolute paths, valid from any working directory; the same object if nothing changes."""
     given = {key: OmegaConf.select(cfg, key) for key in PATHS}
     named = {key: OmegaConf.select(cfg, key) for key in NAMES_OR_PATHS}
-    given |= {key: path for key, path in named.items() if isinstance(path, str) and Path(path).expanduser().is_file()}
-    absolute = {key: str(Path(path).expanduser().absolute()) for key, path in given.items() if isinstance(path, str)}
+    given |= {key: path for key, path in named.items() if isinstance(path, str) and expanded(path).is_file()}
+    absolute = {key: str(expanded(path).absolute()) for key, path in given.items() if isinstance(path, str)}
     changed = {key: path for key, path in absolute.items() if path != given[key]}
     if changed:
         cfg = cfg.copy()

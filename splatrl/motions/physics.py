@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torchrl.data import Bounded
 
 from splatrl.collision.base import Checker
+from splatrl.files import expanded
 from splatrl.geometry import planar_of
 from splatrl.motions.base import Move
 from splatrl.motions.drive import DriveMotion
@@ -112,7 +113,7 @@ class PhysicsMotion(TwinMotion):
         self.ground = ground
         self.path, self.camera, self.pushed = mjcf_path(str(path)), camera, tuple(pushed)
         self.thing_paths = {str(name): mjcf_path(str(place)) for name, place in (things or {}).items()}
-        self.looks = {str(name): Path(place).expanduser() for name, place in (looks or {}).items()}
+        self.looks = {str(name): expanded(place) for name, place in (looks or {}).items()}
         for key, names in (("looks", self.looks), ("pushed", self.pushed)):
             if unknown := set(names) - set(self.thing_paths):
                 raise ValueError(

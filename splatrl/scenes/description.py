@@ -126,7 +126,7 @@ def scene_folder(out: Path) -> tuple[Path, str]:
     Args:
         out: a path such as ``garden`` or ``garden.spz``; the folder is ``garden`` in both cases.
     """
-    return (out.with_suffix(""), SMALL_SPLAT) if out.suffix == ".spz" else (out, SPLAT)
+    return (out.with_suffix(""), SMALL_SPLAT) if out.suffix.lower() == ".spz" else (out, SPLAT)
 
 
 def check_absent(folder: Path, force: bool) -> None:

@@ -20,7 +20,7 @@ from splatrl.scenes.formats import write_gaussians
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.placement import Frame
 from splatrl.scenes.scene import Bounds, Scene
-from splatrl.scenes.splitting import write_split
+from splatrl.scenes.splitting import AROUND, BLOCK, write_split
 
 AS_IT_IS: Frame = {"axes": ["x", "y", "z"], "scale": 1.0}
 """Frame of a splat file whose Gaussians are in the world frame."""
@@ -55,8 +55,12 @@ class SceneFolder:
         """Whether the scene's Gaussians are written anew, in the world frame."""
         return self.small or self.block is not None
 
-    def check(self) -> None:
-        """Refuse to hide blocks behind a ``scene.yaml`` or vice versa, and to replace a scene without ``force``.
+    def check(self, source: Path, free: str | None = None) -> None:
+        """Refuse to hide blocks behind a ``scene.yaml`` or vice versa, and to replace files without ``force``.
+
+        Args:
+            source: the splat file, or the folder of a scene to convert.
+            free: name of the scene's record of free space, a copy of which is written.
 
         Raises:
             FileExistsError: names the file, or the folder.
@@ -72,6 +76,29 @@ class SceneFolder:
             raise FileExistsError(
                 f"{self.path / BLOCKS_FILE}: already exists; pass another folder as --out, or --force"
             )
+        for path in () if self.force else self._files(source, free):
+            if path.exists():
+                raise FileExistsError(
+                    f"{path}: already exists; choose another folder with --out, or pass --force to overwrite it"
+                )
+
+    def _files(self, source: Path, free: str | None) -> list[Path]:
+        """Return the files to be written besides descriptions and pictures; of blocks, those of any earlier split."""
+        cloud = [] if free is None else [self.path / _cloud_name(free)]
+        cloud = [path for path in cloud if path.resolve() != (source / str(free)).resolve()]
+        if self.block is not None:
+            return [*self.path.glob(f"{BLOCK}*{self._ending}"), self.path / f"{AROUND}{self._ending}", *cloud]
+        if self.small:
+            return [self.path / SMALL_SPLAT, *cloud]
+        return [] if self._holds(source) else [self.path / _copied_name(source)]
+
+    def _holds(self, file: Path) -> bool:
+        """Return whether a splat file is in this folder already."""
+        return self.path.resolve() == file.parent.resolve()
+
+    @property
+    def _ending(self) -> str:
+        return Path(SMALL_SPLAT if self.small else SPLAT).suffix
 
     def write(self, scene: Scene, bounds: Bounds, proposals: Mapping[str, Any]) -> list[str]:
         """Write a scene in the world frame, as blocks or with a small splat file.
@@ -90,12 +117,11 @@ class SceneFolder:
         """
         self.path.mkdir(parents=True, exist_ok=True)
         if scene.free is not None:
-            cloud = f"free{scene.free.path.suffix}"  # the name of no splat that is written
+            cloud = _cloud_name(scene.free.path.name)
             _copy(scene.free.path, self.path / cloud)
             proposals = {**proposals, "free": cloud}
         if self.block is not None:
-            ending = Path(SMALL_SPLAT if self.small else SPLAT).suffix
-            names = write_split(self.path, scene, self.block, ending, bounds, proposals)
+            names = write_split(self.path, scene, self.block, self._ending, bounds, proposals)
             return [f"wrote       {self.path / BLOCKS_FILE} and {len(names)} blocks of {self.block:g} m"]
         splat = self.path / SMALL_SPLAT
         write_gaussians(splat, scene.gaussians, proposals.get("antialiased", True))
@@ -124,15 +150,25 @@ class SceneFolder:
         """
         self.path.mkdir(parents=True, exist_ok=True)
         lines, splat = [], file
-        if self.path.resolve() != file.parent.resolve():
-            splat = self.path / (file.name if file.suffix in ONE_FILE else SPLAT)
-            if file.suffix in ONE_FILE:
+        if not self._holds(file):
+            splat = self.path / _copied_name(file)
+            if splat.name == file.name:
                 _copy(file, splat)
             else:
                 write_gaussians(splat, gaussians)
             lines.append(f"wrote       {splat}")
         described = write_description(self.path, splat.name, name, frame, bounds, self.force, proposals)
         return [*lines, f"wrote       {described}"]
+
+
+def _cloud_name(free: str) -> str:
+    """Return the name of a copy of the cloud of free space, which is the name of no splat that is written."""
+    return f"free{Path(free).suffix}"
+
+
+def _copied_name(file: Path) -> str:
+    """Return the name of a splat file in another folder: its own, if it is a single file that can be copied."""
+    return file.name if file.suffix.lower() in ONE_FILE else SPLAT
 
 
 def _copy(old: Path, new: Path) -> None:

@@ -11,6 +11,8 @@ from splatrl.spherical_harmonics import rotate_sh, sh_degree
 
 INVISIBLE = 1.0 / 255.0
 """Minimum visible opacity: renderers skip every alpha below it, so fainter Gaussians cannot change an image."""
+LARGEST = 1e15
+"""Largest coordinate and scale of a usable Gaussian: their squares, times a squared focal length, fit float32."""
 BLOCK = 1 << 16
 """Rows processed per batch: this bounds memory and lets Ctrl-C take effect between batches."""
 
@@ -74,8 +76,8 @@ def checked_gaussians(
 ) -> Gaussians:
     """Build Gaussians from external values: check shapes, normalise quaternions and drop unusable rows.
 
-    Rows with a non-finite value, a zero quaternion, a scale that is not positive or an opacity below 1/255 (which no
-    renderer shows) are left out, with one warning that counts them.
+    Rows with a non-finite value, a zero quaternion, a scale that is not positive, a coordinate or scale beyond
+    ``LARGEST`` or an opacity below 1/255 (which no renderer shows) are left out, with one warning that counts them.
 
     Args:
         source: origin of the values, for error messages.
@@ -99,7 +101,9 @@ def checked_gaussians(
         raise ValueError(f"{source}: sh: expected shape [{count}, 1 or 4 or 9 or 16, 3], got {list(sh.shape)}")
     places, quats, scales, opacities, sh = (v.float() for v in (means, quats, scales, opacities, sh))
     means = means if means.dtype == torch.float64 else places
-    finite = torch.stack([_finite(v.reshape(count, -1)) for v in (places, quats, scales, opacities, sh)]).all(0)
+    limits = (LARGEST, torch.inf, LARGEST, torch.inf, torch.inf)
+    checked = zip((places, quats, scales, opacities, sh), limits, strict=True)
+    finite = torch.stack([_finite(v.reshape(count, -1), most) for v, most in checked]).all(0)
     norms = quats.double().norm(dim=1, keepdim=True)  # float64: squares neither underflow nor overflow
     finite &= (norms[:, 0] > 0) & (scales > 0).all(1)
     visible = opacities >= INVISIBLE * (1 - 1e-6)  # the logits of a PLY round
@@ -126,6 +130,6 @@ def checked_gaussians(
     )
 
 
-def _finite(values: Tensor) -> Tensor:
-    """Return a mask of the rows that hold only finite numbers: [N, D] -> [N] bool."""
-    return torch.cat([block.isfinite().all(1) for block in values.split(BLOCK)])
+def _finite(values: Tensor, most: float) -> Tensor:
+    """Return a mask of the rows that hold only finite numbers of at most this magnitude: [N, D] -> [N] bool."""
+    return torch.cat([(block.isfinite() & (block.abs() <= most)).all(1) for block in values.split(BLOCK)])

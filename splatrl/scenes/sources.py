@@ -8,6 +8,7 @@ from typing import Any
 
 from torch import Tensor
 
+from splatrl.files import expanded
 from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks, read_blocks
 from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.formats import read_gaussians
@@ -79,7 +80,7 @@ def read_scene(
         ValueError: for a damaged file, unknown keys, a frame that is not a similarity, or empty bounds; names the
             ``scene.yaml`` if that states them.
     """
-    splat = Path(path).expanduser()
+    splat = expanded(path)
     if is_in_blocks(splat):
         if _says_something(world_from_splat):
             raise ValueError(
@@ -87,12 +88,9 @@ def read_scene(
             )
         return read_blocks(splat, None if bounds is None else checked_bounds(bounds), name, max_inflation)
     stated: dict[str, Any] = {}
-    fallback, free, source = splat.stem, None, splat
-    if splat.name == META:
-        fallback = splat.resolve().parent.name
-    if splat.is_dir() and (splat / META).is_file() and not (splat / SCENE_FILE).is_file():
-        splat, fallback = splat / META, splat.resolve().name
-    elif splat.is_dir():
+    splat = source = splat_file(splat)
+    fallback, free = splat_name(splat), None
+    if splat.is_dir():
         stated, fallback = read_description(splat), splat.resolve().name
         warn_of_scale(splat, stated)
         source = splat / SCENE_FILE
@@ -119,6 +117,17 @@ def read_scene(
         bounds=corners or robust_bounds(gaussians),
         free=free,
     )
+
+
+def splat_file(path: Path) -> Path:
+    """Return the meta.json of an unpacked SOG in a folder without ``scene.yaml``, and any other path unchanged."""
+    unpacked = (path / META).is_file() and not (path / SCENE_FILE).is_file()
+    return path / META if unpacked else path
+
+
+def splat_name(splat: Path) -> str:
+    """Return the name of a scene without a description: that of its splat file, or of the folder of an unpacked SOG."""
+    return splat.resolve().parent.name if splat.name == META else splat.stem
 
 
 def _says_something(given: Mapping[str, Any] | Tensor | None) -> bool:

@@ -13,6 +13,8 @@ from splatrl.scenes.gaussians import INVISIBLE, Gaussians
 from splatrl.scenes.scene import Bounds, Scene
 from splatrl.values import require_number
 
+BLOCK = "block-"
+"""Start of the name of a block's file."""
 AROUND = "around"
 """Name of the block for everything outside: the sky, the countryside up to the horizon, and stray Gaussians."""
 
@@ -63,7 +65,7 @@ def write_split(
         chosen = gaussians[numbers == number]
         column, row = number // (rows + 2), number % (rows + 2)
         x, y = left + (column - 1) * size, bottom + (row - 1) * size
-        name = f"{AROUND if number < 0 else f'block-{column}-{row}'}{ending}"
+        name = f"{AROUND if number < 0 else f'{BLOCK}{column}-{row}'}{ending}"
         blocks[name] = _box(chosen.means.numpy()) if number < 0 else ((x, y, low), (x + size, y + size, high))
         write_gaussians(folder / name, chosen, (proposals or {}).get("antialiased", True))
     write_blocks(folder, scene.name, blocks, bounds or scene.bounds, proposals)

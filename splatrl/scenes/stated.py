@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from torch import Tensor
 
+from splatrl.files import expanded
 from splatrl.scenes.frame import AXES, similarity
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.nerfstudio import DATAPARSER, stands, transform_beside
@@ -146,7 +147,7 @@ def typed_frame(
     if matrix is not None:
         transform = similarity(matrix=np.reshape(_numbers("--matrix", matrix, 16), (4, 4)).tolist())
     elif nerfstudio is not None:
-        transform = nerfstudio_transform(nerfstudio.expanduser())
+        transform = nerfstudio_transform(expanded(nerfstudio))
     return StatedFrame(
         axes=None if axes is None else split_words(axes),
         transform=transform,

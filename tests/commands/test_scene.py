@@ -19,6 +19,8 @@ from splatrl.scenes.description import read_description
 from splatrl.scenes.scene import FreeSpace
 from tests.preloaded import start
 from tests.scenes.places import place, turned
+from tests.scenes.samples import sog_entries
+from tests.scenes.test_georeferenced import doubles
 from tests.scenes.test_survey import BOXES, FLOOR, dataparser, lying, surfaces
 
 UPRIGHT = ["x", "z", "-y"]
@@ -153,6 +155,14 @@ def test_out_is_a_complete_scene_folder_and_the_files_own_folder_is_unchanged(
 
 
 @pytest.mark.usefixtures("ungrounded")
+@pytest.mark.usefixtures("unproposed")
+@pytest.mark.parametrize("name", ["a.ply", "A.PLY"])
+def test_doubles_are_copied_as_they_are_whatever_the_case_of_the_extension(tmp_path: Path, name: str) -> None:
+    splat = doubles(tmp_path / name, world())
+    main([str(splat), "--axes=x,y,z", "--scale=1", "--out", str(tmp_path / "out")])
+    assert (tmp_path / "out" / name).read_bytes() == splat.read_bytes()
+
+
 def test_a_large_place_has_longer_steps_coarser_voxels_and_a_larger_object(tmp_path: Path) -> None:
     file, _ = turned(place("courtyard", spacing=0.6), 3, tilt_deg=6.0)
     write_gaussians(tmp_path / "yard.ply", file)
@@ -350,6 +360,59 @@ def test_a_splat_is_split_into_blocks_that_together_make_up_the_scene(
     for words in (["--split", "1.5"], []):  # a scene.yaml beside them would hide the blocks
         with pytest.raises(SystemExit, match=r"blocks.yaml: already exists"):
             main([str(splat), *words, "--out", str(tmp_path / out)])
+
+
+@pytest.mark.usefixtures("unproposed")
+@pytest.mark.parametrize(
+    ("out", "words", "theirs"),
+    [
+        ("out", [], "yard.ply"),
+        ("out.spz", [], "splat.spz"),
+        ("out", ["--split=1.5"], "block-7-7.ply"),
+        ("out.spz", ["--split=1.5"], "around.spz"),
+    ],
+)
+def test_files_of_others_are_replaced_only_with_force(
+    splat: Path, tmp_path: Path, out: str, words: list[str], theirs: str
+) -> None:
+    folder = tmp_path / "out"
+    folder.mkdir()
+    (folder / theirs).write_text("theirs")
+    arguments = [str(splat), "--axes=x,y,z", "--scale=1", *words, "--out", str(tmp_path / out)]
+    with pytest.raises(SystemExit, match=rf"{theirs}: already exists; choose another folder with --out, or pass --f"):
+        main(arguments)
+    assert (folder / theirs).read_text() == "theirs" and len(list(folder.iterdir())) == 1
+    main([*arguments, "--force"])
+    assert len(read_scene(folder).gaussians) == len(read_gaussians(splat))
+
+
+@pytest.mark.usefixtures("unproposed")
+def test_a_converted_scene_does_not_replace_free_space_of_others(splat: Path, tmp_path: Path) -> None:
+    main([str(splat), "--axes=x,y,z", "--scale=1"])
+    description = splat.with_name("scene.yaml")
+    description.write_text(description.read_text() + "free: free.ply\nvoxel_size: 0.1\n")
+    write_points(splat.with_name("free.ply"), torch.rand(5, 3))
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "free.ply").write_text("theirs")
+    with pytest.raises(SystemExit, match=r"free\.ply: already exists"):
+        main([str(splat.parent), "--out", str(tmp_path / "out.spz")])
+    assert (tmp_path / "out" / "free.ply").read_text() == "theirs"
+
+
+@pytest.mark.usefixtures("unproposed")
+@pytest.mark.parametrize("typed", ["bundle", "bundle/meta.json"])
+def test_an_unpacked_sog_becomes_a_scene_with_the_name_of_its_folder(tmp_path: Path, typed: str) -> None:
+    for package in ("gsply", "imagecodecs"):
+        pytest.importorskip(package)
+    folder = tmp_path / "bundle"
+    folder.mkdir()
+    for name, content in sog_entries()[0].items():
+        (folder / name).write_bytes(content)
+    frame = ["--axes=x,y,z", "--scale=1"]
+    main([str(tmp_path / typed), *frame, "--out", str(tmp_path / "out")])
+    assert read_scene(tmp_path / "out").name == "bundle" == read_scene(tmp_path / typed).name
+    main([str(tmp_path / typed), *frame])
+    assert (folder / "scene.yaml").is_file() and read_scene(folder).name == "bundle"
 
 
 @pytest.mark.usefixtures("ungrounded")

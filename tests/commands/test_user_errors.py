@@ -50,6 +50,8 @@ ERRORS = [
     ("train scene=text.ply robot.height=0.5 landmarks.goal=[0,0,0]", "scene: text.ply: expected a PLY file"),
     ("train scene=bad robot.height=0.5 landmarks.goal=[0,0,0]", "scene: bad/gone.ply: no such splat file"),
     ("train scene.path=room.ply", "scene.path: no such key, did you mean scene=<the path>?"),
+    ("scene ~t.ply", "~t.ply: no such splat file"),
+    ("capture ~no-such-user/t.mp4", "~no-such-user/t.mp4: expected a video"),
     # Unknown keys and options.
     ("train tsak=grid", "tsak: no such key, did you mean task? Valid keys at the top level: seed, device"),
     ("train frames=1000", "frames: no such key, did you mean collector.frames_per_batch or collector.total_frames"),

@@ -5,6 +5,7 @@ import io
 import json
 import struct
 import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -161,13 +162,24 @@ def compressed_ply_bytes(
     return "\n".join(header).encode() + body
 
 
-def zip_bytes(entries: Mapping[str, bytes]) -> bytes:
+def zip_bytes(entries: Mapping[str, bytes], compression: int = zipfile.ZIP_STORED) -> bytes:
     """Return a ZIP bundle with correct checksums."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as bundle:
         for name, content in entries.items():
-            bundle.writestr(zipfile.ZipInfo(name), content)
+            bundle.writestr(zipfile.ZipInfo(name), content, compression)
     return stream.getvalue()
+
+
+def lying_zip(name: str, content: bytes, declared: int, compression: int) -> bytes:
+    """Return a ZIP bundle whose only entry declares another size, and the checksum of as much of its content."""
+    archive = bytearray(zip_bytes({name: content}, compression))
+    central = archive.rindex(b"PK\x01\x02")
+    told = struct.pack("<I", zlib.crc32(content[:declared]))
+    for header, offset in ((0, 14), (central, 16)):
+        archive[header + offset : header + offset + 4] = told
+        archive[header + offset + 8 : header + offset + 12] = struct.pack("<I", declared)
+    return bytes(archive)
 
 
 def sog_meta(count: int, bands: int = 0) -> dict[str, object]:

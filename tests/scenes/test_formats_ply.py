@@ -41,6 +41,17 @@ def test_fields_may_be_doubles_and_other_elements_are_skipped(tmp_path: Path) ->
     assert_same(read_gaussians(path), gaussians)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_smoothing_filter_of_mip_splatting_is_applied(tmp_path: Path, kind: str) -> None:
+    plain = sample_gaussians(7, 1)
+    smoothing = plain.scales.amax(1).numpy() * np.linspace(0.0, 0.5, 7, dtype=np.float32)
+    fused = plain.clone()
+    fused.scales = (plain.scales**2 + torch.from_numpy(smoothing)[:, None] ** 2).sqrt()
+    fused.opacities = plain.opacities * plain.scales.prod(1) / fused.scales.prod(1)
+    path = written(tmp_path / "a.ply", ply_bytes({**ply_fields(plain), "filter_3D": smoothing}, kind))
+    assert_same(read_gaussians(path), fused)
+
+
 @pytest.mark.parametrize("degree", [0, 3])
 def test_written_gaussians_read_back_the_same(tmp_path: Path, degree: int) -> None:
     gaussians = sample_gaussians(11, degree)

@@ -175,6 +175,27 @@ def test_positions_of_a_large_place_are_stored_as_finely_as_the_format_allows(tm
     assert (tmp_path / "a.spz").read_bytes() == before
 
 
+@pytest.mark.parametrize("place", [1e5, -1e6, 1e8])
+def test_a_few_stray_gaussians_do_not_coarsen_the_others(tmp_path: Path, place: float) -> None:
+    gaussians = sample_gaussians(3000, 0)
+    gaussians.scales = 0.01 * gaussians.scales
+    gaussians.means[[5, 7], 1] = place
+    with pytest.warns(UserWarning, match=r"a\.spz: left out 2 of 3000 Gaussians, so far from the others"):
+        write_gaussians(tmp_path / "a.spz", gaussians)
+    others = torch.cat([gaussians[:5], gaussians[6:7], gaussians[8:]])
+    torch.testing.assert_close(read_gaussians(tmp_path / "a.spz").means, others.means, atol=2**-13, rtol=1e-6)
+
+
+@pytest.mark.parametrize("far", [5, 3000])
+def test_a_scene_too_large_for_fine_positions_is_written_whole_with_a_warning(tmp_path: Path, far: int) -> None:
+    gaussians = sample_gaussians(3000, 0)
+    gaussians.scales = 0.01 * gaussians.scales
+    gaussians.means[:far, 0] += 500_000.0
+    with pytest.warns(UserWarning, match=r"a\.spz: positions are rounded to 0\.062 units, .* up to 5e\+05 units"):
+        write_gaussians(tmp_path / "a.spz", gaussians)
+    assert int.from_bytes(gzip.decompress((tmp_path / "a.spz").read_bytes())[8:12], "little") == 3000
+
+
 @pytest.mark.parametrize("name", ["means", "quats", "scales", "opacities", "sh"])
 def test_values_that_are_not_finite_are_not_written(tmp_path: Path, name: str) -> None:
     gaussians = sample_gaussians(3, 1)

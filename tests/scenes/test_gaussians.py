@@ -67,7 +67,9 @@ def test_checked_gaussians_have_unit_quaternions() -> None:
     ("name", "row", "value"),
     [
         ("means", 0, math.nan),
+        ("means", 0, -3e38),
         ("quats", 1, 0.0),
+        ("scales", 2, 1.9e19),
         ("scales", 2, math.inf),
         ("scales", 2, 0.0),
         ("opacities", 3, math.nan),

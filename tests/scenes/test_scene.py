@@ -302,8 +302,8 @@ HUGE = "1" + 400 * "0"
         (f"bounds: [[0, 0, 0], [1, 1, {HUGE}]]", "bounds: expected finite numbers"),
         (f"world_from_splat: {{scale: {HUGE}}}", "world_from_splat.scale: expected finite numbers"),
         (f"world_from_splat: {{translation: [0, 0, {HUGE}]}}", "world_from_splat.translation: expected finite"),
-        ("world_from_splat: {translation: [0, 0, 1.0e+39]}", "world_from_splat: expected finite positions"),
-        ("world_from_splat: {scale: 1.0e-44}", "world_from_splat: expected finite positions and positive sizes"),
+        ("world_from_splat: {translation: [0, 0, 1.0e+39]}", "world_from_splat: expected positions of at most"),
+        ("world_from_splat: {scale: 1.0e-44}", "world_from_splat: expected positions of .* and positive sizes"),
     ],
 )
 def test_numbers_out_of_any_range_are_refused_in_one_line(tmp_path: Path, line: str, message: str) -> None:

@@ -36,6 +36,7 @@ from splatrl.capture.recordings.base import (
     read_json,
 )
 from splatrl.extras import require
+from splatrl.files import read_entry
 
 METADATA = ("metadata", "metadata.json")
 IMAGE = re.compile(r"(rgbd|rgb)/([0-9]{1,9})\.jpg")
@@ -133,13 +134,12 @@ class Files:
             CaptureError: for one that is missing, damaged or too large.
         """
         try:
-            if self._archive is None:
-                size = (self.source / name).stat().st_size
-            else:
-                size = self._archive.getinfo(name).file_size  # zipfile reads no more than this
-            if size > MAX_BYTES:
-                raise ValueError(f"expected at most {MAX_BYTES:,} bytes, got {size:,}")
-            return (self.source / name).read_bytes() if self._archive is None else self._archive.read(name)
+            if self._archive is not None:
+                return read_entry(self._archive, self._archive.getinfo(name), MAX_BYTES)
+            path = self.source / name
+            if path.stat().st_size > MAX_BYTES:
+                raise ValueError(f"expected at most {MAX_BYTES:,} bytes, got {path.stat().st_size:,}")
+            return path.read_bytes()
         except DAMAGED as error:
             raise CaptureError(f"{self.source}: {name}: could not be read: {error}") from error
 

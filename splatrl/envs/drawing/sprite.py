@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from splatrl.envs.drawing.apple_picture import apple
-from splatrl.files import refusing
+from splatrl.files import expanded, refusing
 
 TAPS = 3
 """Texels that a pixel reads along each axis; smaller mip levels are padded to this size with empty texels."""
@@ -98,7 +98,7 @@ def load_sprite(name: str | Path) -> Sprite:
     """
     if name == "apple":
         return Sprite.of(torch.from_numpy(apple()))
-    return Sprite.of(torch.from_numpy(_read_png(Path(name).expanduser())))
+    return Sprite.of(torch.from_numpy(_read_png(expanded(name))))
 
 
 def _read_png(path: Path) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from splatrl.files import expanded
+
 FOLDER = Path(__file__).parent
 
 
@@ -24,7 +26,7 @@ def gait_path(name: str) -> Path:
 
 
 def _own_or_path(name: str, kind: str, expected: str) -> Path:
-    own, path = FOLDER / f"{name}.{kind}", Path(name).expanduser()
+    own, path = FOLDER / f"{name}.{kind}", expanded(name)
     if path.is_file():
         return path
     if path.name == name and own.is_file():

@@ -17,10 +17,14 @@ NORMALS = ("nx", "ny", "nz")
 SH0 = ("f_dc_0", "f_dc_1", "f_dc_2")
 SCALES = ("scale_0", "scale_1", "scale_2")
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
+FILTER = "filter_3D"
+"""Standard deviation of the 3D smoothing filter, in a file that stores the Gaussians without it."""
 
 
 def read_ply(path: Path, max_inflation: float) -> Gaussians:
     """Read a PLY file of Gaussians: fields by name in any order, ASCII or binary, SH degree 0 to 3.
+
+    The 3D smoothing filter that Mip-Splatting and Gaussian Opacity Fields store in ``FILTER`` is applied.
 
     Raises:
         ValueError: for a damaged file, one that does not hold Gaussians, or a wrong number of harmonics.
@@ -29,11 +33,14 @@ def read_ply(path: Path, max_inflation: float) -> Gaussians:
     if is_compressed(header):
         return read_compressed_ply(path, header)
     rest = np.array(_checked_fields(path, header), object).reshape(3, -1).T  # the file stores harmonics by channel
-    groups = (MEANS, QUATS, SCALES, ("opacity",), (*SH0, *rest.ravel()))
-    doubles = {"double", "float64"} & {header.elements["vertex"].properties[name] for name in MEANS}
+    properties = header.elements["vertex"].properties
+    filters = (FILTER,) if properties.get(FILTER, "list") != "list" else ()
+    groups = (MEANS, QUATS, SCALES, ("opacity",), (*SH0, *rest.ravel()), filters)
+    doubles = {"double", "float64"} & {properties[name] for name in MEANS}
     dtypes = [np.float64 if doubles else np.float32, *[np.float32] * (len(groups) - 1)]
-    means, quats, log_scales, logits, sh = vertex_columns(path, header, groups, dtypes)
-    return activated(path, means, quats, log_scales, logits[:, 0], sh.reshape(len(sh), 1 + len(rest), 3))
+    means, quats, log_scales, logits, sh, smoothing = vertex_columns(path, header, groups, dtypes)
+    sh = sh.reshape(len(sh), 1 + len(rest), 3)
+    return activated(path, means, quats, log_scales, logits[:, 0], sh, smoothing if filters else None)
 
 
 def write_ply(path: Path, gaussians: Gaussians) -> None:

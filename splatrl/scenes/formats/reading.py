@@ -13,7 +13,7 @@ from torch import Tensor
 
 from splatrl.files import refusing
 from splatrl.scenes.formats.limits import MAX_INFLATION
-from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes.gaussians import LARGEST, Gaussians
 
 Reader = Callable[[Path, float], Gaussians]
 """Function that reads an existing, non-empty file, given the maximum unpacked bytes per byte of a compressed one."""
@@ -67,10 +67,11 @@ def read_gaussians(
     if transform is not None:
         gaussians = gaussians.transformed(transform)
     gaussians.means = gaussians.means.float()
-    if not (gaussians.means.isfinite().all() and gaussians.scales.isfinite().all() and (gaussians.scales > 0).all()):
+    within = (gaussians.means.abs() <= LARGEST).all() and (gaussians.scales <= LARGEST).all()
+    if not (within and (gaussians.scales > 0).all()):
         raise ValueError(
-            f"{path}: world_from_splat: expected finite positions and positive sizes after it, got others; "
-            "its scale or translation is out of range"
+            f"{path}: world_from_splat: expected positions of at most {LARGEST:g} and positive sizes after it, got "
+            "others; its scale or translation is out of range"
         )
     _warn_of_distance(path, gaussians)
     return gaussians

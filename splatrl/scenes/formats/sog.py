@@ -9,7 +9,7 @@ from typing import Any
 
 from splatrl.documents import parsed_json
 from splatrl.extras import require
-from splatrl.files import checked_name
+from splatrl.files import checked_name, read_entry
 from splatrl.scenes.formats.limits import check_inflation
 from splatrl.scenes.formats.stored import from_gsply
 from splatrl.scenes.gaussians import Gaussians
@@ -81,8 +81,8 @@ def _unzip(path: Path, data: bytes) -> dict[str, bytes]:
             promised = sum(entry.file_size for entry in bundle.infolist())
             if promised > 2 * len(data) + (1 << 20):  # textures are already compressed: real bundles hardly grow
                 raise zipfile.BadZipFile(f"entries of {promised} bytes are more than {len(data)} bytes can hold")
-            return {name: bundle.read(name) for name in bundle.namelist()}
-    except (zipfile.BadZipFile, zlib.error) as error:
+            return {entry.filename: read_entry(bundle, entry, promised) for entry in bundle.infolist()}
+    except (zipfile.BadZipFile, zlib.error, ValueError) as error:
         raise ValueError(f"{path}: expected a ZIP bundle, got a damaged one: {error}") from error
 
 

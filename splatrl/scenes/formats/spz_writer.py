@@ -2,6 +2,7 @@
 
 import gzip
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,13 @@ VERSION = 3
 FRACTIONAL_BITS = 12  # fractional bits of a position, as in other writers: a quarter of a millimetre
 ANTIALIASED = 0x1  # flag: trained with antialiasing, and to be rendered with it
 LARGEST = 2**23 - 1  # largest position in 24-bit signed fixed point
+COARSE = 0.25
+"""Largest step of positions per longest standard deviation of the median Gaussian: rounding then moves a mean by at
+most an eighth of it along each axis, which is too little to see."""
+FEW = 1e-3
+"""Largest fraction of Gaussians that may be left out."""
+STRAY = 10.0
+"""A stray Gaussian is this many times as far from the middle of the scene as 99 % of the others."""
 
 Bytes = NDArray[np.uint8]
 
@@ -27,6 +35,9 @@ def write_spz(path: Path, gaussians: Gaussians, antialiased: bool = True) -> Non
     The file is written atomically, and the same Gaussians give the same bytes. Positions are rounded to 1/4096
     (coarser beyond 2 km), log scales to 1/16, opacities and colours to 1/255 of their range, harmonics to 1/128, and
     rotations to 0.3°. Harmonics above degree 0 are clamped to ±1, and scales to the range from e^-10 to e^6.
+
+    The farthest Gaussian sets the step of all positions. If that is too coarse for the sizes of the others, a few stray
+    ones are left out, with a warning that counts them; if the scene itself is that large, a warning states the step.
 
     Args:
         path: the file to write.
@@ -41,15 +52,21 @@ def write_spz(path: Path, gaussians: Gaussians, antialiased: bool = True) -> Non
         name: getattr(gaussians, name).detach().cpu().double()
         for name in ("means", "quats", "scales", "opacities", "sh")
     }
+    sizes = values["scales"].amax(1)
     values["scales"] = values["scales"].log()
     for name, value in values.items():
         if not value.isfinite().all():
             raise ValueError(f"{path}: {name}: expected values that are finite when stored, got non-finite ones")
-    farthest = float(values["means"].abs().max())
-    bits = FRACTIONAL_BITS if farthest == 0.0 else min(FRACTIONAL_BITS, math.floor(math.log2(LARGEST / farthest)))
-    if bits < 0:
-        raise ValueError(f"{path}: means: expected at most {LARGEST:,} units from the origin, got {farthest:,.0f}")
-    header = Header(b"NGSP", VERSION, len(gaussians), gaussians.sh_degree, bits, ANTIALIASED if antialiased else 0, 0)
+    stray = _stray(values["means"], sizes)
+    if stray.any():
+        values = {name: value[~stray] for name, value in values.items()}
+        warnings.warn(
+            f"{path}: left out {int(stray.sum())} of {len(stray)} Gaussians, so far from the others that the positions "
+            "of all would have been rounded more coarsely than their sizes allow",
+            stacklevel=3,
+        )
+    count, bits = len(values["means"]), _fractional_bits(path, values["means"], sizes)
+    header = Header(b"NGSP", VERSION, count, gaussians.sh_degree, bits, ANTIALIASED if antialiased else 0, 0)
     fixed = (values["means"] * 2.0**bits).round().to(torch.int32).numpy().astype("<i4")
     parts = [
         fixed.view(np.uint8).reshape(-1, 4)[:, :3],  # the lower 24 bits of each
@@ -65,6 +82,41 @@ def write_spz(path: Path, gaussians: Gaussians, antialiased: bool = True) -> Non
             content = np.ascontiguousarray(part).reshape(-1)
             for first in range(0, len(content), PIECE):  # Ctrl-C takes effect between pieces
                 packed.write(content[first : first + PIECE].data)
+
+
+def _fractional_bits(path: Path, means: Tensor, sizes: Tensor) -> int:
+    """Return the most fractional bits with which all positions can be stored; warn if they are too few."""
+    farthest = float(means.abs().max())
+    bits = FRACTIONAL_BITS if farthest == 0.0 else min(FRACTIONAL_BITS, math.floor(math.log2(LARGEST / farthest)))
+    if bits < 0:
+        raise ValueError(f"{path}: means: expected at most {LARGEST:,} units from the origin, got {farthest:,.0f}")
+    if bits < _bits_needed(sizes):
+        warnings.warn(
+            f"{path}: positions are rounded to {2.0**-bits:.2g} units, since Gaussians lie up to {farthest:.3g} units "
+            f"from the origin, but half of them are smaller than {float(sizes.median()):.2g}; write a PLY, or subtract "
+            "an offset first",
+            stacklevel=4,
+        )
+    return bits
+
+
+def _bits_needed(sizes: Tensor) -> int:
+    """Return the fractional bits of positions that Gaussians of these sizes need: [N] longest standard deviations."""
+    return min(FRACTIONAL_BITS, max(0, math.ceil(-math.log2(COARSE * float(sizes.median())))))
+
+
+def _stray(means: Tensor, sizes: Tensor) -> Tensor:
+    """Return which few Gaussians are too far away for the others to be stored finely enough: [N] bool.
+
+    There are none if many are that far away, or if they are not far from the rest of the scene.
+    """
+    beyond = means.abs().amax(1) > LARGEST / 2.0 ** _bits_needed(sizes)
+    if beyond.sum() <= FEW * len(means):
+        away = (means - means.median(0).values).abs().amax(1)
+        usual = away.kthvalue(math.ceil(0.99 * len(away))).values
+        if (away[beyond] > STRAY * usual).all():
+            return beyond
+    return torch.zeros_like(beyond)
 
 
 def _bytes(values: Tensor) -> Bytes:

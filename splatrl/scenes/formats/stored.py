@@ -23,8 +23,12 @@ def activated(
     log_scales: Floats,
     opacity_logits: Floats,
     sh: Floats,
+    smoothing: Floats | None = None,
 ) -> Gaussians:
     """Build Gaussians from the values that a file stores.
+
+    The 3D smoothing filter of Mip-Splatting (Yu et al. 2024) convolves a Gaussian of scales s with one of standard
+    deviation f: they become √(s² + f²), and the opacity is reduced by as much as that enlarges the volume.
 
     Args:
         source: origin of the values, for error messages.
@@ -33,13 +37,20 @@ def activated(
         log_scales: [N, 3].
         opacity_logits: [N].
         sh: [N, K, 3].
+        smoothing: [N, 1] standard deviation of the filter, in the unit of the means; None if there is none.
     """
+    scales = torch.from_numpy(log_scales).double().exp()
+    opacities = torch.from_numpy(opacity_logits).double().sigmoid()
+    if smoothing is not None:
+        smoothed = torch.hypot(scales, torch.from_numpy(smoothing).double().expand_as(scales))
+        opacities = opacities * (scales / smoothed).prod(1)
+        scales = smoothed
     return checked_gaussians(
         str(source),
         means=torch.from_numpy(means),
         quats=torch.from_numpy(quats),
-        scales=torch.from_numpy(log_scales).double().exp(),
-        opacities=torch.from_numpy(opacity_logits).double().sigmoid(),
+        scales=scales,
+        opacities=opacities,
         sh=torch.from_numpy(sh),
     )
 

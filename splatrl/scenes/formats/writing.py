@@ -15,7 +15,8 @@ def write_gaussians(path: str | os.PathLike[str], gaussians: Gaussians, antialia
 
     A PLY file has Inria's layout, which every splat viewer and editor opens, and keeps the values up to the float32
     rounding of logs and logits; Gaussians of opacity 0 are written, but readers drop them. SPZ takes a fifth to a
-    quarter of the space but rounds the values.
+    quarter of the space but rounds the values, and leaves out a few Gaussians if they are so far away that the
+    positions of the others would become too coarse.
 
     Args:
         path: the file to write; its name ends in .ply or .spz.

@@ -1,0 +1,70 @@
+"""Paths as people type them, and entries of untrusted ZIP archives: none unpacks to more than it declares."""
+
+import io
+import struct
+import tracemalloc
+import zipfile
+import zlib
+from pathlib import Path
+
+import pytest
+
+from splatrl.files import expanded, read_entry
+from tests.scenes.samples import lying_zip, zip_bytes
+
+MIB = 1 << 20
+
+
+def test_a_tilde_is_a_home_folder_only_where_it_names_a_user() -> None:
+    assert expanded("~/a.ply") == Path.home() / "a.ply"
+    assert expanded(Path("~t.ply")) == Path("~t.ply")
+    assert expanded("~nobody-of-this-name/a.ply") == Path("~nobody-of-this-name/a.ply")
+
+
+def _read(archive: bytes, most: int = MIB) -> bytes:
+    with zipfile.ZipFile(io.BytesIO(archive)) as opened:
+        return read_entry(opened, opened.infolist()[0], most)
+
+
+@pytest.mark.parametrize("compression", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+@pytest.mark.parametrize("content", [b"", b"a", bytes(100_000)])
+def test_an_honest_entry_is_read_whole(compression: int, content: bytes) -> None:
+    assert _read(zip_bytes({"a": content}, compression)) == content
+
+
+@pytest.mark.parametrize(
+    ("compression", "message"),
+    [
+        (zipfile.ZIP_STORED, "expected 100 bytes, as it declares, got more|Bad CRC-32"),
+        (zipfile.ZIP_DEFLATED, "expected 100 bytes, as it declares, got more|Bad CRC-32"),
+        (zipfile.ZIP_BZIP2, "expected stored or deflated data, got compression type 12"),
+        (zipfile.ZIP_LZMA, "expected stored or deflated data, got compression type 14"),
+    ],
+)
+def test_an_entry_longer_than_it_declares_is_refused_without_unpacking_it(compression: int, message: str) -> None:
+    archive = lying_zip("a", bytes(8 * MIB), 100, compression)
+    tracemalloc.start()
+    try:
+        with pytest.raises((ValueError, zipfile.BadZipFile), match=message):
+            _read(archive)
+        assert tracemalloc.get_traced_memory()[1] < MIB
+    finally:
+        tracemalloc.stop()
+
+
+def test_an_entry_shorter_than_it_declares_is_refused() -> None:
+    with pytest.raises(
+        (ValueError, zipfile.BadZipFile), match=r"expected 100 bytes, as it declares, got 10|Bad CRC-32"
+    ):
+        _read(lying_zip("a", bytes(10), 100, zipfile.ZIP_DEFLATED))
+
+
+def test_an_entry_with_the_checksum_of_more_than_it_declares_is_refused() -> None:
+    archive = lying_zip("a", bytes(100), 99, zipfile.ZIP_DEFLATED)
+    with pytest.raises(ValueError, match="expected 99 bytes, as it declares, got more"):
+        _read(archive.replace(struct.pack("<I", zlib.crc32(bytes(99))), struct.pack("<I", zlib.crc32(bytes(100)))))
+
+
+def test_an_entry_that_declares_more_than_the_limit_is_refused() -> None:
+    with pytest.raises(ValueError, match="expected at most 9 bytes, got 10"):
+        _read(zip_bytes({"a": bytes(10)}), 9)
