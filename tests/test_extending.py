@@ -28,6 +28,15 @@ CLEARING += ["task._target_=explorer.clearing.Clearing"]
 """Overrides that replace the task of ``task=grid`` by the package's, without its config."""
 
 
+def in_new_process(*words: str) -> str:
+    """Run ``python`` with the package on its path; return what it prints."""
+    surroundings = os.environ | {"PYTHONPATH": str(PACKAGE), "OMP_NUM_THREADS": "1"}
+    program = start(*words, env=surroundings, bare=True)
+    said, _ = program.communicate(300)
+    assert program.wait() == 0, said
+    return said
+
+
 @pytest.fixture
 def example(monkeypatch: pytest.MonkeyPatch) -> None:
     """Put the package on Python's path, and unload it afterwards."""
@@ -40,6 +49,27 @@ def example(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("path", SHOWN, ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_the_page_shows_the_package_as_it_is(path: Path) -> None:
     assert path.read_text().rstrip() in PAGE
+
+
+def test_the_package_has_exactly_the_files_that_the_page_lists() -> None:
+    listed, parents = set[str](), list[str]()
+    for line in PAGE.partition("my_robots/\n")[2].partition("```")[0].splitlines():
+        level = (len(line) - len(line.lstrip())) // 2 - 1
+        for name in [word for word in line.split() if "/" in word or "." in word]:
+            parents[level:] = [name]
+            listed |= set() if name.endswith("/") else {"".join(parents[:level]) + name}
+    found = {str(path.relative_to(PACKAGE)) for path in PACKAGE.rglob("*") if path.suffix in (".py", ".yaml")}
+    assert listed == found
+
+
+def test_configs_of_a_folder_without_an_init_file_are_explained_and_join_a_list_of_scenes() -> None:
+    asks = """
+from splatrl.configuration.key_help import key_help
+from splatrl.configuration.search_path import group_node
+print(key_help("train", ["task=explore"]).comments["task.cell"], group_node("scene", "hall")["landmarks"])
+"""
+    said = in_new_process("-c", asks)
+    assert said.split("\n")[0] == "metres {'goal': [0.5, 0.0, 0.0], 'object': [1.2, 0.0, 0.4]}", said
 
 
 @pytest.mark.parametrize("name", ["tasks.py", "clearing.py"])
@@ -78,10 +108,7 @@ def test_the_package_trains_from_the_command_line(tmp_path: Path) -> None:
         "robot.image_height=16", "task.max_steps=16", "task.motion.step=0.5", "task.motion.angle_step_deg=90",
         "task.motion.spacing=0.5", "logger.num_test_episodes=4", "evaluation.starts=8", f"hydra.run.dir={tmp_path}",
     ]  # fmt: skip
-    surroundings = os.environ | {"PYTHONPATH": str(PACKAGE), "OMP_NUM_THREADS": "1"}
-    program = start("-m", "splatrl.commands.train", *settings, env=surroundings, bare=True)
-    said, _ = program.communicate(300)
-    assert program.wait() == 0, said
+    said = in_new_process("-m", "splatrl.commands.train", *settings)
     assert "return" in said and "SPL" not in said  # there is no goal, so there are no paths
     report = json.loads((tmp_path / "evaluation.json").read_text())
     assert report["frames"] == 1024 and report["mean_return"] > 0 and "step_spl" not in report

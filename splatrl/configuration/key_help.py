@@ -235,7 +235,7 @@ def _written(value: object) -> str:
 def _read(loader: ConfigLoader, path: str) -> ConfigFile:
     """Read the comments of a config on the search path; empty if the config is not a file."""
     for source in loader.get_sources():
-        if source.available() and source.is_config(path):
+        if source.is_config(path):
             if source.scheme() not in ("file", "pkg"):
                 break
             folder = Path(source.path) if source.scheme() == "file" else resources.files(source.path.replace("/", "."))

@@ -104,7 +104,7 @@ def group_choices(group: str, option: str) -> dict[str, str]:
 def _group_config(group: str, option: str) -> dict[str, Any]:
     with config_loader() as loader:
         for source in loader.get_sources():
-            if source.available() and source.is_config(f"{group}/{option}"):
+            if source.is_config(f"{group}/{option}"):
                 node = OmegaConf.to_container(source.load_config(f"{group}/{option}").config, resolve=False)
                 assert isinstance(node, dict), type(node)
                 return {str(key): value for key, value in node.items()}

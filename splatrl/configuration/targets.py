@@ -99,7 +99,7 @@ _known: dict[tuple[str, str], set[object]] = {}
 def _standing(source: ConfigSource) -> set[object]:
     """Return every ``_target_`` in a folder of configs; each folder is read only once."""
     place = source.provider, source.full_path()
-    if source.provider in HYDRAS_OWN or not source.available():
+    if source.provider in HYDRAS_OWN or not source.is_group(""):  # available() is false without an __init__.py
         return set()
     if place not in _known:
         folder = files(source.path) if source.scheme() == "pkg" else Path(source.path)
