@@ -73,6 +73,20 @@ def photo_size(path: Path, upright: bool = True) -> tuple[int, int]:
         return (image.height, image.width) if lies else image.size
 
 
+def orientation(path: Path) -> int:
+    """Return how a photo is to be rotated or mirrored, as EXIF numbers it: 1 to 8, where 1 is not at all.
+
+    Args:
+        path: path of a PNG, JPEG or WebP.
+
+    Raises:
+        ValueError: for a file that is damaged, in another format, or too large.
+    """
+    with _opened(path, None, PHOTO_FORMATS) as image:
+        told = image.getexif().get(ORIENTATION)
+        return told if isinstance(told, int) and 1 <= told <= 8 else 1
+
+
 def read_grey(path: Path) -> NDArray[Any]:
     """Read a one-channel integer image, such as measured depth.
 

@@ -2,8 +2,8 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from statistics import median_low
 from typing import Any, BinaryIO
@@ -56,10 +56,8 @@ def read_photo(path: Path, stream: BinaryIO | None = None, upright: bool = True)
     Raises:
         CaptureError: for a file that is broken, of another kind, or too large.
     """
-    try:
+    with _refusing():
         return images.read_photo(path, stream, upright)
-    except ValueError as error:
-        raise CaptureError(str(error)) from error
 
 
 def photo_size(path: Path, upright: bool = True) -> tuple[int, int]:
@@ -68,10 +66,18 @@ def photo_size(path: Path, upright: bool = True) -> tuple[int, int]:
     Raises:
         CaptureError: for a file that is broken, of another kind, or too large.
     """
-    try:
+    with _refusing():
         return images.photo_size(path, upright)
-    except ValueError as error:
-        raise CaptureError(str(error)) from error
+
+
+def orientation(path: Path) -> int:
+    """Return the EXIF orientation of a photo, as ``images.orientation`` does.
+
+    Raises:
+        CaptureError: for a file that is broken, of another kind, or too large.
+    """
+    with _refusing():
+        return images.orientation(path)
 
 
 def lying(paths: list[Path], longest: int) -> list[bool]:
@@ -140,6 +146,14 @@ def gps_place(path: Path) -> tuple[float, float] | None:
     except (OSError, SyntaxError, ValueError, TypeError, KeyError, ZeroDivisionError):
         return None
     return (latitude, longitude) if abs(latitude) <= 90 and abs(longitude) <= 180 else None
+
+
+@contextmanager
+def _refusing() -> Iterator[None]:
+    try:
+        yield
+    except ValueError as error:
+        raise CaptureError(str(error)) from error
 
 
 def _named(names: list[str]) -> str:

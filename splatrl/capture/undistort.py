@@ -6,6 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from splatrl.capture.base import CaptureError
+from splatrl.capture.photo_files import read_photo
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.stages import Stages, fingerprint
 from splatrl.extras import require
@@ -23,7 +25,7 @@ def undistorted(
     """Remove the lens distortion of images, so that a pinhole camera explains them, without black edges.
 
     Args:
-        paths: the image files, all of one size.
+        paths: the image files, all of one size as they are stored, whatever the orientation in their EXIF.
         size: width and height, pixels.
         K: [3, 3] float64 intrinsics, pixels, with the centre of the first pixel at (0.5, 0.5).
         distortion: OpenCV's k1, k2, p1, p2 (and more).
@@ -32,8 +34,11 @@ def undistorted(
         progress: called for every image.
 
     Returns:
-        Paths of the new images, of the same size and in the same order, and their K [3, 3] float64; the given ones
-        where there is no distortion.
+        Paths of the new images, numbered in the same order and of the same size, and their K [3, 3] float64; the given
+        ones where there is no distortion.
+
+    Raises:
+        CaptureError: for an image that cannot be read, or is of another size.
     """
     cv2 = require("cv2", "capture")
     if not np.any(distortion):
@@ -41,14 +46,20 @@ def undistorted(
     half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV has the centre of the first pixel at 0
     given = K.numpy() - half
     new, _ = cv2.getOptimalNewCameraMatrix(given, distortion, size, 0, size)
-    names = [f"{path.stem}.jpg" for path in paths]
+    names = [f"{number:04}.jpg" for number in range(len(paths))]
 
     def write(made: Path) -> None:
         maps = cv2.initUndistortRectifyMap(given, distortion, None, new, size, cv2.CV_16SC2)
         for number, (path, name) in enumerate(zip(paths, names, strict=True)):
             progress("undistort", number, len(paths))
-            image = cv2.remap(cv2.imread(str(path)), *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-            if not cv2.imwrite(str(made / name), image, [cv2.IMWRITE_JPEG_QUALITY, 95]):
+            image = read_photo(path, upright=False)
+            if image.size != size:
+                raise CaptureError(
+                    f"{path}: expected {size[0]} × {size[1]} pixels, got {image.size[0]} × {image.size[1]}"
+                )
+            bgr = np.ascontiguousarray(np.asarray(image)[..., ::-1])
+            straight = cv2.remap(bgr, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+            if not cv2.imwrite(str(made / name), straight, [cv2.IMWRITE_JPEG_QUALITY, 95]):
                 raise OSError(f"{made / name}: cannot write the undistorted image")
         progress("undistort", len(paths), len(paths))
 

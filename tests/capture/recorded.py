@@ -15,6 +15,7 @@ import numpy as np
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from splatrl.capture.base import Photos
 from tests.capture.ray_cast import HEIGHT, QUARTER_TURN, WIDTH, room_depth, room_image, walk, write_video
 
 SENSOR = (64, 48)
@@ -70,6 +71,17 @@ def taken(count: int, steady: bool = False) -> list[Taken]:
         confidence[UNTRUSTED], depth[UNTRUSTED] = 0, 77
         result.append(Taken(pose, K, room_image(pose, K=K).copy(), depth, confidence))
     return result
+
+
+def as_seen(photos: Photos, number: int, world_from_room: np.ndarray) -> tuple[float, float]:
+    """Return an image's mean error against its camera's view, and the least after a shift by a pixel, grey levels."""
+    assert photos.K is not None and photos.camera_to_world is not None
+    pose = np.linalg.inv(world_from_room) @ photos.camera_to_world[number].numpy()
+    expected = room_image(pose, K=photos.K.numpy(), size=(photos.width, photos.height)).astype(float)
+    shown = np.asarray(Image.open(photos.paths[number])).astype(float)
+    moves = [(0, 0), (0, 1), (0, -1), (1, 0), (-1, 0)]
+    off = [np.abs(np.roll(shown, move, (0, 1)) - expected)[8:-8, 8:-8].mean() for move in moves]
+    return off[0], min(off[1:])
 
 
 def write_polycam(folder: Path, images: list[Taken], corrected: bool = False) -> Path:

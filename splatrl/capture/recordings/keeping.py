@@ -1,7 +1,6 @@
 """The images of a recording that are used: chosen, turned upright, and cropped to what one camera would have seen."""
 
 import json
-import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,8 +11,16 @@ from PIL import Image
 
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.frames import buckets, sharpest, sharpness
+from splatrl.capture.photo_files import orientation
 from splatrl.capture.progress import Progress
 from splatrl.capture.recordings.base import Depth, Floats, Lens, Picture, Recording
+from splatrl.capture.recordings.turning import (
+    quarter_turns,
+    stated_turns,
+    turned_camera,
+    turned_image,
+    turned_poses,
+)
 from splatrl.capture.stages import Stages, fingerprint
 
 SHOTS, INDEX, DEPTHS = "shots", "index.json", "depth"
@@ -23,10 +30,6 @@ SPREAD = 1.1
 """Maximum ratio of the largest to the smallest focal length of what still counts as one camera."""
 WANDER = 0.1
 """Maximum movement of that camera's principal point, as by an image stabiliser, in widths of the image."""
-TRANSPOSED = {1: Image.Transpose.ROTATE_90, 2: Image.Transpose.ROTATE_180, 3: Image.Transpose.ROTATE_270}
-"""Pillow's names of counter-clockwise turns, by their number of quarters."""
-QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""Rotation from the axes of a camera whose image was turned a quarter counter-clockwise to those it had before."""
 
 
 def keep(recording: Recording, folder: Path, count: tuple[int, int], longest: int, progress: Progress) -> Photos:
@@ -99,51 +102,49 @@ def one_camera(source: object, lenses: Sequence[Lens], border: float = 0.0) -> t
     return camera, np.clip(boxes, 0.0, [width, height, width, height])
 
 
-def quarter_turns(camera_to_world: Floats, up: Floats | None) -> int:
-    """Return how many quarters to turn images counter-clockwise so that most stand upright.
-
-    Args:
-        camera_to_world: [N, 4, 4], OpenCV camera axes.
-        up: [3], the upward direction; None leaves images as they are.
-    """
-    if up is None:
-        return 0
-    x, y, _ = np.einsum("nij,i->j", camera_to_world[:, :3, :3], up)
-    return round(math.atan2(x, -y) / (0.5 * math.pi)) % 4
-
-
 def _write(made: Path, recording: Recording, count: tuple[int, int], longest: int, progress: Progress) -> None:
     shots = recording.shots
     camera, boxes = one_camera(recording.source, [shot.lens for shot in shots], recording.border)
     poses = np.array([shot.camera_to_world for shot in shots])
-    turns = quarter_turns(poses, recording.up)
+    turns = _turns(recording, poses)
     depths = _DepthFiles(made / DEPTHS, recording.source)
     index: dict[str, Any] = {"names": [], "seconds": [], "poses": [], "remarks": [*recording.remarks]}
     size: tuple[int, int] | None = None
     for number, picture in _chosen(recording, count, progress, index["remarks"].append):
         image, shot, name = picture.image(), shots[number], f"{len(index['names']):04}"
-        stored = _scale(recording.source, image, camera)
+        stored = _scale(f"{recording.source}: {shot.name}", image, camera)
         size = size or _size(camera, min(*stored, longest / max(camera.width, camera.height)))
         seen = _cut(image, boxes[number] * np.tile(stored, 2), size, turns)
         seen.save(made / f"{name}.jpg", quality=95, subsampling=0)
         depths.write(name, None if shot.depth is None else _cut_depth(shot.depth(), boxes[number], camera, turns))
         index["names"].append(name)
         index["seconds"].append(shot.seconds - shots[0].seconds)
-        index["poses"].append(_turned(poses[number], turns).tolist())
+        index["poses"].append(turned_poses(poses[number], turns).tolist())
     if size is None:
         raise CaptureError(f"{recording.source}: expected images for its poses, found none")
-    index["size"], index["K"] = _intrinsics(camera, size, turns)
+    across, down = size[0] / camera.width, size[1] / camera.height
+    K = np.array([[camera.fx * across, 0, camera.cx * across], [0, camera.fy * down, camera.cy * down], [0, 0, 1]])
+    index["size"], K = turned_camera(size, K, turns)
+    index["K"] = K.tolist()
     index["depth"] = depths.finish()
     (made / INDEX).write_text(json.dumps(index), "utf-8")
 
 
-def _scale(source: object, image: Image.Image, camera: Lens) -> Floats:
+def _turns(recording: Recording, poses: Floats) -> int:
+    """Return how many quarters to turn the images counter-clockwise: by gravity, or else as their EXIF says."""
+    if recording.up is not None:
+        return quarter_turns(poses, recording.up)
+    files = [shot.path for shot in recording.shots if shot.path is not None]
+    return stated_turns(poses, map(orientation, files)) if files else 0
+
+
+def _scale(name: str, image: Image.Image, camera: Lens) -> Floats:
     """Return how much larger an image is than its intrinsics say, across and down: it may have been rescaled since."""
     stored = np.array(image.size) / [camera.width, camera.height]
     if abs(stored[0] / stored[1] - 1) > 0.01:
         shape = f"{camera.width:.0f} × {camera.height:.0f}"
         raise CaptureError(
-            f"{source}: expected images with the aspect ratio of {shape}, got {image.width} × {image.height}"
+            f"{name}: expected an image with the aspect ratio of {shape}, got {image.width} × {image.height}"
         )
     return stored
 
@@ -182,8 +183,7 @@ def _chosen(
 def _cut(image: Image.Image, box: Floats, size: tuple[int, int], turns: int) -> Image.Image:
     """Crop an image to what the one camera sees, resize it, and turn it."""
     box = np.clip(box, 0.0, np.tile(image.size, 2))
-    seen = image.resize(size, Image.Resampling.BICUBIC, tuple(box.tolist()))
-    return seen if turns == 0 else seen.transpose(TRANSPOSED[turns])
+    return turned_image(image.resize(size, Image.Resampling.BICUBIC, tuple(box.tolist())), turns)
 
 
 def _cut_depth(depth: Depth, box: Floats, camera: Lens, turns: int) -> Depth:
@@ -194,22 +194,6 @@ def _cut_depth(depth: Depth, box: Floats, camera: Lens, turns: int) -> Depth:
         middles = start + (np.arange(size) + 0.5) / size * (end - start)
         places.append(np.minimum((middles * size).astype(int), size - 1))
     return np.rot90(depth[np.ix_(*places)], turns)
-
-
-def _turned(camera_to_world: Floats, turns: int) -> Floats:
-    turned = camera_to_world.copy()
-    turned[:3, :3] = turned[:3, :3] @ np.linalg.matrix_power(QUARTER, turns)
-    return turned
-
-
-def _intrinsics(camera: Lens, size: tuple[int, int], turns: int) -> tuple[list[int], list[list[float]]]:
-    """Return the size and K of the images that are written."""
-    across, down = size[0] / camera.width, size[1] / camera.height
-    fx, fy, cx, cy = camera.fx * across, camera.fy * down, camera.cx * across, camera.cy * down
-    width, height = size
-    for _ in range(turns):
-        fx, fy, cx, cy, width, height = fy, fx, cy, width - cx, height, width
-    return [width, height], [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
 
 
 class _DepthFiles:

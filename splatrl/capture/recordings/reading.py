@@ -3,16 +3,13 @@
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from splatrl.capture.base import CaptureError, Photos
-from splatrl.capture.photo_files import read_photo
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.recordings import colmap, polycam, record3d, stray_scanner, transforms
 from splatrl.capture.recordings.base import Floats, Recording
 from splatrl.capture.recordings.keeping import keep
-from splatrl.capture.stages import Stages
-from splatrl.capture.undistort import undistorted
+from splatrl.capture.recordings.prepared import as_prepared
 
 KINDS = (polycam, stray_scanner, record3d, transforms, colmap)
 """Modules with ``found`` and ``read``; the first whose ``found`` accepts a path reads it."""
@@ -40,8 +37,8 @@ def read_recording(
     Args:
         source: ``transforms.json`` or its folder; a folder with a COLMAP model in it, in ``sparse`` or ``sparse/0``,
             and ``images``; a folder of Polycam's raw data or of Stray Scanner; Record3D's ``.r3d`` or its folder.
-        folder: the capture's folder; images are written to its sub-folder ``shots``, or ``recorded`` where only
-            distortion had to be taken out.
+        folder: the capture's folder; images are written to its sub-folder ``shots``, or ``recorded`` where they were
+            prepared already but cannot stay where they are.
         count: minimum (where there are so many) and maximum number of images that are chosen.
         longest: maximum pixels along the longer side of those.
         progress: called for every image.
@@ -69,7 +66,7 @@ def read_recording(
         )
     measured = any(shot.depth is not None for shot in recording.shots)
     if recording.prepared and len(lenses) == 1 and (distorted or not measured):
-        return _as_they_are(recording, folder, progress)
+        return as_prepared(recording, folder, progress)
     return keep(recording, folder, count, longest, progress)
 
 
@@ -111,22 +108,3 @@ def _fault(pose: Floats) -> str | None:
     if np.ptp(lengths) < 1e-3 * lengths.max():
         return f"axes of length {lengths[0]:.4g}: is it scaled?"
     return f"axes of lengths {', '.join(f'{length:.4g}' for length in lengths)}, or that are not perpendicular"
-
-
-def _as_they_are(recording: Recording, folder: Path, progress: Progress) -> Photos:
-    lens, paths = recording.shots[0].lens, [shot.path for shot in recording.shots if shot.path is not None]
-    width, height = read_photo(paths[0]).size
-    across, down = width / lens.width, height / lens.height  # images may have been rescaled since
-    if abs(across / down - 1) > 0.01:
-        raise CaptureError(
-            f"{recording.source}: expected images with the aspect ratio of {lens.width:.0f} × {lens.height:.0f}, got "
-            f"{width} × {height}"
-        )
-    K = torch.tensor([[lens.fx * across, 0, lens.cx * across], [0, lens.fy * down, lens.cy * down], [0, 0, 1]]).double()
-    if any(lens.distortion):
-        distortion = np.array(lens.distortion)
-        paths, K = undistorted(paths, (width, height), K, distortion, Stages(folder), "recorded", progress)
-    poses = torch.from_numpy(np.array([shot.camera_to_world for shot in recording.shots]))
-    up = None if recording.up is None else torch.from_numpy(recording.up)
-    numbers = torch.arange(len(paths), dtype=torch.float64)
-    return Photos(paths, width, height, numbers, K, poses, up, metric=recording.metric, remarks=recording.remarks)
