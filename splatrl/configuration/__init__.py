@@ -4,6 +4,7 @@ from splatrl.configuration.checking import check_config, check_constructors
 from splatrl.configuration.command_line import UserError, command_line
 from splatrl.configuration.elsewhere import config_elsewhere, placed, words_of_place
 from splatrl.configuration.grammar import quoted
+from splatrl.configuration.places import place_configs, place_names
 from splatrl.configuration.run_configs import (
     PATHS,
     RUN_CONFIG,
@@ -14,7 +15,7 @@ from splatrl.configuration.run_configs import (
     save_config,
     with_absolute_paths,
 )
-from splatrl.configuration.scene_choice import job_config, load_config, place_configs, place_names, with_scene_paths
+from splatrl.configuration.scene_choice import job_config, load_config, with_scene_paths
 from splatrl.configuration.search_path import conf_dir, is_group, options
 
 __all__ = [

@@ -6,7 +6,7 @@ from typing import Any
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from splatrl.configuration.scene_choice import place_configs, place_names
+from splatrl.configuration.places import place_configs, place_names
 from splatrl.configuration.search_path import config_loader
 from splatrl.configuration.targets import check_targets
 from splatrl.values import flat, require_number

@@ -12,7 +12,7 @@ from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from splatrl.configuration.grammar import bare, is_swept, last_typed, nested, quoted, readable, unquoted
 from splatrl.configuration.scene_overrides import scene_overrides
@@ -70,38 +70,44 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
     Raises:
         ValueError: for a value that looks like a path but does not exist, or for an invalid ``scene.yaml``.
     """
-    result, in_blocks = list[str](), False
+    result = list[str]()
     sweeps = name == "train" and bool(SWEEP.intersection(overrides))
     for override in overrides:
-        key, _, value = override.partition("=")
-        path = bare(value)
-        if key == "scene" and path and Path(path).exists() and path not in options("scene"):
-            from splatrl.configuration.scene_files import check_scene, is_in_blocks
-
-            check_scene(Path(path))
-            result += ["scene=file", f"scene.path={quoted(path)}"]
-            in_blocks |= is_in_blocks(Path(path))
-        elif key == "scene" and sweeps and (several := _several(value)):
-            result += ["scene=file", f"scene.path={','.join(map(quoted, several))}"]
-        elif key == "scene" and sweeps and (seeds := _seeds(value)):
-            result += ["scene=yard", f"scene.seed={','.join(seeds)}"]
-        elif key == "scene" and SEEDED.fullmatch(path):
-            result += _chosen(path, "scene")
-        elif key == "scene" and path.startswith("["):
-            raise ValueError(f"scene: expected one scene, got {path}; type scene=many 'scene.paths={path}'")
-        elif key == "scene" and Path(path).suffix and "," not in path and path not in options("scene"):
-            raise ValueError(f"scene: expected one of {', '.join(options('scene'))}, or an existing path, got {path}")
-        elif key == "scene" and path in options("scene"):
-            result.append(f"scene={path}")  # without any quotes
-        else:
-            result.append(override)
+        key, typed, value = override.partition("=")
+        result += _choosing(value, sweeps) if key == "scene" and typed else [override]
     if sweeps and any(is_swept(result, key) for key in CHOOSING):
         return result  # each job adds the proposals of its own scenes
-    if "scene=many" in result:
-        in_blocks = any(_in_blocks(str(unquoted(one))) for one in _paths(result))
-    if in_blocks and not any(override.startswith("renderer=") for override in overrides):
+    if _any_in_blocks(overrides, result) and not any(override.startswith("renderer=") for override in overrides):
         result.append("renderer=blocks")
     return [*_proposals(result, name), *result, *_places(result, name)]
+
+
+def _choosing(value: str, sweeps: bool) -> list[str]:
+    """Return the overrides that stand for ``scene=value``, the group first.
+
+    Args:
+        value: the scene as it was typed, or in a sweep several.
+        sweeps: whether the command line asks for a sweep of trainings.
+
+    Raises:
+        ValueError: as in ``with_scene_paths``.
+    """
+    path = bare(value)
+    if path in options("scene"):
+        return [f"scene={path}"]  # without any quotes
+    if _is_path(path):
+        return _files([path])
+    if sweeps and all(map(_is_path, several := [bare(one) for one in value.split(",")])):
+        return _files(several)
+    if sweeps and (seeds := _seeds(value)):
+        return ["scene=yard", f"scene.seed={','.join(seeds)}"]
+    if SEEDED.fullmatch(path):
+        return _chosen(path, "scene")
+    if path.startswith("["):
+        raise ValueError(f"scene: expected one scene, got {path}; type scene=many 'scene.paths={path}'")
+    if Path(path).suffix and "," not in path:
+        raise ValueError(f"scene: expected one of {', '.join(options('scene'))}, or an existing path, got {path}")
+    return [f"scene={value}"]
 
 
 def _seeds(value: str) -> list[str]:
@@ -110,50 +116,31 @@ def _seeds(value: str) -> list[str]:
     return [yard[2] for yard in yards if yard] if all(yard and yard[1] == "yard" for yard in yards) else []
 
 
-def _several(value: str) -> list[str]:
-    """Return the paths in a comma-separated list of existing paths; empty if it is not one."""
-    paths = [bare(path) for path in value.split(",")]
-    if not all(paths) or any(path in options("scene") or not Path(path).exists() for path in paths):
-        return []
+def _is_path(text: str) -> bool:
+    """Whether a scene was typed as the path of something that exists, rather than as the name of a config."""
+    return bool(text) and text not in options("scene") and Path(text).exists()
+
+
+def _files(paths: Sequence[str]) -> list[str]:
+    """Return the overrides that choose a scene, or in a sweep several, by existing paths."""
     from splatrl.configuration.scene_files import check_scene
 
     for path in paths:
         check_scene(Path(path))
-    return paths
+    return ["scene=file", f"scene.path={','.join(map(quoted, paths))}"]
 
 
-def place_configs(cfg: DictConfig) -> list[DictConfig]:
-    """Split a config into one config per scene; a config with a single scene is returned as it is.
+def _any_in_blocks(overrides: Sequence[str], chosen: Sequence[str]) -> bool:
+    """Whether the scene, or one of several, is rendered in blocks.
 
-    Each entry of ``scene.places`` holds what belongs to one scene: ``scene``, which is built, and values of other keys.
+    Args:
+        overrides: overrides as they were typed.
+        chosen: the same with ``scene=`` rewritten.
     """
-    places = _listed(cfg)
-    if not places:
-        return [cfg]
-    plain = OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key != "scene"])
-    result = []
-    for place in places:
-        merged = OmegaConf.merge(plain, place)
-        assert isinstance(merged, DictConfig), type(merged)
-        merged.allow_targets = cfg.allow_targets  # a place cannot change which packages are trusted
-        result.append(merged)
-    return result
-
-
-def place_names(cfg: DictConfig) -> list[str]:
-    """Return the name that was typed for each of a config's ``place_configs``; one empty name if there is only one."""
-    places = _listed(cfg)
-    if len(places) < 2:
-        return [""]
-    paths = cfg.scene.get("paths")
-    if isinstance(paths, ListConfig) and len(paths) == len(places):
-        return [str(path) for path in paths]
-    return [f"yard:{place.scene.seed}" for place in places]
-
-
-def _listed(cfg: DictConfig) -> Sequence[DictConfig]:
-    """Return ``scene.places``; empty if there are none."""
-    return (cfg.scene.get("places") if "scene" in cfg and isinstance(cfg.scene, DictConfig) else None) or ()
+    if "scene=many" in chosen:
+        return any(_in_blocks(str(unquoted(one))) for one in _paths(chosen))
+    typed = [bare(override.partition("=")[2]) for override in overrides if override.startswith("scene=")]
+    return any(_in_blocks(path) for path in typed if _is_path(path))
 
 
 def _places(overrides: Sequence[str], name: str) -> list[str]:
@@ -194,7 +181,7 @@ def _paths(overrides: Sequence[str]) -> list[Any]:
 
 
 def _in_blocks(text: str) -> bool:
-    """Whether an entry of ``scene.paths`` is rendered in blocks: a folder of blocks, or a config that chooses them."""
+    """Whether a scene is rendered in blocks: a folder of blocks, or a config that chooses them."""
     config = text.partition(":")[0]
     if config in options("scene"):
         return group_choices("scene", config).get("renderer") == "blocks"

@@ -1,6 +1,6 @@
 """Evaluates a trained policy over its start set, and writes numbers and pictures into the run folder."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,17 +8,19 @@ from typing import Any
 from tensordict import TensorDictBase
 from tqdm import tqdm
 
+from splatrl.curriculum import Plan
 from splatrl.documents import write_json
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.episode_sets import EPISODES
 from splatrl.evaluation.pictures import Pictures
 from splatrl.evaluation.report import by_scene, summarise
-from splatrl.evaluation.rollouts import run_episodes
-from splatrl.evaluation.starts import given_episodes, save_episodes, spread_starts
+from splatrl.evaluation.rollouts import Episodes, run_episodes
+from splatrl.evaluation.starts import Chosen, given_episodes, save_episodes, spread_starts
 from splatrl.evaluation.training_figures import learning_curve, scene_bars
 from splatrl.files import refusing
 from splatrl.values import tenths
 
+Policy = Callable[[TensorDictBase], TensorDictBase]
 EPISODES_IN_VIDEO = 4
 SCENES_SHOWN = 4
 """Maximum number of scenes that get maps and a video of their own; with more scenes, the first ones do."""
@@ -49,7 +51,7 @@ class EvaluationSettings:
 
 def evaluate(
     world: World | Worlds,
-    policy: Callable[[TensorDictBase], TensorDictBase],
+    policy: Policy,
     checkpoint: dict[str, Any],
     folder: Path,
     settings: EvaluationSettings,
@@ -70,56 +72,85 @@ def evaluate(
     Returns:
         The content of ``evaluation.json``, and the files of the pictures and videos.
     """
-    with refusing(folder / "checkpoints", "a training checkpoint"):
-        trained = {
-            "frames": int(checkpoint["ppo"]["frames"]),
-            "wall_seconds": float(checkpoint["seconds"]),
-            "level": int(checkpoint["ppo"]["env"]["curriculum.progress"][0]) + 1,
-        }
+    facts = _facts_of_training(checkpoint, folder) | {"checkpoint": settings.checkpoint, "seed": seed}
     plans = [one.plan for one in world.worlds]
     if settings.episodes is None:
         starts = spread_starts(world, settings.starts)
     else:
         world, starts = given_episodes(world, Path(settings.episodes))
+    sampled, argmax = _run(world, policy, starts, settings)
+    summary = summarise(sampled, argmax, starts.distance if world.planned else None) | facts
+    summary |= _facts_of_starts(plans, starts)
+    if len(world.names) > 1:
+        summary["scenes"] = by_scene(world.names, sampled, argmax)
+    write_json(folder / "evaluation.json", summary)
+    if world.task.goal_radius is not None and settings.episodes is None:
+        save_episodes(folder / EPISODES, world, starts, world.task.goal_radius)
+    files = _draw_curves(checkpoint["history"], summary, folder)
+    return summary, files + _draw_places(world, policy, sampled, folder, settings.seed, video)
+
+
+def _facts_of_training(checkpoint: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return what the report says about the training, from the content of a checkpoint in a run folder."""
+    with refusing(folder / "checkpoints", "a training checkpoint"):
+        return {
+            "frames": int(checkpoint["ppo"]["frames"]),
+            "wall_seconds": float(checkpoint["seconds"]),
+            "level": int(checkpoint["ppo"]["env"]["curriculum.progress"][0]) + 1,
+        }
+
+
+def _facts_of_starts(plans: Sequence[Plan], starts: Chosen) -> dict[str, int]:
+    """Return what the report says about the start sets and the starts chosen from them."""
+    return {
+        "start_poses": sum(len(plan.start_rows) for plan in plans),
+        "evaluated_starts": len(starts.state),
+        "longest_path": max(int(plan.distance[plan.start_rows].max()) for plan in plans),
+    }
+
+
+def _run(
+    world: World | Worlds, policy: Policy, starts: Chosen, settings: EvaluationSettings
+) -> tuple[Episodes, Episodes]:
+    """Run the episodes: ``repeats`` from each start with sampled actions, and one with the most probable ones."""
     repeated = starts.repeated(settings.repeats)
-    count, total = len(starts.state), len(repeated.state) + len(starts.state)
     env = world.env(min(settings.batch_size, len(repeated.state)), seed=settings.seed)
+    total = len(repeated.state) + len(starts.state)
     with tqdm(total=total, unit="episode", desc="evaluate", dynamic_ncols=True) as bar:
         sampled, argmax = (
             run_episodes(env, policy, chosen.state, how, settings.seed, bar.update, chosen.scene, chosen.memory)
             for chosen, how in ((repeated, True), (starts, False))
         )
-    summary: dict[str, Any] = summarise(sampled, argmax, starts.distance if world.planned else None)
-    summary |= trained | {
-        "checkpoint": settings.checkpoint,
-        "seed": seed,
-        "start_poses": sum(len(plan.start_rows) for plan in plans),
-        "evaluated_starts": count,
-        "longest_path": max(int(plan.distance[plan.start_rows].max()) for plan in plans),
-    }
-    names = world.names
-    if len(names) > 1:
-        summary["scenes"] = by_scene(names, sampled, argmax)
-    write_json(folder / "evaluation.json", summary)
-    if world.task.goal_radius is not None and settings.episodes is None:
-        save_episodes(folder / EPISODES, world, starts, world.task.goal_radius)
+    return sampled, argmax
+
+
+def _draw_curves(history: Sequence[Mapping[str, float]], summary: dict[str, Any], folder: Path) -> list[Path]:
+    """Draw the learning curve and, with several scenes, the success in each; return the files."""
     files = [folder / "learning_curve.png"]
-    learning_curve(checkpoint["history"], files[0])
-    if len(names) > 1:
+    learning_curve(history, files[0])
+    if "scenes" in summary:
         files.append(folder / "scenes.png")
-        scene_bars(names, [row["success_rate"] for row in summary["scenes"]], files[1])
-    in_maps = world.worlds[:SCENES_SHOWN]
-    for number, one in enumerate(in_maps):
-        place = folder if len(names) == 1 else folder / "scenes" / f"{number}-{names[number]}"
+        rows = summary["scenes"]
+        scene_bars([row["scene"] for row in rows], [row["success_rate"] for row in rows], files[1])
+    return files
+
+
+def _draw_places(
+    world: World | Worlds, policy: Policy, sampled: Episodes, folder: Path, seed: int, video: bool
+) -> list[Path]:
+    """Draw maps of the sampled episodes and, if asked for, a video in each of the first scenes; return the files."""
+    files, shown = list[Path](), world.worlds[:SCENES_SHOWN]
+    for number, one in enumerate(shown):
+        place = folder if len(world.names) == 1 else folder / "scenes" / f"{number}-{world.names[number]}"
         place.mkdir(parents=True, exist_ok=True)
-        own = one.env(EPISODES_IN_VIDEO)
-        pictures = Pictures(one.scene.surroundings, one.occupancy, one.plan, own, place)
+        env = one.env(EPISODES_IN_VIDEO)
+        pictures = Pictures(one.scene.surroundings, one.occupancy, one.plan, env, place)
         if one.plan.field is not None:
             files += [pictures.starts(sampled.of(number)), pictures.success_map(sampled.of(number))]
         if video:
-            shown = spread_starts(one, EPISODES_IN_VIDEO) if one.task.chooses_episodes else None
-            files.append(pictures.video(own, policy, settings.seed, FRAMES_IN_VIDEOS // len(in_maps), shown))
-    return summary, files
+            starts = spread_starts(one, EPISODES_IN_VIDEO) if one.task.chooses_episodes else None
+            files.append(pictures.video(env, policy, seed, FRAMES_IN_VIDEOS // len(shown), starts))
+    return files
 
 
 def summary_lines(summary: dict[str, Any]) -> list[str]:
