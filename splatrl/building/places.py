@@ -59,9 +59,15 @@ def build_places(configs: Sequence[DictConfig], device: torch.device, names: Seq
         configs: configs with one scene each.
         device: device on which robots are simulated and rendered.
         names: the name that was typed for each of several scenes, for messages.
+
+    Raises:
+        ValueError: for several scenes, before any is built, with a motion that takes one; or for a scene in which the
+            robot or the task does not fit.
     """
     if len(configs) == 1:
         return [_build_place(configs[0], device)]
+    if not instantiate(configs[0].task).motion.stacks:
+        raise ValueError(f"scene: expected one scene for a robot with physics, got {len(configs)}")
     with ThreadPoolExecutor(threads_of(None)) as pool:
         places = pool.map(partial(_build_one_of_several, device=device), names, configs)
         return list(tqdm(places, "scenes", len(configs), unit="scene", dynamic_ncols=True))
