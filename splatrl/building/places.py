@@ -16,7 +16,7 @@ from splatrl.bodies import Body
 from splatrl.collision import NativeChecker, Occupancy
 from splatrl.collision.base import Checker
 from splatrl.cost_cache import remembering
-from splatrl.curriculum import Plan, plan
+from splatrl.curriculum import NoPath, Plan, plan
 from splatrl.device import KINDS
 from splatrl.envs.drawing import Drawing
 from splatrl.envs.robot import Robot
@@ -92,7 +92,10 @@ def _build_place(cfg: DictConfig, device: torch.device) -> Place:
     site = Site(scene, occupancy, planner, robot.body, bool(cfg.renderer.get("antialiased", True)))
     with under_key("task"):
         fits = task.settle(site, partial(_fits, scene.bounds, solid))
-    paths = plan(task.motion, planner, task.reached, cfg.starts.farthest, fits, remembering(cfg, occupancy))
+    try:
+        paths = plan(task.motion, planner, task.reached, cfg.starts.farthest, fits, remembering(cfg, occupancy))
+    except NoPath as error:
+        raise ValueError(f"{error}; {task.ways_out}") from error
     return Place(scene, occupancy, checker, robot, task, paths)
 
 
