@@ -16,7 +16,7 @@ from splatrl.bodies import Body
 from splatrl.collision import NativeChecker, Occupancy
 from splatrl.collision.base import Checker
 from splatrl.cost_cache import remembering
-from splatrl.curriculum import Plan, plan
+from splatrl.curriculum import NoPath, Plan, plan
 from splatrl.device import KINDS
 from splatrl.envs.drawing import Drawing
 from splatrl.envs.robot import Robot
@@ -59,9 +59,15 @@ def build_places(configs: Sequence[DictConfig], device: torch.device, names: Seq
         configs: configs with one scene each.
         device: device on which robots are simulated and rendered.
         names: the name that was typed for each of several scenes, for messages.
+
+    Raises:
+        ValueError: for several scenes, before any is built, with a motion that takes one; or for a scene in which the
+            robot or the task does not fit.
     """
     if len(configs) == 1:
         return [_build_place(configs[0], device)]
+    if not instantiate(configs[0].task).motion.stacks:
+        raise ValueError(f"scene: expected one scene for a robot with physics, got {len(configs)}")
     with ThreadPoolExecutor(threads_of(None)) as pool:
         places = pool.map(partial(_build_one_of_several, device=device), names, configs)
         return list(tqdm(places, "scenes", len(configs), unit="scene", dynamic_ncols=True))
@@ -86,7 +92,10 @@ def _build_place(cfg: DictConfig, device: torch.device) -> Place:
     site = Site(scene, occupancy, planner, robot.body, bool(cfg.renderer.get("antialiased", True)))
     with under_key("task"):
         fits = task.settle(site, partial(_fits, scene.bounds, solid))
-    paths = plan(task.motion, planner, task.reached, cfg.starts.farthest, fits, remembering(cfg, occupancy))
+    try:
+        paths = plan(task.motion, planner, task.reached, cfg.starts.farthest, fits, remembering(cfg, occupancy))
+    except NoPath as error:
+        raise ValueError(f"{error}; {task.ways_out}") from error
     return Place(scene, occupancy, checker, robot, task, paths)
 
 

@@ -1,5 +1,7 @@
 """``splatrl-experiment``: run all trainings of an experiment, and report the results."""
 
+import difflib
+import re
 import shlex
 import signal
 import sys
@@ -11,7 +13,7 @@ import hydra
 from hydra.errors import HydraException
 from hydra.utils import get_method
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import InterpolationToMissingValueError, OmegaConfBaseException
+from omegaconf.errors import OmegaConfBaseException
 
 from splatrl.commands.entries import INTERRUPTED
 from splatrl.commands.entries import experiment as main
@@ -23,6 +25,8 @@ from splatrl.native.threads import usable_cores
 from splatrl.values import require_number
 
 TRAIN = (sys.executable, "-m", "splatrl.commands.train")
+REFERENCE = re.compile(r"\$\{(\w+)\}")
+"""A reference to another key, such as ``${kitchen}``."""
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="experiment")
@@ -89,8 +93,7 @@ def _check(cfg: DictConfig) -> None:
         raise ValueError(f"seeds: expected different ones, got {seeds}")
     if cfg.scenes is not None and not cfg.scenes:
         raise ValueError("scenes: expected at least one, got none")
-    given = not OmegaConf.is_missing(cfg, "kitchen") and not cfg.report_only
-    if given and not Path(cfg.kitchen).exists():
+    if cfg.kitchen is not None and not cfg.report_only and not Path(cfg.kitchen).exists():
         raise ValueError(f"kitchen: expected the path of an existing kitchen.spz, got {cfg.kitchen}")
 
 
@@ -98,7 +101,9 @@ def _names(cfg: DictConfig) -> list[str]:
     names = [str(name) for name in cfg.experiments]
     given = None if OmegaConf.is_missing(cfg, "name") else cfg.name
     if given != "all" and given not in names:
-        raise ValueError(f"name: expected one of {', '.join([*names, 'all'])}, got {given or 'nothing'}")
+        near = difflib.get_close_matches(str(given).lower(), names, 1)
+        hint = f"; did you mean name={near[0]}?" if near else ""
+        raise ValueError(f"name: expected one of {', '.join([*names, 'all'])}, got {given or 'nothing'}{hint}")
     return names if given == "all" else [given]
 
 
@@ -113,10 +118,10 @@ def _prepare(cfg: DictConfig, names: Sequence[str], nodes: Mapping[str, Any]) ->
 
 def _overrides(cfg: DictConfig, scene: str) -> list[str] | None:
     """Return the overrides of a scene; None if they need the path of a file that was not given."""
-    try:
-        return [str(override) for override in cfg.scene_overrides[scene]]
-    except InterpolationToMissingValueError:
+    written = OmegaConf.to_container(cfg.scene_overrides[scene], resolve=False)
+    if any(cfg[key] is None for key in REFERENCE.findall(str(written))):
         return None
+    return [str(override) for override in cfg.scene_overrides[scene]]
 
 
 def _scene_name(scene: str) -> str:

@@ -4,6 +4,7 @@ import difflib
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -17,7 +18,7 @@ from splatrl.configuration.grammar import quoted, readable
 from splatrl.configuration.key_help import help_page
 from splatrl.configuration.run_configs import RUN_CONFIG
 from splatrl.configuration.scene_choice import SEEDED, SWEEP, load_config, with_scene_paths
-from splatrl.configuration.search_path import composed, is_group, options
+from splatrl.configuration.search_path import choice_keys, composed, is_group, options
 
 OWN_CONFIG = ("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp")
 """Hydra options that select a config other than ours."""
@@ -128,11 +129,13 @@ def _check_words(name: str, arguments: Sequence[str]) -> None:
             raise UserError(f"{word}: expected {key}={value or '...'}, without --")
         if "=" not in word and not word.startswith(("-", "~", "+")) and before not in WITH_VALUE:
             groups = [group for group in ("task", "scene") if name == "train" and word in options(group)]
-            raise UserError(f"{word}: expected key=value; did you mean {(*groups, MAIN_KEYS[name])[0]}={word}?")
+            meant = f"{word}=..." if _is_ours(word, name) else f"{(*groups, MAIN_KEYS[name])[0]}={word}"
+            raise UserError(f"{word}: expected key=value; did you mean {meant}?")
 
 
 def _is_ours(key: str, name: str) -> bool:
-    return is_group(key) or OmegaConf.select(load_config(name=name), key, throw_on_missing=False) is not None
+    cfg = load_config(name=name)
+    return is_group(key) or key in list(cfg) or OmegaConf.select(cfg, key, throw_on_missing=False) is not None
 
 
 def _parsed(word: str, sweeps: bool) -> Override:
@@ -159,6 +162,7 @@ def _check_overrides(name: str, overrides: Sequence[Override]) -> None:
     try:
         known = composed(chosen, name)
     except HydraException:
+        _check_places(name, chosen)
         return  # Hydra will report what is wrong
     for override in overrides:
         if override not in groups:
@@ -168,6 +172,16 @@ def _check_overrides(name: str, overrides: Sequence[Override]) -> None:
     for override in overrides:
         if override.key_or_group in ("resume", "run"):
             _check_run(override)
+
+
+def _check_places(name: str, chosen: Sequence[str]) -> None:
+    """Refuse a choice for a place that no config has, such as ``motion@task.motin``."""
+    keys = [word.partition("=")[0] for word in chosen]
+    with suppress(HydraException):
+        known = choice_keys(name, [word for word, key in zip(chosen, keys, strict=True) if "@" not in key])
+        for key in (key for key in keys if "@" in key and key not in known):
+            if valid := [one for one in known if one.startswith(f"{key.partition('@')[0]}@")]:
+                raise UserError(f"{key}: expected {' or '.join(valid)} as the key, got {key}")
 
 
 def _check_run(override: Override) -> None:

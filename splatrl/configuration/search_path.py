@@ -12,6 +12,7 @@ from hydra.core.config_loader import ConfigLoader
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -86,6 +87,20 @@ def options(group: str) -> tuple[str, ...]:
 def is_group(key: str) -> bool:
     """Whether an override's key names a config group, ours or a plugin's."""
     return bool(options(key.split("@")[0]))
+
+
+def choice_keys(name: str, overrides: Sequence[str]) -> list[str]:
+    """Return the keys under which a config chooses from groups, such as ``task`` or ``motion@task.motion``.
+
+    Args:
+        name: name of the root config.
+        overrides: choices in Hydra's grammar, on which others depend.
+
+    Raises:
+        HydraException: for choices that do not fit the configs.
+    """
+    with config_loader() as loader:
+        return list(map(str, loader.compute_defaults_list(name, list(overrides), RunMode.RUN).overrides.known_choices))
 
 
 def group_node(group: str, option: str) -> dict[str, Any]:

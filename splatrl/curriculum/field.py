@@ -13,9 +13,12 @@ FAR = 1e6
 """Cost-to-go of states without a path to the goal."""
 Reached = Callable[[Tensor], Tensor | None]
 """Function that returns whether states [N, ...] are at a goal, [N] bool, or None if there are no goal states."""
-WAYS_OUT = "try another landmarks.goal or robot.height, or a smaller robot.body.size"
 SETTLED = 1e-3
 """Value iteration stops when no node's cost changes by more than this many steps."""
+
+
+class NoPath(ValueError):
+    """No pose is free, or no path leads to the goal. ``Task.ways_out`` tells what to change."""
 
 
 @dataclass(frozen=True)
@@ -66,19 +69,16 @@ def cost_field(motion: PlannedMotion, checker: Checker, reached: Reached) -> Fie
         reached: tells which states are at the goal.
 
     Raises:
-        ValueError: if no pose is free, or none at the goal.
+        NoPath: if no pose is free, or none at the goal.
     """
     nodes = motion.nodes()
     free = motion.inside(nodes) & ~checker.collides(motion.body_to_world(nodes))
     at_goal = reached(nodes)
     assert at_goal is not None, "there are no paths without goal states"
     if not free.any():
-        raise ValueError(f"scene: expected free poses, got {len(nodes)} poses that all collide; {WAYS_OUT}")
+        raise NoPath(f"scene: expected free poses, got {len(nodes)} poses that all collide")
     if not (goals := free & at_goal).any():
-        raise ValueError(
-            f"task.goal: expected a free pose at the goal, found none among {int(at_goal.sum())} poses there; "
-            f"{WAYS_OUT}"
-        )
+        raise NoPath(f"task: expected a free pose at the goal, found none among {int(at_goal.sum())} poses there")
     rows = (free & ~goals).nonzero().squeeze(1)
     taps = [_open(motion, checker, nodes[rows], action) for action in motion.actions()]
     costs = _settle(torch.where(goals, 0.0, FAR), rows, [_slim(_among(tap, free)) for tap in taps])

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from splatrl.collision.base import Checker
-from splatrl.curriculum.field import FAR, WAYS_OUT, Field, Reached, cost_field
+from splatrl.curriculum.field import FAR, Field, NoPath, Reached, cost_field
 from splatrl.motions.base import PlannedMotion
 
 UNREACHABLE = -1
@@ -120,7 +120,7 @@ def plan(
         find_field: computes the cost field, or retrieves it from a cache.
 
     Raises:
-        ValueError: if no pose is free, the goal is not free, or no start reaches it.
+        NoPath: if no pose is free, the goal is not free, or no start reaches it.
     """
     states, actions = motion.states(), motion.actions()
     poses = motion.body_to_world(states)
@@ -130,9 +130,7 @@ def plan(
     free = free if fits is None else free & fits(poses)
     if at_goal is None or field is None:
         if not free.any():
-            raise ValueError(
-                f"scene: expected free poses, got {len(states)} poses in which no robot can start; {WAYS_OUT}"
-            )
+            raise NoPath(f"scene: expected free poses, got {len(states)} poses in which no robot can start")
         rows = free.nonzero().squeeze(1)
         return Plan(states, free, torch.where(free, 0, UNREACHABLE), actions, motion, checker, rows, reached)
     left = field(states)
@@ -140,8 +138,7 @@ def plan(
     distance = torch.where(free & at_goal, 0, distance)
     starts = (distance > 0) & (distance <= (distance.max() if farthest is None else farthest))
     if not starts.any():
-        raise ValueError(
-            "task.goal: expected a path to the goal from at least one free pose, found none from "
-            f"{int(free.sum())}; {WAYS_OUT}"
+        raise NoPath(
+            f"task: expected a path to the goal from at least one free pose, found none from {int(free.sum())}"
         )
     return Plan(states, free, distance, actions, motion, checker, starts.nonzero().squeeze(1), reached, field)

@@ -88,7 +88,10 @@ def draw_terrain(
     left.set_xlabel("x, m")
     left.set_ylabel("y, m")
     _oblique(right, make(shown), surveyed, low, high, colors, (np.array(lower), np.array(upper)))
-    right.set_title(f"ground at {floor:+.3f} m, tilted by {math.degrees(surveyed.ground.tilt):.2f}°; 25 cm grid")
+    right.set_title(
+        f"ground at {floor:+.3f} m in the middle of the walkable area,\n"
+        f"tilted by {math.degrees(surveyed.ground.tilt):.2f}°; 25 cm grid"
+    )
     tall = ScalarMappable(Normalize(0.0, float(scale)), COLORS)
     figure.colorbar(tall, ax=[left, right], shrink=0.7, aspect=30, label="height of box tops above the ground, m")
     with replacing(path) as stream:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,47 +16,65 @@ from splatrl.evaluation.figure_style import BLUE, DPI, INK, PURPLE, TEST, save_f
 
 
 def learning_curve(history: Sequence[Mapping[str, float]], path: Path) -> None:
-    """Plot success, curriculum level and return over the frames of a training.
+    """Plot success, curriculum level and return over the frames of a training, those that have values.
 
     Args:
         history: one row per iteration with ``frames`` and any of ``success``, ``test_success``, ``level`` (from 0),
             ``return`` and ``episodes``; missing values and NaN leave a gap.
         path: file of the figure; its suffix sets the format.
     """
-    figure = Figure(figsize=(7.2, 5.4), dpi=DPI, layout="constrained")
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     frames, episodes = column(history, "frames"), np.nan_to_num(column(history, "episodes"), nan=1.0)
-    tests = column(history, "test_success")
-    levels = above.twinx()
-    level = column(history, "level") + 1
-    begun, held = np.append(0.0, frames), np.append(level[:1], level)  # a row's level applies to the frames before it
-    levels.fill_between(begun[: len(held)], 0, held, step="pre", color=PURPLE, alpha=0.12, linewidth=0)
-    levels.step(begun[: len(held)], held, where="pre", color=PURPLE, linewidth=1.2)
-    levels.set_ylim(0, max([1.0, *level[~np.isnan(level)]]) * 1.05)
-    levels.yaxis.set_major_locator(MaxNLocator(integer=True))
-    levels.set_ylabel("curriculum level", color=PURPLE)
-    levels.tick_params(axis="y", colors=PURPLE)
-    above.set_zorder(levels.get_zorder() + 1)
-    above.patch.set_visible(False)
-    _curve(above, frames, column(history, "success"), episodes, BLUE)
-    above.plot(frames, tests, "D", color=INK, markersize=4.5, markerfacecolor=TEST, clip_on=False)
-    above.set(ylabel="success", ylim=(-0.02, 1.02))
-    above.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-    handles = [
-        Line2D([], [], color=BLUE, linewidth=2, label="training episodes"),
-        Line2D([], [], color=INK, marker="D", markersize=4.5, markerfacecolor=TEST, linewidth=0, label="test"),
-        Line2D([], [], color=PURPLE, linewidth=1.2, label="curriculum level"),
-    ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False)
-    _curve(below, frames, column(history, "return"), episodes, BLUE)
-    below.set(xlabel="frames", ylabel="episode return")
-    below.xaxis.set_major_formatter(EngFormatter(sep=""))
-    for axes in (above, below):
+    names = ("success", "test_success", "level", "return")
+    known = {name: values for name in names if not np.isnan(values := column(history, name)).all()}
+    rows = 2 if "return" in known else 1
+    figure = Figure(figsize=(7.2, 5.4 if rows == 2 else 3.6), dpi=DPI, layout="constrained")
+    above, *rest = figure.subplots(rows, 1, sharex=True, squeeze=False, height_ratios=(3, 2)[:rows])[:, 0]
+    handles = []
+    if "success" in known:
+        _curve(above, frames, known["success"], episodes, BLUE)
+        handles += [Line2D([], [], color=BLUE, linewidth=2, label="training episodes")]
+    if "test_success" in known:
+        style: dict[str, Any] = {"color": INK, "marker": "D", "markersize": 4.5, "linewidth": 0}
+        style |= {"markerfacecolor": TEST}
+        above.plot(frames, known["test_success"], clip_on=False, **style)
+        handles += [Line2D([], [], label="test", **style)]
+    if handles:
+        above.set(ylabel="success", ylim=(-0.02, 1.02))
+        above.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    else:
+        above.set_yticks([])
+        above.text(0.5, 0.5, "no episode has ended yet", transform=above.transAxes, ha="center", va="center", color=INK)
+    if "level" in known:
+        _levels(above, frames, known["level"] + 1)
+        handles += [Line2D([], [], color=PURPLE, linewidth=1.2, label="curriculum level")]
+    if handles:
+        figure.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False)
+    for below in rest:
+        _curve(below, frames, known["return"], episodes, BLUE)
+        below.set_ylabel("episode return")
+    for axes in (above, *rest):
         axes.grid(color="0.9", linewidth=0.8)
         axes.set_axisbelow(True)
         axes.margins(x=0.01)
-    below.set_xlim(left=0)
+    lowest = [above, *rest][-1]
+    lowest.set_xlabel("frames")
+    lowest.xaxis.set_major_formatter(EngFormatter(sep=""))
+    lowest.set_xlim(left=0)
     save_figure(figure, path)
+
+
+def _levels(axes: Axes, frames: NDArray[np.float64], level: NDArray[np.float64]) -> None:
+    """Plot the curriculum's levels [rows], counted from 1, behind a panel and on a scale of their own."""
+    behind = axes.twinx()
+    begun, held = np.append(0.0, frames), np.append(level[:1], level)  # a row's level applies to the frames before it
+    behind.fill_between(begun, 0, held, step="pre", color=PURPLE, alpha=0.12, linewidth=0)
+    behind.step(begun, held, where="pre", color=PURPLE, linewidth=1.2)
+    behind.set_ylim(0, max([1.0, *level[~np.isnan(level)]]) * 1.05)
+    behind.yaxis.set_major_locator(MaxNLocator(integer=True))
+    behind.set_ylabel("curriculum level", color=PURPLE)
+    behind.tick_params(axis="y", colors=PURPLE)
+    axes.set_zorder(behind.get_zorder() + 1)
+    axes.patch.set_visible(False)
 
 
 def scene_bars(names: Sequence[str], success: Sequence[float], path: Path) -> None:

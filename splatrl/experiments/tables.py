@@ -77,19 +77,24 @@ def _verdict(group: Sequence[Entry]) -> str:
         spl = best.spl().text(3)
         return f"**{place}**: {best.label} reaches {first.percent()}, SPL {spl}, over {seeds}."
     second = others[0].spread("success_rate")
-    rest = ", ".join(f"{entry.label} {entry.spread('success_rate').percent()}" for entry in others)
     noise = max(_deviation(first), _deviation(second))
     if math.isinf(noise):
-        return (
-            f"**{place}**: {best.label} is ahead with {first.percent()}, against {rest}; "
-            "a single seed is not conclusive."
-        )
+        level = [entry for entry in ranked if entry.spread("success_rate").percent() == first.percent()]
+        names = " and ".join(entry.label for entry in level)
+        lead = f"{names} are level" if len(level) > 1 else f"{names} is ahead"
+        rest = f", against {_rates(ranked[len(level) :])}" if len(level) < len(ranked) else ""
+        return f"**{place}**: {lead} with {first.percent()}{rest}; a single seed is not conclusive."
     if first.mean - second.mean > noise:
-        return f"**{place}**: {best.label} won with {first.percent()}, against {rest}."
+        return f"**{place}**: {best.label} won with {first.percent()}, against {_rates(others)}."
     return (
-        f"**{place}**: no clear winner; {best.label} {first.percent()}, {rest}: "
+        f"**{place}**: no clear winner; {_rates(ranked)}: "
         "the first two differ by no more than the spread of their seeds."
     )
+
+
+def _rates(found: Sequence[Entry]) -> str:
+    """List arms with their success rates."""
+    return ", ".join(f"{entry.label} {entry.spread('success_rate').percent()}" for entry in found)
 
 
 def _deviation(spread: Spread) -> float:

@@ -56,4 +56,5 @@ for number in range(10**9):
     answer = {each.name: value for each, value in zip(session.get_outputs(), session.run(None, given), strict=True)}
     given |= {name.removeprefix("next_"): value for name, value in answer.items() if name.startswith("next_")}
     action = answer["action"][0]
-    print(number, names[action] if names else action, *answer.get("probabilities", [""])[0:1], flush=True)
+    shares = [f"{share:.4f}" for share in answer["probabilities"][0]] if "probabilities" in answer else []
+    print(number, names[action] if names else action, *shares, flush=True)

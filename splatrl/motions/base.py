@@ -63,12 +63,14 @@ class Motion(Protocol):
         step: longest distance that an action moves the robot, metres.
         angle_step: largest angle that an action turns the robot, radians.
         steps_on_host: whether ``move`` leaves the device, so that a step cannot be captured in a CUDA graph.
+        stacks: whether the robots of a batch may stand in different scenes; see ``splatrl.several``.
     """
 
     action_names: tuple[str, ...]
     step: float
     angle_step: float
     steps_on_host: bool
+    stacks: bool
 
     @property
     def height(self) -> float | None:
@@ -173,6 +175,7 @@ class MotionModule(nn.Module):
     """A motion that by default is a single move of a robot without a visible body, the same in all scenes."""
 
     steps_on_host = False
+    stacks = True
     models: Sequence[Gaussians] = ()
 
     @property

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torchrl.data import Bounded
 
 from splatrl.collision.base import Checker
@@ -84,6 +84,7 @@ class PhysicsMotion(TwinMotion):
 
     action_names: tuple[str, ...] = ()
     steps_on_host = True
+    stacks = False
     limits: Tensor  # [2, nu] float32, lowest and highest controls
     home: Tensor  # [n] float64, the state at rest at the origin
 
@@ -320,10 +321,6 @@ class PhysicsMotion(TwinMotion):
         numbers = torch.arange(first, first + moving.shape[1], device=state.device)
         model = torch.cat([torch.zeros_like(numbers[:1]), numbers]).expand(len(state), -1)
         return Parts(model, torch.cat([scene, moving], 1))
-
-    def joined(self, modules: Sequence[nn.Module]) -> nn.Module:
-        """Refuse several scenes; see ``splatrl.several``."""
-        raise ValueError(f"scene: expected one scene for a robot with physics, got {len(modules)}")
 
     def _told(self, found: list[float] | None, actuator: str, key: str) -> list[float]:
         if found is None:

@@ -35,6 +35,7 @@ TINY = (
 )
 ROOM = "scene=room.ply robot.height=0.5 landmarks.goal=[0.5,1.0,0.0] landmarks.object=[0.75,1.0,0.5] " + TINY
 GRID = ROOM.replace("landmarks.goal=[0.5,1.0,0.0] ", "")
+EXPERIMENTS = ("grid", "fps", "apple", "sim2real", "loop", "generalise", "weather", "demonstrations")
 ERRORS = [
     # Values that a scene needs and that were not given.
     ("train scene=room.ply", "robot.height: expected a value, got none; type robot.height=0.4"),
@@ -80,6 +81,12 @@ ERRORS = [
     ("train logger.backend=foo", "logger.backend: expected one of csv, tensorboard, wandb, got foo"),
     ("train device=tpu", "device: expected auto, cpu, cuda or cuda:<number>, got tpu"),
     ("train resume=nowhere", "resume: expected a run folder with config.yaml, got nowhere"),
+    ("train task", "task: expected key=value; did you mean task=...?"),
+    ("train resume", "resume: expected key=value; did you mean resume=...?"),
+    (
+        "train motion@task.motin=drive",
+        "motion@task.motin: expected motion@task.motion as the key, got",
+    ),
     # Values that do not fit together.
     (f"train {ROOM} robot.height=-1.0", "robot.height: expected robots above"),
     (
@@ -122,6 +129,7 @@ ERRORS = [
     ("evaluate run=empty", "run: expected a run folder with config.yaml, got empty"),
     ("clips run=nowhere clips=x", "run: expected a run folder with config.yaml, got nowhere"),
     ("experiment", "name: expected one of grid, fps, apple, sim2real, loop"),
+    ("experiment name=gird", f"name: expected one of {', '.join(EXPERIMENTS)}, all, got gird; did you mean name=grid?"),
     ("experiment name=grid jobs=0", "jobs: expected a whole number of at least 1, got 0"),
     ("experiment name=grid seeds=abc", "seeds: expected whole numbers in brackets such as [0,1], got abc"),
     ("experiment name=grid scenes=[nowhere]", "scenes: expected names from "),

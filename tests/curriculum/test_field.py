@@ -194,12 +194,10 @@ def test_a_scene_without_a_free_pose_or_a_goal_is_refused(drive: bool) -> None:
     with pytest.raises(ValueError, match=r"scene: expected free poses, got [0-9]+ poses that all collide"):
         plan(motion, BlockChecker(reach=9.0), make(motion, (0.5, 1.0, 0.0)).reached)
     with pytest.raises(
-        ValueError, match=r"task\.goal: expected a free pose at the goal, found none among [1-9][0-9]* poses there"
+        ValueError, match=r"task: expected a free pose at the goal, found none among [1-9][0-9]* poses there"
     ):
         plan(motion, BlockChecker(reach=0.9), make(motion, (0.0, 0.0, 0.0)).reached)
-    with pytest.raises(
-        ValueError, match=r"task\.goal: expected a free pose at the goal, found none among 0 poses there"
-    ):
+    with pytest.raises(ValueError, match=r"task: expected a free pose at the goal, found none among 0 poses there"):
         plan(motion, BlockChecker(), make(motion, (5.0, 0.0, 0.0)).reached)
 
 
@@ -210,7 +208,7 @@ def test_a_goal_that_no_start_can_reach_is_refused() -> None:
 
     motion = ForwardMotion(HEIGHT, 0.25, 90.0, **BOUNDS)
     with pytest.raises(
-        ValueError, match=r"task\.goal: expected a path to the goal from at least one free pose, found none from 468"
+        ValueError, match=r"task: expected a path to the goal from at least one free pose, found none from 468"
     ):
         plan(motion, Frozen(), Fps(motion, (0.5, 1.0, 0.0)).reached)
 

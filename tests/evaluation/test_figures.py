@@ -101,6 +101,18 @@ def test_a_training_of_one_batch_is_a_dot_and_its_level_starts_at_frame_zero(dra
     assert levels.lines[0].get_xdata().tolist() == [0, 10] and levels.lines[0].get_ydata().tolist() == [1, 1]
 
 
+def test_what_has_no_values_is_left_out_of_a_learning_curve(drawn: list[Figure]) -> None:
+    history = [{"frames": 100.0 * i, "success": math.nan, "return": math.nan, "level": 0.0} for i in range(1, 4)]
+    learning_curve(history, Path("unused.png"))
+    above, levels = drawn[0].axes
+    assert not above.lines and len(levels.lines) == 1 and above.get_xlabel() == "frames"
+    assert [text.get_text() for text in above.texts] == ["no episode has ended yet"]
+    assert [text.get_text() for text in drawn[0].legends[0].get_texts()] == ["curriculum level"]
+    learning_curve([{**row, "test_success": 0.5} for row in history], Path("unused.png"))
+    assert [text.get_text() for text in drawn[1].legends[0].get_texts()] == ["test", "curriculum level"]
+    assert len(drawn[1].axes) == 2 and not drawn[1].axes[0].texts
+
+
 def test_the_suffix_sets_the_file_format(tmp_path: Path) -> None:
     learning_curve([{"frames": 10.0, "success": 0.5}], tmp_path / "curve.pdf")
     assert (tmp_path / "curve.pdf").read_bytes().startswith(b"%PDF")

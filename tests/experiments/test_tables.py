@@ -33,6 +33,12 @@ def test_a_single_seed_is_not_conclusive(tmp_path: Path) -> None:
     assert "a single seed is not conclusive" in found
 
 
+def test_equal_rates_of_single_seeds_have_no_winner(tmp_path: Path) -> None:
+    assert finished(tmp_path, 0.9, 0.5, 0.9)[0] == (
+        "- **yard, 430 frames**: with it and without are level with 90.0 %; a single seed is not conclusive."
+    )
+
+
 def test_spl_by_distance_is_preferred_where_a_task_measures_it(tmp_path: Path) -> None:
     experiment = made_up(tmp_path)
     for run in experiment.runs[:2]:

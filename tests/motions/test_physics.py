@@ -7,13 +7,15 @@ from typing import Any
 import pytest
 import torch
 
+from splatrl.building import build_world, places
 from splatrl.collision.nothing import NoChecker
+from splatrl.configuration import load_config
 from splatrl.motions import DriveMotion, PhysicsMotion
 from splatrl.physics import Terrain, Variation
 from splatrl.physics.robots import FOLDER, mjcf_path
 from splatrl.scenes import write_gaussians
-from splatrl.several import stacked
 from tests.tiny import tiny_gaussians
+from tests.two_rooms import in_both
 
 WALL = torch.tensor([[0.6, 0.0, 0.2, 0.1, 1.0, 0.2]], dtype=torch.float64)
 LEVEL = torch.tensor([0.0, 0.0, 1.0, 0.02], dtype=torch.float64)
@@ -160,10 +162,10 @@ def test_a_thing_can_look_like_a_given_splat_and_moves_with_the_state(tmp_path: 
         wheels(looks={"ball": tmp_path / "none.ply"})
 
 
-def test_several_scenes_are_refused() -> None:
-    motion = wheels()
+def test_several_scenes_are_refused_before_any_is_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(places, "_build_place", lambda *_: pytest.fail("a scene is built"))
     with pytest.raises(ValueError, match="scene: expected one scene for a robot with physics, got 2"):
-        stacked([motion, motion])
+        build_world(load_config(in_both(tmp_path, "push")))
 
 
 BODY = '<freejoint/><geom size="0.1"/><camera name="eye"/>'

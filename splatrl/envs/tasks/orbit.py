@@ -50,11 +50,12 @@ class Orbit(OutcomeTask):
     goal: Tensor  # [3] float64: x, y and yaw of the goal pose
     goal_sphere: Tensor  # [3] float64: azimuth, distance and elevation of the goal
     of_scene = ("goal",)
+    ways_out = "try another task.azimuth_deg, task.distance or landmarks.object, or a smaller robot.body.size"
 
     def __init__(
         self,
         motion: OrbitMotion,
-        azimuth_deg: float = 180.0,
+        azimuth_deg: float = 220.0,
         distance: float = 0.8,
         elevation_deg: float = 0.0,
         rewards: Rewards = UNIT,

@@ -9,9 +9,11 @@ import torch
 from hydra.utils import instantiate
 
 from splatrl import make_env
+from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.envs.tasks import Orbit, Outcome
 from splatrl.motions import OrbitMotion
+from splatrl.renderers import NativeRenderer
 from tests.envs.tasks.steps import judged
 from tests.tiny import tiny_overrides
 
@@ -91,12 +93,26 @@ def test_the_configs_differ_in_the_coordinates_that_vary(name: str, actions: int
 
 def test_an_env_goes_round_the_object(tmp_path: Path) -> None:
     env = make_env(tiny_overrides(tmp_path, "circle"), [2], 0)
-    states = torch.tensor([[16, 0, 0], [13, 0, 0]])
+    states = torch.tensor([[20, 0, 0], [17, 0, 0]])
     td = env.reset(env.reset().select("state").set("state", states), set_state=True)
     after = env.step(td.set("action", torch.tensor([0, 0])))["next"]
-    assert after["state"].tolist() == [[17, 0, 0], [14, 0, 0]]
+    assert after["state"].tolist() == [[21, 0, 0], [18, 0, 0]]
     assert after["outcome"].flatten().tolist() == [GOAL, RUN] and after["reward"].flatten().tolist() == [1.0, 0.0]
     assert after["pixels"].float().std() > 10
+
+
+def test_a_blocked_goal_is_refused_with_the_keys_that_move_it(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"; try another task\.azimuth_deg, task\.distance or landmarks\.object, or a"):
+        build_world(load_config([*tiny_overrides(tmp_path, "circle"), "task.azimuth_deg=0"]))
+
+
+def test_the_goal_in_the_backyard_sees_past_the_wall() -> None:
+    world = build_world(load_config(["task=circle", "device=cpu", "robot.image_width=24"]))
+    motion = world.task.motion
+    state = motion.states()[[22]]
+    assert torch.allclose(motion.sphere(state), world.task.goal_sphere)
+    view = NativeRenderer(world.scene.gaussians).render(world.robot.cameras(motion.body_to_world(state)))
+    assert view.depth.median() > 1.0  # the wall is 0.2 m from other sides
 
 
 @pytest.mark.parametrize("change", [{"azimuth_deg": math.nan}, {"distance": math.inf}, {"elevation_deg": math.nan}])
