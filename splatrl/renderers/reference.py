@@ -7,7 +7,6 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
-from splatrl.geometry import invert_rigid
 from splatrl.renderers.base import (
     RenderOutput,
     checked_background,
@@ -155,23 +154,22 @@ class ReferenceRenderer:
         """
         means = gaussians.means
         camera_to_world, K = cameras.camera_to_world[row].to(means), cameras.K[row].to(means)
-        world_to_camera = invert_rigid(camera_to_world)
-        seen = world_to_camera[:3, :3] @ means.mT + world_to_camera[:3, 3:]  # [3, N], camera frame
+        turn = camera_to_world[:3, :3].mT  # from the world's axes to the camera's
+        offsets = means - camera_to_world[:3, 3]  # subtracted before turning, since both may be far from the origin
+        seen = turn @ offsets.mT  # [3, N], camera frame
         kept = (seen[2] >= NEAR).nonzero().squeeze(-1)
         kept = kept[seen[2, kept].argsort(stable=True)]
         visible = gaussians[kept]
         x, y, z = seen[:, kept]
 
-        covariances = project_covariances(
-            world_to_camera[:3, :3] @ visible.covariances() @ camera_to_world[:3, :3], x, y, z, K, cameras
-        )
+        covariances = project_covariances(turn @ visible.covariances() @ turn.mT, x, y, z, K, cameras)
         xx, xy, yy = covariances[:, 0, 0] + DILATION, covariances[:, 0, 1], covariances[:, 1, 1] + DILATION
         determinants = xx * yy - xy * xy
         opacities = visible.opacities
         if self.antialiased:
             opacities = opacities * (covariances.det() / determinants).clamp_min(1e-12).sqrt()  # no gradient at 0
         reach = 2 * (opacities.detach().clamp_min(self.invisible) / self.invisible).log()  # squared standard deviations
-        directions = torch.nn.functional.normalize(visible.means - camera_to_world[:3, 3], dim=-1)
+        directions = torch.nn.functional.normalize(offsets[kept], dim=-1)
         return Projected(
             centers=torch.stack([K[0, 0] * x / z + K[0, 2], K[1, 1] * y / z + K[1, 2]], -1),
             conics=torch.stack([yy, -xy, xx], -1) / determinants.unsqueeze(-1),

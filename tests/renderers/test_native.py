@@ -91,6 +91,15 @@ def test_large_images_look_like_the_reference() -> None:
     assert_alike(NativeRenderer(scene).render(cameras), ReferenceRenderer(double(scene)).render(cameras))
 
 
+def test_the_reference_is_as_accurate_far_from_the_origin_in_single_precision() -> None:
+    scene, cameras = random_gaussians(3, degree=3), random_cameras(4)
+    scene.means += torch.tensor([500_000.0, -500_000.0, 400.0])
+    cameras.camera_to_world[:, :3, 3] += torch.tensor([500_000.0, -500_000.0, 400.0])
+    reference = ReferenceRenderer(scene).render(cameras)
+    assert psnr(reference.rgb, ReferenceRenderer(double(scene)).render(cameras).rgb) > 90
+    assert_alike(NativeRenderer(scene).render(cameras), reference)
+
+
 def test_pixels_are_drawn_into_the_tensor_that_is_given() -> None:
     renderer, cameras = NativeRenderer(random_gaussians(3, 300)), random_cameras(4, 3)
     out = torch.zeros(5, 22, 37, 3, dtype=torch.uint8)
