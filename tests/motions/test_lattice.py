@@ -108,3 +108,11 @@ def test_a_state_has_the_same_pose_bytes_in_any_batch() -> None:
 def test_a_lattice_that_does_not_fit_is_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         LatticeMotion(**{"height": HEIGHT, "step": 0.5, **change})
+
+
+def test_the_nearest_states_are_the_same_however_many_are_compared_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    motion = LatticeMotion(HEIGHT, step=0.5)
+    planar = motion.planar(motion.states())
+    assert torch.equal(motion.nearest(planar), motion.states()) and len(motion.nearest(planar[:0])) == 0
+    monkeypatch.setattr("splatrl.motions.finite.PAIRS", 3 * len(planar))
+    assert torch.equal(motion.nearest(planar), motion.states())

@@ -7,9 +7,11 @@ from splatrl.envs.tasks.drive import Drive
 from splatrl.envs.tasks.fps import Fps
 from splatrl.envs.tasks.gates import Gates
 from splatrl.envs.tasks.grid import Grid
+from splatrl.envs.tasks.imagenav import ImageNav
 from splatrl.envs.tasks.module import TaskModule
-from splatrl.envs.tasks.navigation import ImageNav, NavigationRewards, NavigationTask, PointNav
+from splatrl.envs.tasks.navigation import NavigationRewards, NavigationTask
 from splatrl.envs.tasks.orbit import Orbit
+from splatrl.envs.tasks.pointnav import PointNav
 from splatrl.envs.tasks.poster import Poster
 from splatrl.envs.tasks.push import Push, PushRewards
 from splatrl.envs.tasks.rewards import OutcomeTask, Rewards

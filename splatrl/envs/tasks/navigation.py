@@ -1,4 +1,4 @@
-"""Habitat-style navigation tasks: reach the goal of the episode and signal arrival by stopping."""
+"""The base of Habitat-style navigation tasks: reach the goal of the episode and signal arrival by stopping."""
 
 import copy
 import math
@@ -21,10 +21,7 @@ from splatrl.motions.site import Fits, Site, narrowed
 from splatrl.values import require_number
 
 TRIES = 50
-LOST = 16
-"""Steps after which ``ImageNav``'s teacher considers its last look in the direction of the goal image outdated."""
-ROUNDING = 1e-3
-"""Tolerance for the rounding of headings, radians."""
+"""Rounds in which ``episodes`` looks for pairs of a start and a goal."""
 
 
 @dataclass(frozen=True)
@@ -245,9 +242,9 @@ class NavigationTask(TaskModule):
 
     def teach(self, state: Tensor, memory: Memory) -> Tensor:
         """Return the actions of a teacher that knows the shortest path; see ``lead``."""
-        return self.motion.toward(*self._led(state, memory))
+        return self.motion.toward(*self.led(state, memory))
 
-    def _led(self, state: Tensor, memory: Memory) -> tuple[Tensor, Tensor]:
+    def led(self, state: Tensor, memory: Memory) -> tuple[Tensor, Tensor]:
         """Return the angle from the heading to the shortest path, radians, and whether to stop here: [B] each."""
         row, motion = memory["goal_row"].squeeze(1), self.motion
         turn, arrived = lead(self.geodesics, motion.planar(state).float(), row, motion.reach, motion.angle_between)
@@ -266,74 +263,3 @@ class NavigationTask(TaskModule):
 
     def _place(self, state: Tensor) -> Tensor:
         return self.motion.planar(state)[:, :2].float()
-
-
-class PointNav(NavigationTask):
-    """Point-goal navigation (Anderson et al. 2018): the goal is given by its distance and direction.
-
-    Observation: ``pointgoal_with_gps_compass`` [B, 2] float32, rho in metres and phi in radians, and whatever else
-        ``sensors`` returns. A stop within 0.2 m is a success, as in the Habitat Challenge of 2019.
-    Everything else: see ``NavigationTask``.
-
-    Example:
-        >>> import splatrl
-        >>> env = splatrl.make_env(["task=pointnav"], batch_size=[4])
-        >>> env.rollout(3, break_when_any_done=False)["pointgoal_with_gps_compass"].shape
-        torch.Size([4, 3, 2])
-    """
-
-
-class ImageNav(NavigationTask):
-    """Image-goal navigation (Zhu et al. 2017): the goal is given by the camera's view from there.
-
-    Observation: ``imagegoal`` [B, H, W, 3] uint8, ``pixels``, and whatever else ``sensors`` returns. A stop within 1 m
-        is a success, as in Mezghani et al. 2022.
-    Memory: also ``unseen`` [B, 1] int64, steps since the robot last faced in the direction of the goal image.
-    Everything else: see ``NavigationTask``.
-
-    Example:
-        >>> import splatrl
-        >>> env = splatrl.make_env(["task=imagenav"], batch_size=[4])
-        >>> env.reset()["imagegoal"].shape
-        torch.Size([4, 64, 64, 3])
-    """
-
-    @property
-    def memory_spec(self) -> Mapping[str, TensorSpec]:
-        """Specs of the memory; see the class."""
-        return {**super().memory_spec, "unseen": Unbounded(shape=(1,), dtype=torch.int64)}
-
-    def episode(self, state: Tensor, row: Tensor, yaw: Tensor) -> dict[str, Tensor]:
-        """Return what is remembered at the start of episodes with given goals; see ``NavigationTask.episode``."""
-        begun = super().episode(state, row, yaw)
-        return begun | {"unseen": self._unseen(state, begun, torch.full_like(begun["goal_row"], LOST))}
-
-    def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
-        """Judge a step; see ``Task.judge``."""
-        verdict = super().judge(step, anywhere)
-        unseen = self._unseen(step.move.state, step.memory, step.memory["unseen"])
-        return verdict._replace(memory={**verdict.memory, "unseen": unseen})
-
-    def teach(self, state: Tensor, memory: Memory) -> Tensor:
-        """Return the actions of a teacher that has to look for the goal, so that a policy can imitate it from images.
-
-        A robot that has not faced in the direction of the goal image for ``LOST`` steps turns left until it does, since
-        only then can it compare the two views. It then takes the shortest path, and faces that way again before it
-        stops.
-        """
-        turn, near = self._led(state, memory)
-        aside, lost = self._aside(state, memory), memory["unseen"].squeeze(1) >= LOST
-        turn = torch.where(lost, self.motion.angle_between, torch.where(near, aside, turn))
-        return self.motion.toward(turn, near & ~lost & self._alike(aside))
-
-    def _unseen(self, state: Tensor, memory: Memory, before: Tensor) -> Tensor:
-        """Update the steps since robots last faced in the direction of the goal image: [B, 1] int64."""
-        return torch.where(self._alike(self._aside(state, memory)).unsqueeze(1), 0, before + 1)
-
-    def _aside(self, state: Tensor, memory: Memory) -> Tensor:
-        """Return the angle from each robot's heading to its goal's yaw: [B] float32 radians in [-π, π]."""
-        return wrapped(memory["goal"][:, 2] - self.motion.planar(state)[:, 2].float())
-
-    def _alike(self, aside: Tensor) -> Tensor:
-        """Return whether the angle to the goal's yaw is as small as discrete turns allow: [B] -> [B] bool."""
-        return aside.abs() <= 0.5 * self.motion.angle_between + ROUNDING

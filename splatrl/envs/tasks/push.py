@@ -4,20 +4,18 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import torch
-from scipy import ndimage
 from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdict
 from splatrl.envs.tasks.module import TaskModule
+from splatrl.envs.tasks.push_places import PushPlaces, first_of
 from splatrl.envs.tasks.push_teacher import pushing
 from splatrl.envs.tasks.rewards import FiniteRewards
 from splatrl.geometry import planar_of, rigid
 from splatrl.motions.physics import PhysicsMotion
 from splatrl.motions.site import Fits, Site, narrowed
-from splatrl.motions.size import require_few, values_within
 from splatrl.physics.gaussians import Models
 from splatrl.physics.kinematics import matrices
 from splatrl.physics.marks import beacon
@@ -25,20 +23,10 @@ from splatrl.renderers.parts import Parts
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.values import require_number, require_rgb
 
-CELL = 0.05
-"""Spacing of the grid of possible places for a ball or a mark, metres."""
-TRIES = 128
-"""Candidate places drawn for each ball and mark; the first that fits is used."""
 NEAR = 0.35
 """Distance to the ball below which coming nearer is not rewarded, so that there is room to go round it, metres."""
 AROUND = 0.25
 """Metres of approach that a quarter turn round the ball, towards the side away from the mark, is worth."""
-FAR = 9.0
-"""Upper limit of the clearance map, metres; larger clearances need not be distinguished."""
-WIDTH = 0.25
-"""Minimum distance from obstacles at which robots can pass, metres."""
-SIGHT = 12
-"""Number of sample points on a line when testing whether it is clear of obstacles."""
 CHUNK = 1024
 """Robots per batch in ``connected``; bounds memory."""
 LIFT = 0.02
@@ -116,9 +104,6 @@ class Push(TaskModule):
 
     chooses_episodes = True
     motion: PhysicsMotion
-    places: Tensor  # [P, 2] float64, possible places of a ball or mark
-    way: Tensor  # [X, Y] bool, cells that robots can occupy
-    clear: Tensor  # [X', Y'] float64, metres to obstacles or to where a robot is lost, over bounds and leeway
 
     def __init__(
         self,
@@ -156,76 +141,35 @@ class Push(TaskModule):
             )
         self.ball, self.rewards = motion.thing(ball), rewards or PushRewards()
         self.success_distance, self.nearest, self.farthest = success_distance, nearest, farthest
-        self.apart, self.ahead, self.clearance = apart, math.radians(ahead_deg), clearance
+        self.apart, self.ahead = apart, math.radians(ahead_deg)
         self.turn = math.cos(math.radians(turn_deg)) - 1e-9
         require_rgb("task.mark_rgb", mark_rgb)
         self.leeway, self.drawn = leeway, Models([beacon(mark_radius, mark_rgb, mark_height)])
         self.rest = float(motion.home[self.ball][2])  # height of the ball's centre above the ground
-        self.register_buffer("places", torch.zeros(0, 2, dtype=torch.float64), persistent=False)
-        self.register_buffer("way", torch.zeros(0, 0, dtype=torch.bool), persistent=False)
-        self.register_buffer("clear", torch.zeros(0, 0, dtype=torch.float64), persistent=False)
-        self.find_places()
+        self.places = PushPlaces(motion.twin.lower, motion.twin.upper, nearest, clearance, leeway)
+        self.places.find(motion.terrain)
 
     def settle(self, site: Site, fits: Fits) -> Fits:
         """Find the possible places of balls and marks; episodes begin where some are ahead. See ``Task.settle``."""
         fits = super().settle(site, fits)
-        self.find_places()
+        self.places.find(self.motion.terrain)
         return narrowed(fits, lambda poses: self.connected(planar_of(poses)))
-
-    def find_places(self) -> None:
-        """Find the possible places of balls and marks on the motion's terrain.
-
-        Raises:
-            ValueError: if the places extend over less than ``nearest``.
-        """
-        lower, upper = self.motion.twin.lower.double(), self.motion.twin.upper.double()
-        grid = _grid(lower, upper, 1e-9)
-        away = self._away(grid.reshape(-1, 2)).reshape(grid.shape[:2])
-        ways, _ = ndimage.label((away >= WIDTH).numpy())
-        sizes = np.bincount(ways.ravel())[1:]
-        way = ways == 1 + sizes.argmax() if len(sizes) else np.zeros(away.shape, bool)
-        self.way = torch.from_numpy(way).to(self.places.device)
-        inner = (grid >= lower + self.clearance).all(-1) & (grid <= upper - self.clearance).all(-1)
-        places = grid[torch.from_numpy(way) & inner & (away >= self.clearance)]
-        spread = (places.amax(0) - places.amin(0)).norm() if len(places) else 0.0
-        if not spread >= self.nearest:
-            raise ValueError(
-                f"places for ball and mark: expected two at least {self.nearest:g} m apart and {self.clearance:g} m "
-                f"from obstacles, found none among {len(places)}; widen task.motion.lower and task.motion.upper"
-            )
-        self.places = places.to(self.places.device)
-        lower, upper = lower - self.leeway, upper + self.leeway
-        grid = _grid(lower, upper, CELL)
-        inside = torch.minimum(grid - lower, upper - grid).amin(-1)
-        clear = torch.minimum(self._away(grid.reshape(-1, 2)).reshape(inside.shape), inside).clamp_max(FAR)
-        self.clear = clear.to(self.places.device)
 
     def connected(self, planar: Tensor) -> Tensor:
         """Return whether robots are on connected free ground and a ball can lie ahead of them: [N, 3] -> [N] bool."""
-        some, found = self.places[:: 1 + len(self.places) // TRIES], self._free(planar[:, :2])
+        some, found = self.places.some(), self.places.free(planar[:, :2])
         for rows in found.nonzero().squeeze(1).split(CHUNK):
             robot, ball = self._ahead(some.unsqueeze(0), planar[rows]).nonzero(as_tuple=True)
-            seen = self._open(planar[rows[robot], None, :2], some[ball].unsqueeze(1)).squeeze(1)
+            seen = self.places.open(planar[rows[robot], None, :2], some[ball].unsqueeze(1)).squeeze(1)
             found[rows] = torch.zeros_like(found[rows]).index_fill_(0, robot[seen], True)
         return found
-
-    def _free(self, places: Tensor) -> Tensor:
-        """Return whether robots can be at places: [..., 2] float64 -> [...] bool."""
-        last = torch.tensor(self.way.shape, device=places.device) - 1
-        cell = ((places - self.motion.twin.lower.double()) / CELL).round().long().clamp_min(0).minimum(last)
-        return self.way[cell[..., 0], cell[..., 1]]
-
-    def _open(self, start: Tensor, end: Tensor) -> Tensor:
-        """Return whether the line between places is clear: [B, K, 2], [B, K, 2], broadcast -> [B, K] bool."""
-        share = torch.linspace(0.0, 1.0, SIGHT, dtype=torch.float64, device=end.device)[:, None]
-        return self._free(start.unsqueeze(2) + share * (end - start).unsqueeze(2)).all(2)
 
     def _onward(self, robot: Tensor, ball: Tensor, mark: Tensor) -> tuple[Tensor, Tensor]:
         """Return whether a mark suits a ball, and the cosine of the turn at the ball: [B, K, 2] each, broadcast."""
         way, came = mark - ball, ball - robot
         far = way.norm(dim=2)
         cosine = (way * came).sum(2) / (far * came.norm(dim=2)).clamp_min(1e-9)
-        return (far >= self.nearest) & (far <= self.farthest) & self._open(ball, mark), cosine
+        return (far >= self.nearest) & (far <= self.farthest) & self.places.open(ball, mark), cosine
 
     def _ahead(self, places: Tensor, planar: Tensor) -> Tensor:
         """Return whether a ball could begin at places [B, K, 2], given robots [B, 3]: [B, K] bool."""
@@ -252,9 +196,9 @@ class Push(TaskModule):
     def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
         """Draw a mark for the ball of each state; see ``Task.begin``."""
         ball, robot = self._ball(state), self.motion.planar(state)
-        drawn = self._drawn(len(state), anywhere.generator)
+        drawn = self.places.drawn(len(state), anywhere.generator)
         fits, cosine = self._onward(robot[:, None, :2], ball[:, None, :2], drawn)
-        place = _first(drawn, fits & (cosine >= self.turn), fits * (2.0 + cosine))
+        place = first_of(drawn, fits & (cosine >= self.turn), fits * (2.0 + cosine))
         return {"mark": self._on_ground(place, LIFT).float(), "ball": ball.float()}
 
     def episodes(self, starts: Tensor, count: int, seed: int) -> dict[str, Tensor]:
@@ -289,19 +233,9 @@ class Push(TaskModule):
         if not self.motion.driven:
             return None
         mark = memory["mark"][:, :2].to(state)
-        action = pushing(self.motion.planar(state), self._ball(state)[:, :2], mark, self._room)
+        action = pushing(self.motion.planar(state), self._ball(state)[:, :2], mark, self.places.room)
         low, high = self.motion.limits
         return action.clamp(low, high)
-
-    def _room(self, places: Tensor) -> Tensor:
-        """Interpolate the distance from places to obstacles and to where a robot is lost: [N, 2] -> [N] metres."""
-        last = torch.tensor(self.clear.shape, device=places.device) - 1
-        at = (places - (self.motion.twin.lower.double() - self.leeway)) / CELL
-        at = at.clamp_min(0.0).minimum(last.to(at) - 1e-6)
-        low, share = at.long(), at - at.floor()
-        x, y = low.unbind(-1)
-        rows = [(1.0 - share[..., 1]) * self.clear[i, y] + share[..., 1] * self.clear[i, y + 1] for i in (x, x + 1)]
-        return (1.0 - share[..., 0]) * rows[0] + share[..., 0] * rows[1]
 
     def parts(self, state: Tensor, memory: Memory) -> Parts:
         """Place the scene, the robot, the ball and the mark; see ``Task.parts``."""
@@ -338,33 +272,20 @@ class Push(TaskModule):
     def _with_ball(self, state: Tensor, generator: torch.Generator) -> Tensor:
         """Return states with the ball at a random place: [B, n] -> [B, n]."""
         robot = self.motion.planar(state)
-        drawn, marks = (self._drawn(len(state), generator) for _ in range(2))
+        drawn, marks = (self.places.drawn(len(state), generator) for _ in range(2))
         place = robot[:, None, :2]
         apart = (drawn - place).norm(dim=2) >= self.apart
-        clear, (onward, cosine) = apart & self._open(place, drawn), self._onward(place, drawn, marks)
+        clear, (onward, cosine) = apart & self.places.open(place, drawn), self._onward(place, drawn, marks)
         fits = clear & self._ahead(drawn, robot) & onward & (cosine >= self.turn)
-        place = _first(drawn, fits, apart + 2.0 * clear + 4.0 * (clear & self._ahead(drawn, robot)))
+        place = first_of(drawn, fits, apart + 2.0 * clear + 4.0 * (clear & self._ahead(drawn, robot)))
         state = state.clone()
         state[:, self.ball][:, :3] = self._on_ground(place, self.rest)
         return state
-
-    def _drawn(self, count: int, generator: torch.Generator) -> Tensor:
-        """Draw candidate places for each robot: [B, TRIES, 2] float64."""
-        rows = torch.randint(len(self.places), (count, TRIES), generator=generator, device=self.places.device)
-        return self.places[rows]
 
     def _on_ground(self, places: Tensor, lift: float) -> Tensor:
         """Lift places [B, 2] to a height above the ground: [B, 3] float64."""
         z = self.motion.terrain.height(places) + lift / self.motion.terrain.plane[2].item()
         return torch.cat([places, z.unsqueeze(1)], 1)
-
-    def _away(self, places: Tensor) -> Tensor:
-        """Return the distance from places on the ground to the nearest of the terrain's boxes: [N, 2] -> [N] metres."""
-        nearest = torch.full_like(places[:, 0], torch.inf)
-        for row in self.motion.terrain.boxes.to(places):
-            outside = ((places - row[:2]).abs() - row[3:5]).clamp_min(0.0)
-            torch.minimum(nearest, outside.norm(dim=1), out=nearest)
-        return nearest
 
 
 def _apart(ball: Tensor, mark: Tensor) -> Tensor:
@@ -372,28 +293,6 @@ def _apart(ball: Tensor, mark: Tensor) -> Tensor:
     return (ball[:, :2] - mark[:, :2]).norm(dim=1)
 
 
-def _first(drawn: Tensor, fits: Tensor, worth: Tensor) -> Tensor:
-    """Select each row's first place that fits, or the one of highest worth if none does.
-
-    Maps [B, K, 2] places, [B, K] bool and [B, K] worths to [B, 2].
-    """
-    order = torch.arange(fits.shape[1], 0, -1, device=fits.device)
-    best = torch.where(fits, 1e6 + order, worth).argmax(1)
-    return drawn[torch.arange(len(drawn), device=drawn.device), best]
-
-
 def _placeless(place: Tensor) -> Tensor:
     """Return x and y of a place, and NaN for the direction: [3] -> [3] float64."""
     return torch.cat([place[:2].double().cpu(), torch.tensor([math.nan], dtype=torch.float64)])
-
-
-def _grid(lower: Tensor, upper: Tensor, beyond: float) -> Tensor:
-    """Return a grid of places ``CELL`` apart, ending less than ``beyond`` metres past the upper bounds.
-
-    Maps [2] and [2] to [X, Y, 2] float64.
-    """
-    corners = list(zip(lower.tolist(), upper.tolist(), strict=True))
-    counts = [values_within(low, high, CELL) for low, high in corners]
-    require_few(counts, f" in steps of {CELL} m", "places for ball and mark", "choose a smaller area")
-    axes = [torch.arange(low, high + beyond, CELL, dtype=torch.float64) for low, high in corners]
-    return torch.stack(torch.meshgrid(*axes, indexing="ij"), -1)

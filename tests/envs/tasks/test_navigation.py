@@ -20,7 +20,7 @@ from splatrl.envs.drawing import SceneDrawing
 from splatrl.envs.sensors import Gps, ImageGoal, PointGoal
 from splatrl.envs.sensors.odometry import wrapped
 from splatrl.envs.tasks import ImageNav, NavigationRewards, NavigationTask, Outcome, PointNav
-from splatrl.envs.tasks.navigation import LOST
+from splatrl.envs.tasks.imagenav import LOST
 from splatrl.evaluation.recording import record_episodes
 from splatrl.evaluation.rollouts import Episodes, knowing, run_episodes
 from splatrl.motions import DriveMotion, ForwardMotion, NavigateMotion

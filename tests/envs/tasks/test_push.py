@@ -102,7 +102,7 @@ def test_balls_and_marks_begin_within_the_requested_ranges() -> None:
     task = push(nearest=0.5, farthest=0.9, apart=0.4, ahead_deg=40.0)
     wall = torch.tensor([[0.0, 0.0, 0.2, 0.05, 0.3, 0.2]], dtype=torch.float64)
     task.motion.stand_on(Terrain(torch.tensor([0.0, 0.0, 1.0, -0.03], dtype=torch.float64), wall))
-    task.find_places()
+    task.places.find(task.motion.terrain)
     planar = task.motion.planar(task.motion.states())
     robots = task.motion.states()[task.connected(planar)]
     episodes = task.episodes(robots, 300, 0)
