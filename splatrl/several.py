@@ -6,7 +6,7 @@ formulas broadcast, so they work alike with a tensor [2] shared by all rows and 
 
 import copy
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import torch
 from torch import Tensor, nn
@@ -25,6 +25,8 @@ def stacked(modules: Sequence[Module], name: str = "task") -> Module:
         ValueError: if anything else differs; the error names its key.
     """
     first = modules[0]
+    if hasattr(first, "joined"):  # it knows how to stack itself
+        return cast(Module, cast(Any, first).joined(modules))
     result = copy.copy(first)
     result._buffers, result._modules = dict(first._buffers), dict(first._modules)
     if any(type(module) is not type(first) for module in modules):
@@ -52,6 +54,8 @@ def rows_of(module: Module, scene: Tensor) -> Module:
         module: module made by ``stacked``.
         scene: [B] int64, the scene of each row.
     """
+    if hasattr(module, "joined"):
+        return cast(Module, cast(Any, module).at(scene))
     result = copy.copy(module)
     result._buffers, result._modules = dict(module._buffers), dict(module._modules)
     for key in getattr(module, "of_scene", ()):
