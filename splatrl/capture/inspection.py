@@ -133,7 +133,7 @@ def propose(scene: Scene, occupancy: Occupancy, floor: float, height: float, pic
     found = suggest(seen_in_splat(scene.gaussians), area)
     lines = _drew(pictures.of_goals(scene, found.goals, area.robot_height))
     for number, goal in enumerate(found.goals, 1):
-        lines.append(f"goal {number}      {list(goal)}" + (", written to scene.yaml" if number == 1 else ""))
+        lines.append(f"goal {number}      {list(goal)}" + (", written as the scene's goal" if number == 1 else ""))
     lines += inspect_terrain(scene, area.occupancy, area.walk, height, pictures)
     (left, bottom), (right, top) = area.walk
     lines.append(f"walk        x {left:g} to {right:g}, y {bottom:g} to {top:g} m, steps of {area.step or GRID:g} m")

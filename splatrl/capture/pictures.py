@@ -43,7 +43,7 @@ _MOST_POINTS = 20_000
 def draw_goals(
     gaussians: Gaussians, goals: Sequence[Sequence[float]], height: float, path: Path, antialiased: bool = True
 ) -> None:
-    """Draw what a robot sees at each goal, side by side, as PNG.
+    """Draw what a robot sees at each goal, side by side and numbered, as PNG.
 
     Args:
         gaussians: the scene's Gaussians, world frame.
@@ -59,8 +59,11 @@ def draw_goals(
     K = intrinsics(np.radians(Robot.fov_deg), THUMBNAIL, THUMBNAIL)
     cameras = Cameras(torch.stack(poses), K, THUMBNAIL, THUMBNAIL)
     page = Image.new("RGB", (len(poses) * (THUMBNAIL + 4) - 4, THUMBNAIL), "white")
+    pen = ImageDraw.Draw(page)
     for column, view in enumerate(NativeRenderer(gaussians, antialiased).pixels(cameras).numpy()):
         page.paste(Image.fromarray(view), (column * (THUMBNAIL + 4), 0))
+        corner = column * (THUMBNAIL + 4) + 6, 4
+        pen.text(corner, str(column + 1), fill="white", font=font(18), stroke_width=2, stroke_fill="black")
     with replacing(path) as stream:
         page.save(stream, "PNG")
 
