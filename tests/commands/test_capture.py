@@ -154,6 +154,16 @@ def test_photos_become_a_folder_with_everything_that_a_training_needs(
     assert stages.count("fit") == 1  # the fit is reused
 
 
+@pytest.mark.parametrize("name", ["splat.ply", "splat.spz", "scene.yaml"])
+def test_no_file_of_others_is_replaced_without_being_asked_to(tmp_path: Path, stages: list[str], name: str) -> None:
+    theirs = tmp_path / "theirs" / name
+    theirs.parent.mkdir()
+    theirs.write_text("theirs")
+    with pytest.raises(SystemExit, match=rf"{name}: already exists; choose another folder with --out, or pass --force"):
+        capture.main(["garden.mp4", "--out", str(theirs.parent), *QUICK])
+    assert [path.name for path in theirs.parent.iterdir()] == [name] and theirs.read_text() == "theirs" and not stages
+
+
 def test_the_fitted_width_follows_the_robots_and_the_photos_unless_it_is_given(
     tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,6 +1,7 @@
 """Kinds of things in generated yards: those in the robots' way, and those at the edge.
 
-Each is built in its own frame, with the origin at the centre of its base, and faces -y.
+Each is built in its own frame, with the origin at the centre of its base, and faces -y. The file is long because it
+is a catalogue: a short function for every kind.
 """
 
 from collections.abc import Callable
