@@ -33,9 +33,8 @@ from tqdm import tqdm
 import splatrl
 from splatrl.cameras import Cameras
 from splatrl.capture.check import colour_corrected, psnr, ssim
-from splatrl.capture.drift import camera_leaps
 from splatrl.capture.fit import FitSettings, held_out
-from splatrl.capture.jerks import jerks
+from splatrl.capture.jerks import camera_leaps, jerks
 from splatrl.capture.pipeline import CaptureSettings, build_scene, reconstruct
 from splatrl.capture.truth import Deviation, Truth, deviation, read_truth, true_poses
 from splatrl.capture.world import Placed
@@ -250,7 +249,7 @@ def measured(video: Path, folder: Path, options: argparse.Namespace) -> tuple[Re
         scale_percent=100 * off.scale,
         scale_from=placed.scale_from,
         focal_percent=100 * off.focal,
-        jerks=jerks(camera_leaps(placed)),
+        jerks=jerks(camera_leaps(placed.reconstruction)),
         fit_width=settings.fit.width,
         psnr=float(np.mean([one.psnr for one in alike])),
         ssim=float(np.mean([one.ssim for one in alike])),

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 
 from splatrl.capture.ground import lowest_level
-from splatrl.capture.jerks import TORN, Floats, jerks, leaps
+from splatrl.capture.jerks import TORN, camera_leaps, jerks
 from splatrl.capture.world import Placed
 
 PARTS = 8
@@ -29,7 +29,7 @@ def leap(placed: Placed) -> str | None:
     Args:
         placed: cameras and points in the world.
     """
-    sudden, seconds = camera_leaps(placed), placed.reconstruction.seconds
+    sudden, seconds = camera_leaps(placed.reconstruction), placed.reconstruction.seconds
     if seconds is None or jerks(sudden) < TORN:
         return None
     most = int(sudden.argmax())
@@ -39,14 +39,6 @@ def leap(placed: Placed) -> str | None:
         "usual: the parts before and after may be joined wrongly. Film that part again, more slowly and with more in "
         "view."
     )
-
-
-def camera_leaps(placed: Placed) -> Floats:
-    """Return the ``leaps`` of a film's camera; empty where the capture times are unknown."""
-    found = placed.reconstruction
-    if found.seconds is None:
-        return np.zeros(0)
-    return leaps(found.camera_to_world[:, :3, 3].numpy(), found.seconds.numpy())
 
 
 def lost_scale(placed: Placed) -> str | None:

@@ -20,7 +20,7 @@ from splatrl.capture.suggestions import Suggestions, place_proposals, seen_by_ca
 from splatrl.capture.world import Placed
 from splatrl.collision.point_clouds import write_points
 from splatrl.scenes import read_gaussians, write_gaussians
-from splatrl.scenes.description import PATH, SCENE_FILE, SMALL_SPLAT, SPLAT, write_description
+from splatrl.scenes.description import PATH, SCENE_FILE, SMALL_SPLAT, SPLAT, check_absent, write_description
 from splatrl.scenes.gaussians import Gaussians
 
 FREE, REPORT, CAMERAS, MOVING = "free.ply", "report.html", "cameras.png", "moving.png"
@@ -65,10 +65,7 @@ def write_scene(
         FileExistsError: for an existing ``scene.yaml``, without ``force``.
     """
     name = name or folder.resolve().name
-    if (folder / SCENE_FILE).exists() and not force:
-        raise FileExistsError(
-            f"{folder / SCENE_FILE}: already exists; choose another folder, or set force to overwrite it"
-        )
+    check_absent(folder / SCENE_FILE, force)
     with _whole(folder) as fresh:
         write_gaussians(fresh / splat, gaussians)
         gaussians = read_gaussians(fresh / splat)  # check exactly what was written

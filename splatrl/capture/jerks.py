@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from splatrl.capture.base import Reconstruction
+
 Floats = NDArray[np.float64]
 
 TORN = 8.0
@@ -24,6 +26,13 @@ def leaps(places: Floats, seconds: Floats) -> Floats:
     velocity = np.diff(places, axis=0) / np.maximum(np.diff(seconds), 1e-3)[:, None]
     changes: Floats = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
     return changes / max(float(np.median(changes)), 1e-12) if len(changes) else changes
+
+
+def camera_leaps(found: Reconstruction) -> Floats:
+    """Return the ``leaps`` of a film's camera; empty where the capture times are unknown."""
+    if found.seconds is None:
+        return np.zeros(0)
+    return leaps(found.camera_to_world[:, :3, 3].numpy(), found.seconds.numpy())
 
 
 def jerks(sudden: Floats) -> float:

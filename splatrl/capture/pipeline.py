@@ -34,7 +34,7 @@ from splatrl.capture.world import Placed, place
 from splatrl.files import alone_in, remove_stale
 from splatrl.native import _core
 from splatrl.scenes import Gaussians, read_gaussians, write_gaussians
-from splatrl.scenes.description import SCENE_FILE, SMALL_SPLAT, SPLAT
+from splatrl.scenes.description import SCENE_FILE, SMALL_SPLAT, SPLAT, check_absent
 
 STAGES = "stages"
 """Sub-folder of a capture in which the stages keep their results; it can be deleted once the scene is there."""
@@ -104,8 +104,7 @@ def capture(
         )
     stages = folder / STAGES
     for name in (SCENE_FILE,) if stages.exists() else (SCENE_FILE, SPLAT, SMALL_SPLAT):  # not those of a capture
-        if (folder / name).exists() and not settings.force:
-            raise FileExistsError(f"{folder / name}: already exists; choose another folder with --out, or pass --force")
+        check_absent(folder / name, settings.force)
     made = [each for each in (stages, folder) if not each.exists()]
     stages.mkdir(parents=True, exist_ok=True)
     try:

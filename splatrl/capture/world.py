@@ -10,7 +10,7 @@ from torch import Tensor
 
 from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.ground import Ground, UpFrom, find_ground
-from splatrl.capture.jerks import TORN, jerks, leaps
+from splatrl.capture.jerks import TORN, camera_leaps, jerks
 from splatrl.capture.marker import MARKER_SIDE, scale_by_marker
 from splatrl.capture.scale import Distance, ScaleFrom, scale_by_distance, scale_by_gps
 from splatrl.capture.upright import entropy
@@ -98,8 +98,8 @@ def place(
     scale, scale_from, error = _scale(
         reconstruction, ground, above + ground.below, metric, marker, distance, camera_height
     )
-    if scale_from != "recorded" and _torn(reconstruction):
-        error = None
+    if scale_from != "recorded" and jerks(camera_leaps(reconstruction)) >= TORN:
+        error = None  # parts may be joined wrongly
     transform = _world_from_capture(poses, points, ground, scale)
     return Placed(
         moved(reconstruction, transform),
@@ -176,13 +176,6 @@ def _scale(
     if by_gps is not None:
         return by_gps[0], "gps", by_gps[1]
     return USUAL_HEIGHT / above, "unknown", None
-
-
-def _torn(reconstruction: Reconstruction) -> bool:
-    """Return whether the camera of a film seems to leap, so that its parts may be joined wrongly."""
-    if reconstruction.seconds is None:
-        return False
-    return jerks(leaps(reconstruction.camera_to_world[:, :3, 3].numpy(), reconstruction.seconds.numpy())) >= TORN
 
 
 def _world_from_capture(poses: Floats, points: Floats, ground: Ground, scale: float) -> Floats:

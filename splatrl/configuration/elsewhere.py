@@ -56,7 +56,7 @@ def config_elsewhere(folder: Path, words: Sequence[str], allow_targets: Sequence
     given = {key: OmegaConf.select(own, key) for key in PATHS}
     paths = {key: f"{key}={quoted(value)}" for key, value in given.items() if isinstance(value, str)}  # absolute
     typed = [paths.get(_key(word), word) for word in typed]
-    recorded = typed
+    changed = _changed_later(own, typed)
     elsewhere = any(word.startswith("scene=") for word in words)
     if elsewhere:
         typed = without_proposals(typed, "train")
@@ -64,7 +64,7 @@ def config_elsewhere(folder: Path, words: Sequence[str], allow_targets: Sequence
     kept = [word for word in typed if not f"{_key(word)}.".startswith(tuple(f"{key}." for key in dropped))]
     there = load_config([*kept, *words])
     chosen = {_key(word) for word in words}
-    for key, value in _changed_later(own, recorded).items():
+    for key, value in changed.items():
         if not any(f"{key}.".startswith(f"{one}.") for one in (*dropped, *chosen)) and has_key(there, key):
             OmegaConf.update(there, key, value)
     there.allow_targets = list(allow_targets)

@@ -91,7 +91,7 @@ def write_description(
         ValueError: for proposals that ``read_description`` would refuse.
     """
     path = folder / SCENE_FILE
-    check_absent(folder, force)
+    check_absent(path, force)
     check_proposals(path, {key: value for key, value in (proposals or {}).items() if value is not None})
     lines = [
         (f"splat: {json.dumps(splat, ensure_ascii=False)}", "the splat file in this folder"),
@@ -129,13 +129,13 @@ def scene_folder(out: Path) -> tuple[Path, str]:
     return (out.with_suffix(""), SMALL_SPLAT) if out.suffix.lower() == ".spz" else (out, SPLAT)
 
 
-def check_absent(folder: Path, force: bool) -> None:
-    """Refuse to overwrite an existing ``scene.yaml`` unless ``force`` is set.
+def check_absent(path: Path, force: bool) -> None:
+    """Refuse to overwrite an existing file unless ``force`` is set.
 
     Raises:
         FileExistsError: if the file exists and ``force`` is not set.
     """
-    if (folder / SCENE_FILE).exists() and not force:
+    if path.exists() and not force:
         raise FileExistsError(
-            f"{folder / SCENE_FILE}: already exists; choose another folder with --out, or pass --force to overwrite it"
+            f"{path}: already exists; choose another folder with --out, or pass --force to overwrite it"
         )

@@ -65,22 +65,13 @@ class SceneFolder:
         Raises:
             FileExistsError: names the file, or the folder.
         """
-        if self.block is None:
-            check_absent(self.path, self.force)
-        elif (self.path / SCENE_FILE).exists():
+        if self.block is not None and (self.path / SCENE_FILE).exists():
             raise FileExistsError(
                 f"--split: expected a folder without {SCENE_FILE}, which would be read instead of the blocks, "
                 f"got {self.path}; pass another folder as --out"
             )
-        if (self.path / BLOCKS_FILE).exists() and not self.force:
-            raise FileExistsError(
-                f"{self.path / BLOCKS_FILE}: already exists; pass another folder as --out, or --force"
-            )
-        for path in () if self.force else self._files(source, free):
-            if path.exists():
-                raise FileExistsError(
-                    f"{path}: already exists; choose another folder with --out, or pass --force to overwrite it"
-                )
+        for path in (self.path / SCENE_FILE, self.path / BLOCKS_FILE, *self._files(source, free)):
+            check_absent(path, self.force)
 
     def _files(self, source: Path, free: str | None) -> list[Path]:
         """Return the files to be written besides descriptions and pictures; of blocks, those of any earlier split."""
