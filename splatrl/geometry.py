@@ -166,7 +166,32 @@ def planar_of(body_to_world: Tensor) -> Tensor:
         [N, 3] float64, x and y in metres, and the yaw of the body's x axis in radians in [-π, π].
     """
     x_axis, place = body_to_world[:, :2, 0], body_to_world[:, :2, 3]
-    return torch.cat([place, torch.atan2(x_axis[:, 1:], x_axis[:, :1])], 1).double()
+    return torch.cat([place, azimuths(x_axis).unsqueeze(1)], 1).double()
+
+
+def wrapped(angles: Tensor) -> Tensor:
+    """Wrap angles, radians, to [-π, π]: [...] -> [...]."""
+    return torch.atan2(angles.sin(), angles.cos())
+
+
+def azimuths(vectors: Tensor) -> Tensor:
+    """Return the directions of vectors seen from above, as a yaw: [..., 2 or 3] -> [...] radians in [-π, π]."""
+    return torch.atan2(vectors[..., 1], vectors[..., 0])
+
+
+def along_heading(vectors: Tensor, yaw: Tensor) -> Tensor:
+    """Express horizontal vectors by their parts ahead and to the left of headings.
+
+    Args:
+        vectors: [..., 2], x and y, world.
+        yaw: [...] headings, radians.
+
+    Returns:
+        [..., 2].
+    """
+    x, y = vectors.unbind(-1)
+    cos, sin = yaw.cos(), yaw.sin()
+    return torch.stack([x * cos + y * sin, y * cos - x * sin], -1)
 
 
 def axis_rotations(axis: int, angles: Tensor) -> Tensor:

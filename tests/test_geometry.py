@@ -8,12 +8,15 @@ from torch import Tensor
 
 from splatrl.geometry import (
     CAMERA_TO_BODY,
+    along_heading,
     axis_rotations,
+    azimuths,
     invert_rigid,
     multiply_quats,
     quats_to_rotations,
     rigid,
     rotations_to_quats,
+    wrapped,
 )
 
 seeds = st.integers(0, 2**31)
@@ -71,6 +74,24 @@ def test_axis_rotations_are_right_handed_and_keep_their_axis_fixed(axis: int) ->
 def test_axis_rotations_keep_the_shape_and_type_of_the_angles() -> None:
     rotations = axis_rotations(1, torch.zeros(2, 5, dtype=torch.float64))
     assert rotations.shape == (2, 5, 3, 3) and rotations.dtype == torch.float64
+
+
+def test_angles_wrap_to_at_most_half_a_turn() -> None:
+    angles = torch.tensor([0.5, 2.0, 4.0, -4.0, 0.5 + 3 * math.tau], dtype=torch.float64)
+    expected = torch.tensor([0.5, 2.0, 4.0 - math.tau, math.tau - 4.0, 0.5], dtype=torch.float64)
+    torch.testing.assert_close(wrapped(angles), expected)
+
+
+def test_azimuths_are_the_yaw_of_a_body_that_looks_along_the_vectors() -> None:
+    yaw = torch.linspace(-3.0, 3.0, 7)
+    torch.testing.assert_close(azimuths(axis_rotations(2, yaw)[:, :, 0]), yaw)
+
+
+def test_a_heading_is_ahead_of_itself_and_a_quarter_turn_further_is_to_its_left() -> None:
+    yaw = torch.linspace(-3.0, 3.0, 7)
+    axes = axis_rotations(2, yaw)[:, :2]
+    torch.testing.assert_close(along_heading(2.0 * axes[:, :, 0], yaw), torch.tensor([[2.0, 0.0]]).expand(7, 2))
+    torch.testing.assert_close(along_heading(3.0 * axes[:, :, 1], yaw), torch.tensor([[0.0, 3.0]]).expand(7, 2))
 
 
 @given(seeds)

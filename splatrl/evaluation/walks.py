@@ -16,7 +16,7 @@ from splatrl.envs.tasks.base import Anywhere
 from splatrl.envs.world import World
 from splatrl.evaluation.clip_files import write_clip
 from splatrl.evaluation.walk_looks import Lens, photographed
-from splatrl.geometry import axis_rotations, rigid
+from splatrl.geometry import axis_rotations, azimuths, rigid
 from splatrl.renderers.base import Renderer
 
 WAVES = 4
@@ -179,7 +179,7 @@ def walk(plan: Plan, robot: Robot, states: Tensor, hand: Hand, generator: torch.
     bodies = rigid(axis_rotations(2, yaw), torch.stack([x, y, torch.full_like(x, motion.height)], 1)).float()
     cameras = robot.cameras(bodies, sway(hand, len(bodies), generator))
     poses = cameras.camera_to_world.double()
-    yaw = torch.atan2(poses[:, 1, 2], poses[:, 0, 2]) % math.tau
+    yaw = azimuths(poses[:, :3, 2]) % math.tau
     planar = torch.cat([poses[:, :2, 3], yaw.unsqueeze(1)], 1)
     states = motion.nearest(planar)
     there = plan.at_goal(states).nonzero().flatten()

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from splatrl.collision.base import Checker
+from splatrl.geometry import along_heading
 from splatrl.motions.base import Move
 from splatrl.motions.physics import PhysicsMotion
 from splatrl.physics import Terrain
@@ -127,10 +128,9 @@ class LegsMotion(PhysicsMotion):
 
         The first two are horizontal, relative to the heading.
         """
-        yaw = self.planar(state)[:, 2]
-        x, y, _ = state[:, self.layout.velocity].unbind(1)
-        turn = rotated(state[:, self.layout.orientation], state[:, self.layout.angular_velocity])[:, 2]
-        return torch.stack([x * yaw.cos() + y * yaw.sin(), y * yaw.cos() - x * yaw.sin(), turn], 1)
+        level = along_heading(state[:, self.layout.velocity][:, :2], self.planar(state)[:, 2])
+        turn = rotated(state[:, self.layout.orientation], state[:, self.layout.angular_velocity])[:, 2:]
+        return torch.cat([level, turn], 1)
 
     def felt(self, state: Tensor) -> Tensor:
         """Return the proprioceptive observation: [B, n] -> [B, 46] float32.

@@ -5,6 +5,8 @@ import math
 import torch
 from torch import Tensor
 
+from splatrl.geometry import azimuths, wrapped
+
 SPEED = 0.7
 """Maximum speed, metres per second."""
 SLOWEST = 0.3
@@ -32,8 +34,7 @@ def drive_to(robot: Tensor, last: Tensor, waypoint: Tensor, wheelbase: float, li
     along = ((robot[:, :2] - last) * way).sum(1) / (way * way).sum(1).clamp_min(1e-9)
     share = (along + LOOK_AHEAD / way.norm(dim=1).clamp_min(1e-9)).clamp(0.0, 1.0)
     away = last + share.unsqueeze(1) * way - robot[:, :2]
-    off = torch.atan2(away[:, 1], away[:, 0]) - robot[:, 2]
-    off = torch.atan2(off.sin(), off.cos())
+    off = wrapped(azimuths(away) - robot[:, 2])
     curvature = 2.0 * off.sin() / away.norm(dim=1).clamp_min(0.5 * LOOK_AHEAD)
     steering = torch.atan(wheelbase * curvature)
     speed = SPEED * (SLOWEST + (1.0 - SLOWEST) * off.cos().clamp_min(0.0))

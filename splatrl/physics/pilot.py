@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from splatrl.geometry import quats_to_rotations
+from splatrl.geometry import azimuths, quats_to_rotations, wrapped
 
 GRAVITY = 9.81
 SPEED = 1.5
@@ -73,8 +73,7 @@ def fly_through(flying: Flying, gate: Tensor, limits: Tensor) -> Tensor:
     rates = GAINS["tilt"] * (body_to_world * tilt.unsqueeze(2)).sum(1)  # in the body's own axes
     look = gate[:, :3] + 0.5 * axis - place
     nose = body_to_world[:, :, 0]
-    off = torch.atan2(look[:, 1], look[:, 0]) - torch.atan2(nose[:, 1], nose[:, 0])
-    off = torch.atan2(off.sin(), off.cos())
+    off = wrapped(azimuths(look) - azimuths(nose))
     action = torch.cat([thrust.unsqueeze(1), rates[:, :2], (GAINS["yaw"] * off).unsqueeze(1)], 1)
     low, high = limits.to(action)
     return action.clamp(low, high).float()

@@ -15,6 +15,7 @@ from torchrl.modules import ActorValueOperator
 from tqdm import tqdm
 
 from splatrl.envs.sensors import ImageGoal
+from splatrl.geometry import along_heading
 from splatrl.training.heads import orthogonal
 from splatrl.values import require_number
 
@@ -153,7 +154,5 @@ def drawn(shown: Views, count: int) -> tuple[Tensor, Tensor]:
 
 def seen_from(here: Tensor, there: Tensor) -> Tensor:
     """Express ``there`` in the frames of ``here``: [N, 3] each -> [N, 4], x and y in metres, cosine and sine of yaw."""
-    away, yaw, turn = there[:, :2] - here[:, :2], here[:, 2], there[:, 2] - here[:, 2]
-    ahead = away[:, 0] * yaw.cos() + away[:, 1] * yaw.sin()
-    left = away[:, 1] * yaw.cos() - away[:, 0] * yaw.sin()
-    return torch.stack([ahead, left, turn.cos(), turn.sin()], 1)
+    turn = (there[:, 2] - here[:, 2]).unsqueeze(1)
+    return torch.cat([along_heading(there[:, :2] - here[:, :2], here[:, 2]), turn.cos(), turn.sin()], 1)

@@ -8,8 +8,7 @@ from torchrl.data import Bounded, TensorSpec, Unbounded
 
 from splatrl.envs.robot import Robot
 from splatrl.envs.sensors.base import Moment, PlainSensor
-from splatrl.envs.sensors.odometry import wrapped
-from splatrl.geometry import axis_rotations, rigid
+from splatrl.geometry import axis_rotations, azimuths, rigid, wrapped
 
 
 def goal_of(moment: Moment) -> Tensor:
@@ -38,7 +37,7 @@ class PointGoal(PlainSensor):
     def read(self, moment: Moment) -> Tensor:
         """Return rho, metres, and phi, radians: [B, 2] float32."""
         away = goal_of(moment)[:, :2] - moment.planar[:, :2]
-        phi = wrapped(torch.atan2(away[:, 1], away[:, 0]) - moment.planar[:, 2])
+        phi = wrapped(azimuths(away) - moment.planar[:, 2])
         return torch.stack([away.norm(dim=1), phi], 1).float()
 
 

@@ -9,14 +9,10 @@ from torchrl.data import Bounded, TensorSpec, Unbounded
 
 from splatrl.envs.robot import Robot
 from splatrl.envs.sensors.base import Moment, PlainSensor
+from splatrl.geometry import along_heading, wrapped
 
 START = "episode_start"
 """Key of the pose at the start of the episode: [B, 3] float32, x and y in metres and yaw in radians."""
-
-
-def wrapped(angle: Tensor) -> Tensor:
-    """Wrap angles, radians, to [-π, π]; any shape."""
-    return torch.atan2(angle.sin(), angle.cos())
 
 
 def angle_spec() -> TensorSpec:
@@ -50,9 +46,8 @@ class Gps(SinceStart):
     def read(self, moment: Moment) -> Tensor:
         """Return the displacement ahead and to the right: [B, 2] float32, metres."""
         start = moment.memory[START].double()
-        x, y = (moment.planar - start)[:, :2].unbind(1)
-        cos, sin = start[:, 2].cos(), start[:, 2].sin()
-        return torch.stack([cos * x + sin * y, sin * x - cos * y], 1).float()
+        ahead, left = along_heading((moment.planar - start)[:, :2], start[:, 2]).unbind(1)
+        return torch.stack([ahead, -left], 1).float()
 
 
 class Compass(SinceStart):

@@ -12,6 +12,7 @@ from splatrl.envs.drawing.sprite_drawing import SpriteDrawing
 from splatrl.envs.robot import Robot
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdict
 from splatrl.envs.tasks.rewards import PUBLISHED, OutcomeTask, Rewards
+from splatrl.geometry import azimuths
 from splatrl.motions import ForwardMotion
 
 BRIGHT, PURE = 102, 1.6
@@ -114,7 +115,7 @@ class Apple(OutcomeTask):
         """Return whether robots are near the apple and face it; planning has no image to use: [B, 3] -> [B] bool."""
         planar = self.motion.planar(state)
         away = self.place[..., :2].double() - planar[:, :2]
-        bearing = torch.atan2(away[:, 1], away[:, 0]) - planar[:, 2]
+        bearing = azimuths(away) - planar[:, 2]
         faces = torch.cos(bearing) >= math.cos(self.facing) - 1e-6
         return self._near(state, self.place) & faces
 

@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 
-from splatrl.envs.sensors.odometry import wrapped
 from splatrl.envs.tasks.base import Anywhere, Memory, Step, Verdict
 from splatrl.envs.tasks.navigation import NavigationTask
+from splatrl.geometry import wrapped
 
 LOST = 16
 """Steps after which the teacher considers its last look in the direction of the goal image outdated."""

@@ -11,11 +11,11 @@ from torchrl.data import Bounded, TensorSpec, Unbounded
 
 from splatrl.collision.base import Checker
 from splatrl.curriculum.geodesics import Geodesics, ground
-from splatrl.envs.sensors.odometry import wrapped
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdict
 from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.tasks.navigation_teacher import lead
 from splatrl.envs.tasks.rewards import FiniteRewards
+from splatrl.geometry import azimuths, wrapped
 from splatrl.motions.planar import StoppingMotion
 from splatrl.motions.site import Fits, Site, narrowed
 from splatrl.values import require_number
@@ -254,7 +254,7 @@ class NavigationTask(TaskModule):
     def beeline(self, state: Tensor, memory: Memory) -> Tensor:
         """Return the actions of an agent that knows only the goal's distance and direction; compare ``teach``."""
         away = memory["goal"][:, :2] - self._place(state)
-        turn = wrapped(torch.atan2(away[:, 1], away[:, 0]) - self.motion.planar(state)[:, 2].float())
+        turn = wrapped(azimuths(away) - self.motion.planar(state)[:, 2].float())
         return self.motion.toward(turn, away.norm(dim=1) < self.success_distance)
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:

@@ -13,7 +13,7 @@ from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.tasks.push_places import PushPlaces, first_of
 from splatrl.envs.tasks.push_teacher import pushing
 from splatrl.envs.tasks.rewards import FiniteRewards
-from splatrl.geometry import planar_of, rigid
+from splatrl.geometry import azimuths, planar_of, rigid, wrapped
 from splatrl.motions.physics import PhysicsMotion
 from splatrl.motions.site import Fits, Site, narrowed
 from splatrl.physics.gaussians import Models
@@ -174,8 +174,7 @@ class Push(TaskModule):
     def _ahead(self, places: Tensor, planar: Tensor) -> Tensor:
         """Return whether a ball could begin at places [B, K, 2], given robots [B, 3]: [B, K] bool."""
         away = places - planar[:, None, :2]
-        turn = torch.atan2(away[..., 1], away[..., 0]) - planar[:, 2:]
-        off = (turn - math.tau * (turn / math.tau).round()).abs()
+        off = wrapped(azimuths(away) - planar[:, 2:]).abs()
         return (away.norm(dim=2) >= self.apart) & (off <= self.ahead)
 
     @property

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from splatrl.envs.sensors.odometry import wrapped
+from splatrl.geometry import azimuths, wrapped
 
 BACK = 0.45
 """Distance from the ball at which the robot begins to push, metres."""
@@ -60,16 +60,16 @@ def pushing(robot: Tensor, ball: Tensor, mark: Tensor, room: Room) -> Tensor:
     ahead = -(away * facing).sum(1)
     aside = -(facing[:, 0] * away[:, 1] - facing[:, 1] * away[:, 0])
     along = torch.nn.functional.normalize(mark - ball, dim=1)
-    off = wrapped(_angle(along) - yaw)  # angle from the heading to the ball-to-mark direction
+    off = wrapped(azimuths(along) - yaw)  # angle from the heading to the ball-to-mark direction
     held = (ahead > HELD[0]) & (ahead < HELD[1]) & (aside.abs() < HELD[2])
 
-    behind = wrapped(_angle(-away) - _angle(along)).abs() < BEHIND
+    behind = wrapped(azimuths(-away) - azimuths(along)).abs() < BEHIND
     bend = _bend(place, ball, ball - BACK * along, room)
     way = torch.where(behind.unsqueeze(1), -away, bend - place)
     clear = room(place)
-    turn = wrapped(_angle(way) - yaw)
+    turn = wrapped(azimuths(way) - yaw)
     eye = place + EYE * facing
-    off_sight = [wrapped(_angle(one - eye) - yaw).abs() for one in (ball, mark)]
+    off_sight = [wrapped(azimuths(one - eye) - yaw).abs() for one in (ball, mark)]
     blind = (off_sight[0] > SEEN[0]) & (off_sight[1] > SEEN[1]) & (turn.abs() > TURN)
     turn = torch.where(blind, 0.5 * math.pi, turn)
     near = (far < 0.4) & (ahead > 0) & (torch.atan2(aside, ahead).abs() < 1.0) | (clear < 0.12)
@@ -101,7 +101,3 @@ def _cost(start: Tensor, end: Tensor, ball: Tensor, room: Room) -> Tensor:
     near = (points - ball[:, None, None]).norm(dim=3)
     tight = ((ROOM - clear) / ROOM).clamp(0.0, 1.0).square() + ((BALL_ROOM - near) / BALL_ROOM).clamp_min(0.0)
     return (end - start).norm(dim=2) * (1.0 + DEAR * tight.mean(2))
-
-
-def _angle(vectors: Tensor) -> Tensor:
-    return torch.atan2(vectors[:, 1], vectors[:, 0])

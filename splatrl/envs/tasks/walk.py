@@ -6,10 +6,10 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from splatrl.envs.sensors.odometry import wrapped
 from splatrl.envs.tasks.base import Memory
 from splatrl.envs.tasks.course import CourseRewards
 from splatrl.envs.tasks.route import Route
+from splatrl.geometry import azimuths, wrapped
 from splatrl.motions.legs import WalkMotion
 from splatrl.physics.routes import RouteSettings
 from splatrl.values import require_number
@@ -91,7 +91,7 @@ class Walk(Route):
         """Return a teacher's actions: go to the mark, or turn left while it is out of view: [B, n] -> [B, 2]."""
         robot, place = self.motion.planar(state), self._place(state, memory["passed"].squeeze(1))
         away = place[:, :2] - robot[:, :2]
-        off = wrapped(torch.atan2(away[:, 1], away[:, 0]) - robot[:, 2])
+        off = wrapped(azimuths(away) - robot[:, 2])
         seen, high = off.abs() < SEEN, self.motion.limits[1].to(state)
         speed = torch.where(seen, SPEED * high[0] * off.cos() ** 4, 0.0)
         turn = torch.where(seen, (BEND * off).clamp(-high[1], high[1]), high[1])

@@ -18,11 +18,11 @@ from splatrl.curriculum.geodesics import Geodesics
 from splatrl.envs import Robot, SplatEnv
 from splatrl.envs.drawing import SceneDrawing
 from splatrl.envs.sensors import Gps, ImageGoal, PointGoal
-from splatrl.envs.sensors.odometry import wrapped
 from splatrl.envs.tasks import ImageNav, NavigationRewards, NavigationTask, Outcome, PointNav
 from splatrl.envs.tasks.imagenav import LOST
 from splatrl.evaluation.recording import record_episodes
 from splatrl.evaluation.rollouts import Episodes, knowing, run_episodes
+from splatrl.geometry import wrapped
 from splatrl.motions import DriveMotion, ForwardMotion, NavigateMotion
 from splatrl.renderers import NoRenderer, Renderer
 from tests.tiny import BLOCK, HEIGHT, tiny_overrides, tiny_renderer
