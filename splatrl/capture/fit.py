@@ -240,20 +240,20 @@ class Fitting:
         del self._order[: self.views]
         losses = torch.empty(len(chosen), 16)
         self._core.compare(
-            model.values,
-            model.count,
-            NEAR,
-            turned(seen.camera_to_world[chosen], self.moves.values[chosen]),
-            seen.K.expand(len(chosen), 3, 3).contiguous(),
-            seen.pixels,
-            known,
-            chosen,
-            self.exposure.values,
-            settings.ssim_weight,
-            settings.depth_weight,
-            self._gradients,
-            losses,
-            self.threads,
+            values=model.values,
+            count=model.count,
+            near=NEAR,
+            camera_to_world=turned(seen.camera_to_world[chosen], self.moves.values[chosen]),
+            K=seen.K.expand(len(chosen), 3, 3).contiguous(),
+            pixels=seen.pixels,
+            known=known,
+            chosen=chosen,
+            exposure=self.exposure.values,
+            ssim_weight=settings.ssim_weight,
+            depth_weight=settings.depth_weight,
+            gradients=self._gradients,
+            losses=losses,
+            threads=self.threads,
         )
         return losses, chosen
 
@@ -263,20 +263,20 @@ class Fitting:
         views = self.views
         rates = self.rates(done)
         self._core.update(
-            model.values,
-            self._gradients,
-            model.first,
-            model.second,
-            rates * math.sqrt(views),
-            step + 1,
-            max(0.0, 1.0 - views * (1.0 - BETAS[0])),
-            1.0 - views * (1.0 - BETAS[1]),
-            EPSILON / math.sqrt(views),
-            settings.opacity_weight / model.count,
-            settings.scale_weight / (3 * model.count),
-            settings.noise * float(rates[0]) * views,
-            (settings.seed << 40) + step * 0x9E3779B1,
-            self.threads,
+            values=model.values,
+            gradients=self._gradients,
+            first=model.first,
+            second=model.second,
+            rates=rates * math.sqrt(views),
+            step=step + 1,
+            beta1=max(0.0, 1.0 - views * (1.0 - BETAS[0])),
+            beta2=1.0 - views * (1.0 - BETAS[1]),
+            epsilon=EPSILON / math.sqrt(views),
+            opacity_slope=settings.opacity_weight / model.count,
+            scale_slope=settings.scale_weight / (3 * model.count),
+            noise=settings.noise * float(rates[0]) * views,
+            seed=(settings.seed << 40) + step * 0x9E3779B1,
+            threads=self.threads,
         )
 
     def rates(self, done: float) -> Tensor:
