@@ -18,8 +18,8 @@ USERS = (ValueError, OSError, ImportError, HydraException, OmegaConfBaseExceptio
 FULL = "HYDRA_FULL_ERROR"
 """Environment variable that, when set, shows the full traceback of an error."""
 
-UNKNOWN = re.compile(r"(\w+)(?:\.__init__)?\(\) got an unexpected keyword argument '(\w+)'")
-"""Python's message about an argument that a constructor does not take."""
+UNKNOWN = re.compile(r"(\w+)(?:\.__init__)?\(\) got an unexpected keyword argument '(\w+)'(\. Did you mean .*)?")
+"""Python's message about an argument that a constructor does not take; from 3.13 on it may end with a guess."""
 
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -99,12 +99,20 @@ _known: dict[tuple[str, str], set[object]] = {}
 def _standing(source: ConfigSource) -> set[object]:
     """Return every ``_target_`` in a folder of configs; each folder is read only once."""
     place = source.provider, source.full_path()
-    if source.provider in HYDRAS_OWN or not source.is_group(""):  # available() is false without an __init__.py
+    if source.provider in HYDRAS_OWN or (folder := _folder_of(source)) is None:
         return set()
     if place not in _known:
-        folder = files(source.path) if source.scheme() == "pkg" else Path(source.path)
         _known[place] = {target for text in _texts(folder) for target in _values_of("_target_", _parsed(text))}
     return _known[place]
+
+
+def _folder_of(source: ConfigSource) -> Any:
+    """Return a folder of configs, on disk or in a package, which needs no ``__init__.py``; None if there is none."""
+    try:
+        folder = files(source.path) if source.scheme() == "pkg" else Path(source.path)
+    except ModuleNotFoundError:
+        return None
+    return folder if folder.is_dir() else None
 
 
 def _texts(folder: Any) -> Iterator[str]:

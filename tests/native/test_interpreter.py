@@ -144,7 +144,8 @@ except RuntimeError as error:
 
 def test_a_child_forked_while_the_core_is_busy_exits_normally() -> None:
     text = """
-import os
+import os, warnings
+warnings.simplefilter("ignore")  # Python 3.12 and later warn about a fork beside threads
 threading.Thread(target=work, daemon=True).start()
 time.sleep(0.15)
 if os.fork() == 0:
