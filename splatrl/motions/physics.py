@@ -20,7 +20,7 @@ from splatrl.motions.site import Fits, Site, narrowed
 from splatrl.motions.twin import TwinMotion
 from splatrl.physics import Kinematics, Physics, Terrain, level_ground
 from splatrl.physics.bank import Variation, bank
-from splatrl.physics.compose import SCENE
+from splatrl.physics.compose import RESERVED, SCENE
 from splatrl.physics.gaussians import Models
 from splatrl.physics.kinematics import rotated, turned_back
 from splatrl.physics.robot_world import RobotWorld
@@ -116,6 +116,10 @@ class PhysicsMotion(TwinMotion):
         self.thing_paths = {str(name): mjcf_path(str(place)) for name, place in (things or {}).items()}
         self.looks = {str(name): expanded(place) for name, place in (looks or {}).items()}
         for key, names in (("looks", self.looks), ("pushed", self.pushed)):
+        if taken := [name for name in self.thing_paths if name in RESERVED or "/" in name]:
+            raise ValueError(
+                f"task.motion.things: expected names without / and other than {', '.join(RESERVED)}, got {taken[0]}"
+            )
             if unknown := set(names) - set(self.thing_paths):
                 raise ValueError(
                     f"task.motion.{key}: expected names from task.motion.things, got {', '.join(sorted(unknown))}"
@@ -270,7 +274,7 @@ class PhysicsMotion(TwinMotion):
         return self.kinematics.as_poses(place[:, :1], turn[:, :1]).squeeze(1)
 
     def placed(self, planar: Tensor) -> Tensor:
-        """Return states in which robots stand at rest on the ground, and things are where their files place them.
+        """Return states in which robots stand at rest on the ground, and things on it where their files place them.
 
         Args:
             planar: [N, 3] positions and headings: x and y in metres, yaw in radians.

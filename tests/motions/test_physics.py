@@ -214,3 +214,12 @@ def test_a_custom_robot_moves_by_its_actuators(tmp_path: Path) -> None:
     assert motion.action_spec.shape == (1,) and float(motion.body_to_world(state)[0, 2, 3]) == pytest.approx(0.1)
     assert motion.move(state, torch.tensor([[1.0]]), NOTHING).inside.all()
     assert mjcf_path(str(path)) == path and mjcf_path("ball").parent == FOLDER
+        *(
+            (
+                BODY,
+                MOTOR,
+                {"things": {name: "ball"}},
+                f"things: expected names without / and other than .*, got {name}$",
+            )
+            for name in ("robot", "scene", "ground", "world", "robot/b")
+        ),

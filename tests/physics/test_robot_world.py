@@ -13,7 +13,7 @@ ROBOT = """
 <mujoco>
   <worldbody>
     <body name="torso" pos="0 0 0.2"><freejoint/><geom size="0.1"/><camera name="eye"/>
-      <body><joint name="knee" axis="0 1 0"/><geom size="0.05" pos="0.3 0 0"/></body>
+      <body><joint name="knee" axis="0 1 0"/><geom size="0.05" pos="0.3 0 0"/><camera name="foot"/></body>
     </body>
   </worldbody>
   <actuator><general name="knee" joint="knee" dyntype="integrator" ctrlrange="-2 3"/></actuator>
@@ -37,9 +37,9 @@ def test_the_robot_starts_in_its_keyframe_and_things_where_their_files_place_the
 
 
 def test_cameras_actuators_and_free_joints_are_found_by_their_own_names(world: RobotWorld) -> None:
-    assert world.body_of_camera("eye") == "robot/torso"
+    assert world.body_of_camera("eye") == "robot/torso" and world.body_of_camera("foot") == "robot/body"
     assert world.control_range("knee") == [-2.0, 3.0] and world.control_range("hip") is None
     assert torch.equal(world.control_limits(), torch.tensor([[-2.0], [3.0]]))
     assert world.free_joint("ball") == 8 and world.free_joint("egg") is None
-    with pytest.raises(ValueError, match=r"robot\.xml: expected a camera called 'tail', got eye"):
+    with pytest.raises(ValueError, match=r"robot\.xml: expected a camera called 'tail', got eye, foot"):
         world.body_of_camera("tail")
