@@ -50,7 +50,8 @@ class RobotWorld:
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
         if self._free_joint(first) != 0:
-            raise ValueError(f"{path}: body {first!r}: expected a <freejoint/> that lets it move, found none")
+            body = first.removeprefix(ROBOT)
+            raise ValueError(f"{path}: body {body!r}: expected a <freejoint/> that lets it move, found none")
         self.qpos, self.act, self.ctrl = self.model.qpos0.copy(), np.zeros(self.model.na), np.zeros(self.model.nu)
         self.qpos[: alone.nq] = alone.qpos0
         if alone.nkey:
@@ -91,7 +92,7 @@ class RobotWorld:
         """
         for number in range(self.model.nu):
             if not self.model.actuator_ctrllimited[number]:
-                name = self.model.actuator(number).name or number
+                name = self.model.actuator(number).name.removeprefix(ROBOT) or number
                 raise ValueError(f"{self.path}: actuator {name!r}: expected a ctrlrange, found none")
         if not self.model.nu:
             raise ValueError(f"{self.path}: expected at least one <actuator>, found none")

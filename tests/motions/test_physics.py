@@ -175,14 +175,14 @@ MOTOR = '<actuator><general site="s" ctrlrange="-1 1" name="push"/></actuator>'
 @pytest.mark.parametrize(
     ("body", "rest", "settings", "message"),
     [
-        ('<geom size="0.1"/><camera name="eye"/>', "", {}, "body 'robot/b': expected a <freejoint/>"),
+        ('<geom size="0.1"/><camera name="eye"/>', "", {}, "body 'b': expected a <freejoint/>"),
         ('<freejoint/><geom size="0.1"/>', MOTOR, {}, "expected a camera called 'eye', got none"),
         (BODY, "", {}, "expected at least one <actuator>, found none"),
         (
             BODY,
             '<actuator><general site="s" name="push"/></actuator>',
             {},
-            "actuator 'robot/push': expected a ctrlrange",
+            "actuator 'push': expected a ctrlrange",
         ),
         (BODY, MOTOR, {}, "task.motion.linear: expected a value, got none, and .* no actuator called 'forward'"),
         (
