@@ -34,7 +34,8 @@ FORWARD, TURN = "forward", "turn"
 """Names of actuators that take metres and radians per second; with both, a robot can follow shortest paths."""
 GROUNDS = ("scene", "level")
 BEYOND = 1.0
-"""Margin, metres, around the robots' region in which physics knows the solid voxels: pushed things can roll away."""
+"""Minimum margin, metres, around the robots' region in which physics knows the solid voxels if things are pushed, which
+can roll away."""
 FAR = 1e9
 """Bound on the magnitude of every number in a state."""
 
@@ -115,11 +116,11 @@ class PhysicsMotion(TwinMotion):
         self.path, self.camera, self.pushed = mjcf_path(str(path)), camera, tuple(pushed)
         self.thing_paths = {str(name): mjcf_path(str(place)) for name, place in (things or {}).items()}
         self.looks = {str(name): expanded(place) for name, place in (looks or {}).items()}
-        for key, names in (("looks", self.looks), ("pushed", self.pushed)):
         if taken := [name for name in self.thing_paths if name in RESERVED or "/" in name]:
             raise ValueError(
                 f"task.motion.things: expected names without / and other than {', '.join(RESERVED)}, got {taken[0]}"
             )
+        for key, names in (("looks", self.looks), ("pushed", self.pushed)):
             if unknown := set(names) - set(self.thing_paths):
                 raise ValueError(
                     f"task.motion.{key}: expected names from task.motion.things, got {', '.join(sorted(unknown))}"
@@ -150,7 +151,8 @@ class PhysicsMotion(TwinMotion):
         """Put the robot and its things into a scene, where it begins only if it is ``clear``; see ``Motion``."""
         if self.ground == "scene":  # level ground needs no survey
             lower, upper = self.twin.lower.tolist(), self.twin.upper.tolist()
-            reach = site.body.radius + (BEYOND if self.pushed else 0.0)
+            beyond = max(site.leeway, BEYOND if self.pushed else 0.0)
+            reach = max(site.body.radius, self.world.reach) + beyond
             found = survey_terrain(site.scene, site.occupancy, lower, upper, reach, self.top, site.antialiased)
             self.stand_on(found.terrain)
         return narrowed(fits, lambda poses: self.clear(self.nearest(planar_of(poses))))

@@ -11,7 +11,7 @@ from splatrl.physics.compose import ROBOT, compose
 from splatrl.physics.gaussians import BodyGaussians, gaussians_from_mjcf
 from splatrl.physics.mjcf import read_mjcf
 from splatrl.physics.optional import needed
-from splatrl.physics.standing import top_of
+from splatrl.physics.standing import reach_of, top_of
 from splatrl.physics.terrain import Terrain
 from splatrl.scenes.formats import read_gaussians
 
@@ -23,6 +23,7 @@ class RobotWorld:
         model: the ``MjModel``.
         things: for each thing's name, the name of its first body.
         top: upper bound on how high the robot and the things reach where their files place them, metres.
+        reach: how far the robot reaches from the vertical line through its first body when it stands, metres.
         qpos: [nq] float64, positions in the robot's first keyframe, or in the default pose without one.
         act: [na] float64, activations there, 0 without a keyframe.
         ctrl: [nu] float64, controls there, 0 without a keyframe.
@@ -43,7 +44,7 @@ class RobotWorld:
         if substep is not None:
             robot.option.timestep = substep
         alone, specs = robot.copy().compile(), {name: read_mjcf(place) for name, place in things.items()}
-        self.path = path
+        self.path, self.reach = path, reach_of(alone)
         self.top = max(top_of(each) for each in (alone, *(spec.copy().compile() for spec in specs.values())))
         try:
             self.model, first, self.things = compose(robot, terrain, specs)

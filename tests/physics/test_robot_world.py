@@ -1,5 +1,6 @@
 """A robot among things: how it stands at first, and what is found in its model."""
 
+import math
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,7 @@ def test_the_robot_starts_in_its_keyframe_and_things_where_their_files_place_the
     assert world.qpos[8:].tolist() == world.model.qpos0[8:].tolist() and len(world.qpos) == 15
     assert world.act.tolist() == [0.5] and world.ctrl.tolist() == [1.5] and world.model.opt.timestep == 0.004
     assert world.top == pytest.approx(0.5)  # the torso's sphere, above the bent knee
+    assert world.reach == pytest.approx(0.3 * math.cos(0.7) + 0.05, abs=0.03)  # the shin's, with a box around its end
 
 
 def test_cameras_actuators_and_free_joints_are_found_by_their_own_names(world: RobotWorld) -> None:

@@ -66,7 +66,7 @@ class TaskModule(torch.nn.Module):
     def settle(self, site: Site, fits: Fits) -> Fits:
         """Put the motion into a scene; return where it lets episodes begin."""
         with under_key("task.motion"):
-            return self.motion.settle(site, fits)
+            return self.motion.settle(site._replace(leeway=self.leeway), fits)
 
     def check_picture(self, drawing: Drawing, robot: Robot) -> None:
         """Accept every drawing and camera."""
