@@ -14,13 +14,17 @@ def check_height(bounds: Bounds, task: Task) -> None:
         task: the task, whose motion defines where robots are.
 
     Raises:
-        ValueError: names ``robot.height``, the lowest height that fits and what was given.
+        ValueError: names ``robot.height``, or ``scene.bounds`` for robots with physics, whose height is that of their
+            MJCF; the lowest height that fits; and what was given.
     """
-    lowest = float(task.motion.body_to_world(task.motion.states())[:, 2, 3].min())
-    if lowest < bounds[0][2] - 1e-6:
-        raise ValueError(
-            f"robot.height: expected robots above {bounds[0][2]:.3g} m, the bottom of scene.bounds, got {lowest:.3g}"
-        )
+    lowest, bottom = float(task.motion.body_to_world(task.motion.states())[:, 2, 3].min()), bounds[0][2]
+    if lowest >= bottom - 1e-6:
+        return
+    if task.motion.seconds_per_step is not None:
+        raise ValueError(f"scene.bounds: expected a bottom below the robot, at {lowest:.3g} m, got {bottom:.3g} m")
+    raise ValueError(
+        f"robot.height: expected robots above {bottom:.3g} m, the bottom of scene.bounds, got {lowest:.3g}"
+    )
 
 
 def check_goal(task: Task, reached: Tensor) -> None:

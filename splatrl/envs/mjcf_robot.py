@@ -2,13 +2,16 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
 
 from splatrl.bodies import Body
 from splatrl.envs.robot import Robot
 from splatrl.geometry import quats_to_rotations, rigid
 from splatrl.physics import read_mjcf
+from splatrl.physics.optional import needed
 from splatrl.physics.robots import mjcf_path
 from splatrl.physics.standing import at_home
 
@@ -40,7 +43,9 @@ def mjcf_robot(
     Raises:
         FileNotFoundError: if the MJCF does not exist.
         ImportError: if the extra ``physics`` is not installed.
-        ValueError: for MJCF that is refused, a camera that it does not have, or a body that reaches into the ground.
+        ValueError: for MJCF that is refused; a camera that it does not have, or one that is not fixed to its body, not
+            a perspective one, or without square pixels and a centred principal point; or a body that reaches into the
+            ground.
     """
     place = mjcf_path(str(path))
     model = read_mjcf(place).compile()
@@ -50,6 +55,7 @@ def mjcf_robot(
             f"{place}: robot.camera: expected {' or '.join(names) or 'a file with a camera'}, got {camera}"
         )
     number = names.index(camera)
+    _check_camera(model, number, f"{place}: camera {camera!r}")
     turn = quats_to_rotations(torch.from_numpy(model.cam_quat[number].copy())) @ TO_OPENCV
     mount = rigid(turn, torch.from_numpy(model.cam_pos[number].copy()))
     stands = float(at_home(model).xpos[int(model.cam_bodyid[number]), 2])
@@ -67,3 +73,21 @@ def mjcf_robot(
         image_height=image_height,
         mount=tuple(tuple(row) for row in mount.tolist()),
     )
+
+
+def _check_camera(model: Any, number: int, where: str) -> None:
+    """Refuse a camera of an ``MjModel`` with a mode, projection or intrinsics that a ``Robot`` cannot have."""
+    mode = needed().mjtCamLight(int(model.cam_mode[number])).name.removeprefix("mjCAMLIGHT_").lower()
+    if mode != "fixed":
+        raise ValueError(f"{where}: mode: expected fixed, got {mode}")
+    orthographic = model.cam_projection if hasattr(model, "cam_projection") else model.cam_orthographic  # older MuJoCo
+    if orthographic[number]:
+        raise ValueError(f"{where}: projection: expected perspective, got orthographic")
+    if not model.cam_sensorsize[number].any():  # its view follows from fovy
+        return
+    pixel = np.tile(model.cam_sensorsize[number] / model.cam_resolution[number], 2)
+    fx, fy, right, up = (model.cam_intrinsic[number] / pixel).tolist()
+    if max(abs(right), abs(up)) > 1e-3:
+        raise ValueError(f"{where}: principalpixel: expected 0 0, the middle of the image, got {right:.4g} {up:.4g}")
+    if not math.isclose(fx, fy, rel_tol=1e-3):
+        raise ValueError(f"{where}: focalpixel: expected square pixels, so twice the same, got {fx:.4g} {fy:.4g}")

@@ -20,7 +20,7 @@ from splatrl.motions.site import Fits, Site, narrowed
 from splatrl.motions.twin import TwinMotion
 from splatrl.physics import Kinematics, Physics, Terrain, level_ground
 from splatrl.physics.bank import Variation, bank
-from splatrl.physics.compose import SCENE
+from splatrl.physics.compose import RESERVED, SCENE
 from splatrl.physics.gaussians import Models
 from splatrl.physics.kinematics import rotated, turned_back
 from splatrl.physics.robot_world import RobotWorld
@@ -34,7 +34,8 @@ FORWARD, TURN = "forward", "turn"
 """Names of actuators that take metres and radians per second; with both, a robot can follow shortest paths."""
 GROUNDS = ("scene", "level")
 BEYOND = 1.0
-"""Margin, metres, around the robots' region in which physics knows the solid voxels: pushed things can roll away."""
+"""Minimum margin, metres, around the robots' region in which physics knows the solid voxels if things are pushed, which
+can roll away."""
 FAR = 1e9
 """Bound on the magnitude of every number in a state."""
 
@@ -115,6 +116,10 @@ class PhysicsMotion(TwinMotion):
         self.path, self.camera, self.pushed = mjcf_path(str(path)), camera, tuple(pushed)
         self.thing_paths = {str(name): mjcf_path(str(place)) for name, place in (things or {}).items()}
         self.looks = {str(name): expanded(place) for name, place in (looks or {}).items()}
+        if taken := [name for name in self.thing_paths if name in RESERVED or "/" in name]:
+            raise ValueError(
+                f"task.motion.things: expected names without / and other than {', '.join(RESERVED)}, got {taken[0]}"
+            )
         for key, names in (("looks", self.looks), ("pushed", self.pushed)):
             if unknown := set(names) - set(self.thing_paths):
                 raise ValueError(
@@ -146,7 +151,8 @@ class PhysicsMotion(TwinMotion):
         """Put the robot and its things into a scene, where it begins only if it is ``clear``; see ``Motion``."""
         if self.ground == "scene":  # level ground needs no survey
             lower, upper = self.twin.lower.tolist(), self.twin.upper.tolist()
-            reach = site.body.radius + (BEYOND if self.pushed else 0.0)
+            beyond = max(site.leeway, BEYOND if self.pushed else 0.0)
+            reach = max(site.body.radius, self.world.reach) + beyond
             found = survey_terrain(site.scene, site.occupancy, lower, upper, reach, self.top, site.antialiased)
             self.stand_on(found.terrain)
         return narrowed(fits, lambda poses: self.clear(self.nearest(planar_of(poses))))
@@ -270,7 +276,7 @@ class PhysicsMotion(TwinMotion):
         return self.kinematics.as_poses(place[:, :1], turn[:, :1]).squeeze(1)
 
     def placed(self, planar: Tensor) -> Tensor:
-        """Return states in which robots stand at rest on the ground, and things are where their files place them.
+        """Return states in which robots stand at rest on the ground, and things on it where their files place them.
 
         Args:
             planar: [N, 3] positions and headings: x and y in metres, yaw in radians.

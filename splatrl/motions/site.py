@@ -23,6 +23,7 @@ class Site(NamedTuple):
         checker: finds what the robot's body touches; paths are planned with it.
         body: the robot's body.
         antialiased: whether the scene is rendered with antialiasing.
+        leeway: how far beyond the motion's bounds robots may go before they count as outside, metres.
     """
 
     scene: Scene
@@ -30,6 +31,7 @@ class Site(NamedTuple):
     checker: Checker
     body: Body
     antialiased: bool
+    leeway: float = 0.0
 
 
 def narrowed(fits: Fits, further: Fits) -> Fits:

@@ -7,9 +7,13 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from splatrl.physics.optional import needed
 from splatrl.values import require_number
+
+MUSCLE_SHAPE = [0, 1, 4, 5, 6, 7, 8]
+"""Indices of a muscle's parameters that shape its curves; 2 and 3 set its peak force."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +24,8 @@ class Variation:
         models: number of models, the first of which is as the files define it.
         friction: smallest and largest factor of all friction, one per model.
         mass: smallest and largest factor of mass and inertia, one per body.
-        motor: smallest and largest factor of an actuator's strength, one per actuator.
+        motor: smallest and largest factor of an actuator's strength, one per actuator. The ``actuatorfrcrange`` of a
+            joint or tendon takes the factor of the actuator that drives it, or the mean of several.
         seed: seed of the draws.
 
     Raises:
@@ -61,7 +66,27 @@ def _varied(model: Any, variation: Variation, rng: np.random.Generator) -> Any:
     own.geom_friction[:] *= friction
     own.body_mass[:] *= mass
     own.body_inertia[:] *= mass[:, None]
-    for table in (own.actuator_gainprm, own.actuator_biasprm, own.actuator_forcerange):
-        table[:] *= motor[:, None]
+    _strengthen(own, motor)
     mujoco.mj_setConst(own, mujoco.MjData(own))
     return own
+
+
+def _strengthen(model: Any, motor: NDArray[np.float64]) -> None:
+    """Multiply the strength of a model's actuators by factors [nu]."""
+    mujoco = needed()
+    muscle, muscle_bias = mujoco.mjtGain.mjGAIN_MUSCLE, mujoco.mjtBias.mjBIAS_MUSCLE
+    gains = (model.actuator_gainprm, model.actuator_gaintype == muscle)
+    biases = (model.actuator_biasprm, model.actuator_biastype == muscle_bias)
+    for table, muscles in (gains, biases):
+        factors = np.tile(motor[:, None], table.shape[1])
+        factors[np.ix_(muscles, MUSCLE_SHAPE)] = 1.0
+        table *= factors
+    model.actuator_forcerange[:] *= motor[:, None]
+    kinds = mujoco.mjtTrn
+    joints = (model.jnt_actfrcrange, (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT))
+    tendons = (model.tendon_actfrcrange, (kinds.mjTRN_TENDON,))
+    for ranges, transmissions in (joints, tendons):
+        drives = np.isin(model.actuator_trntype, transmissions)
+        driven = model.actuator_trnid[drives, 0]
+        count, total = (np.bincount(driven, weights, len(ranges)) for weights in (None, motor[drives]))
+        ranges *= np.where(count > 0, total / np.maximum(count, 1), 1.0)[:, None]

@@ -1,12 +1,15 @@
 """Composes one MuJoCo world from the ground, the scene's boxes, a robot and things that it may move."""
 
+import itertools
 import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import torch
 
+from splatrl.physics.kinematics import rotated
 from splatrl.physics.optional import needed
+from splatrl.physics.standing import on_ground
 from splatrl.physics.terrain import Terrain
 
 GROUND, SCENE, ROBOT = "ground", "scene", "robot/"
@@ -15,6 +18,8 @@ own name and a slash."""
 WORLD = "world"
 """MuJoCo's name of the world body, which holds the boxes: with hundreds of them, a substep costs half of what it does
 when the boxes have a body of their own. The ground has its own body, so that contacts with it can be told apart."""
+RESERVED = (GROUND, "robot", SCENE, WORLD)
+"""Names that no thing may have."""
 FRICTION = (0.8, 0.005, 0.0001)
 """Sliding, torsional and rolling friction of ground and boxes; a contact takes the larger value of its two sides."""
 
@@ -36,8 +41,10 @@ class Composed(NamedTuple):
 def compose(robot: Any, terrain: Terrain, things: Mapping[str, Any] | None = None) -> Composed:
     """Put a robot and things into a scene.
 
-    Options such as the time step, the integrator and gravity are the robot's. For each thing, and for the boxes, a
-    contact sensor ``touch/<name>`` counts the robot's contacts with it in each substep.
+    The robot stays where its file places it; things are placed relative to the ground as their files place them
+    relative to z = 0. Bodies without a name get one. Options such as the time step, the integrator and gravity are the
+    robot's. For each thing, and for the boxes, a contact sensor ``touch/<name>`` counts the robot's contacts with it in
+    each substep.
 
     Args:
         robot: an ``MjSpec`` with one top-level body, and no ground.
@@ -66,7 +73,7 @@ def compose(robot: Any, terrain: Terrain, things: Mapping[str, Any] | None = Non
     tops = {}
     for name, thing in (things or {}).items():
         _copy_options(robot, thing)
-        tops[name] = _attach(world, thing, f"{name}/", name)
+        tops[name] = _attach(world, thing, f"{name}/", name, terrain)
     if len(terrain.boxes):
         _touch(mujoco, world, SCENE, first, WORLD)
     for name, top in tops.items():
@@ -79,8 +86,8 @@ def compose(robot: Any, terrain: Terrain, things: Mapping[str, Any] | None = Non
         ) from error
 
 
-def _attach(world: Any, spec: Any, prefix: str, name: str) -> str:
-    """Attach a spec to the world, and return the full name of its first body."""
+def _attach(world: Any, spec: Any, prefix: str, name: str, terrain: Terrain | None = None) -> str:
+    """Attach a spec to the world, put it onto a terrain if one is given, and return the full name of its first body."""
     bodies, loose = list(spec.worldbody.bodies), list(spec.worldbody.geoms)
     if loose:
         raise ValueError(
@@ -89,9 +96,28 @@ def _attach(world: Any, spec: Any, prefix: str, name: str) -> str:
         )
     if len(bodies) != 1:
         raise ValueError(f"{name}: expected one body in <worldbody>, got {len(bodies)}")
-    bodies[0].name = bodies[0].name or "body"
-    world.attach(spec, prefix=prefix, frame=world.worldbody.add_frame())
-    return f"{prefix}{bodies[0].name}" if not bodies[0].name.startswith(prefix) else str(bodies[0].name)
+    _name_bodies(spec)
+    first = f"{prefix}{bodies[0].name}"
+    place, turn = ([0.0] * 3, [1.0, 0.0, 0.0, 0.0]) if terrain is None else _lift(spec, terrain)
+    world.attach(spec, prefix=prefix, frame=world.worldbody.add_frame(pos=place, quat=turn))
+    return first
+
+
+def _name_bodies(spec: Any) -> None:
+    """Name the bodies of a spec that have no name, since bodies are found by their names."""
+    taken = {body.name for body in spec.bodies}
+    names = itertools.chain(["body"], (f"body{number}" for number in itertools.count(2)))
+    unused = (name for name in names if name not in taken)
+    for body in spec.bodies:
+        body.name = body.name or next(unused)
+
+
+def _lift(spec: Any, terrain: Terrain) -> tuple[list[float], list[float]]:
+    """Return position and quaternion wxyz of the frame that moves a thing's first body from z = 0 onto a terrain."""
+    place = torch.from_numpy(spec.copy().compile().body_pos[1].copy())
+    straight = torch.cat([place, place.new_tensor([1.0, 0.0, 0.0, 0.0])])
+    pose = on_ground(torch.cat([place[:2], place.new_zeros(1)]).unsqueeze(0), straight, terrain).squeeze(0)
+    return (pose[:3] - rotated(pose[3:], place)).tolist(), pose[3:].tolist()
 
 
 def _touch(mujoco: Any, world: Any, name: str, robot: str, other: str) -> None:

@@ -5,6 +5,7 @@ MuJoCo's own file search finds nothing else. Anything that can request unbounded
 """
 
 import math
+import os
 import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, field
@@ -37,6 +38,7 @@ class _Reading:
 
     folder: Path
     included: dict[str, bytes] = field(default_factory=dict)
+    found: dict[str, Path] = field(default_factory=dict)  # where the included files are
     assets: dict[str, bytes] = field(default_factory=dict)
     elements: int = 0
     size: int = 0
@@ -44,6 +46,9 @@ class _Reading:
 
 def read_mjcf(path: Path | str) -> Any:
     """Read an MJCF file as an ``MjSpec``.
+
+    Settings of ``<compiler>`` that MuJoCo applies to whole models are resolved, so that they hold in a world of which
+    this model is only a part: the total mass becomes the bodies' own inertia, and static bodies are not fused.
 
     Args:
         path: the MJCF file. Meshes and textures lie in its folder or below.
@@ -66,12 +71,27 @@ def read_mjcf(path: Path | str) -> Any:
             _read_files(path, node, places, reading)
     try:
         spec = mujoco.MjSpec.from_string(text.decode(), include=reading.included, assets=reading.assets)
-        model = spec.copy().compile()
+        spec.compiler.fusestatic = False
+        alone = spec.copy()
+        model = alone.compile()
     except (ValueError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: expected MJCF, got {_one_line(error)}") from error
     if odd := [name for name in NUMBERS if not np.isfinite(getattr(model, name)).all()]:
         raise ValueError(f"{path}: expected finite numbers, got infinite ones or NaN in {odd[0]}")
+    if getattr(spec.compiler, "settotalmass", 0.0) > 0.0:  # MuJoCo has announced its removal
+        _fix_inertia(spec, alone, model)
     return spec
+
+
+def _fix_inertia(spec: Any, alone: Any, model: Any) -> None:
+    """Give the bodies of a spec the inertia that they have in its compiled copy."""
+    for body, compiled in zip(spec.bodies[1:], alone.bodies[1:], strict=True):
+        number, body.explicitinertial = compiled.id, True
+        body.mass, body.inertia = model.body_mass[number], model.body_inertia[number]
+        body.ipos, body.iquat = model.body_ipos[number], model.body_iquat[number]
+    compiler = spec.compiler
+    compiler.settotalmass, compiler.boundmass, compiler.boundinertia = -1.0, 0.0, 0.0
+    compiler.inertiafromgeom = needed().mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
 
 
 def _checked(path: Path, text: bytes, reading: _Reading) -> list[ElementTree.Element]:
@@ -100,10 +120,15 @@ def _checked(path: Path, text: bytes, reading: _Reading) -> list[ElementTree.Ele
         _check_sizes(where, node)
         if node.tag == "include":
             name = node.get("file", "")
+            inner = _inside(where, reading.folder, name, path.parent.resolve())
             if name not in reading.included:
-                inner = _inside(where, reading.folder, name)
-                reading.included[name] = _small(inner, MOST_TEXT)
+                reading.found[name], reading.included[name] = inner, _small(inner, MOST_TEXT)
                 found += _checked(inner, reading.included[name], reading)
+            elif inner != reading.found[name]:
+                raise ValueError(
+                    f"{where}: expected another name than that of {reading.found[name]}, which is included too, "
+                    f"got {name!r:.80}"
+                )
     return found
 
 
@@ -155,19 +180,30 @@ def _read_files(path: Path, node: ElementTree.Element, places: dict[str, str], r
         reading.assets[full] = content
 
 
-def _inside(where: str, folder: Path, name: str) -> Path:
-    """Resolve a name to a file in a folder or below, and refuse any other place."""
-    pure = PurePosixPath(name)
-    if not name or pure.is_absolute() or ".." in pure.parts or "\\" in name or "\0" in name:
+def _inside(where: str, folder: Path, name: str, beside: Path | None = None) -> Path:
+    """Resolve a name to a file in a folder or below, and refuse any other place.
+
+    Args:
+        where: the element, for messages.
+        folder: the folder.
+        name: path of the file, relative to the folder.
+        beside: folder of the including file, to which the path is relative if the first has no such file.
+    """
+    if not name or PurePosixPath(name).is_absolute() or "\\" in name or "\0" in name:
         raise ValueError(f"{where}: expected a path inside the MJCF file's folder, got {name!r:.80}")
-    found = (folder / name).resolve()
-    if not found.is_relative_to(folder):
+    starts = [folder] if beside is None else [folder, beside]
+    found = [(start / name).resolve() for start in starts]
+    inside = [place for place in found if place.is_relative_to(folder)]
+    if not inside:
+        linked = os.path.normpath(folder / name) != str(found[0])
         raise ValueError(
-            f"{where}: expected a path inside the MJCF file's folder, got a link that leaves it, {name!r:.80}"
+            f"{where}: expected a path inside the MJCF file's folder, got "
+            f"{'a link that leaves it, ' if linked else ''}{name!r:.80}"
         )
-    if not found.is_file():
-        raise ValueError(f"{where}: expected a file {name!r:.80} beside the MJCF, found none")
-    return found
+    for place in inside:
+        if place.is_file():
+            return place
+    raise ValueError(f"{where}: expected a file {name!r:.80} beside the MJCF, found none")
 
 
 def _small(path: Path, most: int) -> bytes:

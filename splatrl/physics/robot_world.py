@@ -11,7 +11,7 @@ from splatrl.physics.compose import ROBOT, compose
 from splatrl.physics.gaussians import BodyGaussians, gaussians_from_mjcf
 from splatrl.physics.mjcf import read_mjcf
 from splatrl.physics.optional import needed
-from splatrl.physics.standing import top_of
+from splatrl.physics.standing import reach_of, top_of
 from splatrl.physics.terrain import Terrain
 from splatrl.scenes.formats import read_gaussians
 
@@ -23,6 +23,7 @@ class RobotWorld:
         model: the ``MjModel``.
         things: for each thing's name, the name of its first body.
         top: upper bound on how high the robot and the things reach where their files place them, metres.
+        reach: how far the robot reaches from the vertical line through its first body when it stands, metres.
         qpos: [nq] float64, positions in the robot's first keyframe, or in the default pose without one.
         act: [na] float64, activations there, 0 without a keyframe.
         ctrl: [nu] float64, controls there, 0 without a keyframe.
@@ -43,14 +44,15 @@ class RobotWorld:
         if substep is not None:
             robot.option.timestep = substep
         alone, specs = robot.copy().compile(), {name: read_mjcf(place) for name, place in things.items()}
-        self.path = path
+        self.path, self.reach = path, reach_of(alone)
         self.top = max(top_of(each) for each in (alone, *(spec.copy().compile() for spec in specs.values())))
         try:
             self.model, first, self.things = compose(robot, terrain, specs)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
         if self._free_joint(first) != 0:
-            raise ValueError(f"{path}: body {first!r}: expected a <freejoint/> that lets it move, found none")
+            body = first.removeprefix(ROBOT)
+            raise ValueError(f"{path}: body {body!r}: expected a <freejoint/> that lets it move, found none")
         self.qpos, self.act, self.ctrl = self.model.qpos0.copy(), np.zeros(self.model.na), np.zeros(self.model.nu)
         self.qpos[: alone.nq] = alone.qpos0
         if alone.nkey:
@@ -91,7 +93,7 @@ class RobotWorld:
         """
         for number in range(self.model.nu):
             if not self.model.actuator_ctrllimited[number]:
-                name = self.model.actuator(number).name or number
+                name = self.model.actuator(number).name.removeprefix(ROBOT) or number
                 raise ValueError(f"{self.path}: actuator {name!r}: expected a ctrlrange, found none")
         if not self.model.nu:
             raise ValueError(f"{self.path}: expected at least one <actuator>, found none")

@@ -1,7 +1,9 @@
 """How MJCF models stand before anything moves: as their files say, and on the ground of a scene."""
 
+import itertools
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -25,6 +27,20 @@ def top_of(model: Any) -> float:
     """Return an upper bound on how high a standing model reaches, metres: the top of its geoms' bounding spheres."""
     data = at_home(model)
     return max((float(data.geom_xpos[geom, 2] + model.geom_rbound[geom]) for geom in range(model.ngeom)), default=0.0)
+
+
+def reach_of(model: Any) -> float:
+    """Return how far a standing model reaches from the vertical line through its first body, metres.
+
+    Only geoms that make contact count, each with the box around it.
+    """
+    data = at_home(model)
+    solid = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
+    middle, half = np.split(model.geom_aabb[solid, None], 2, axis=2)
+    corners = middle + half * np.array(list(itertools.product((-1.0, 1.0), repeat=3)))  # [G, 8, 3], geoms' frames
+    turned = np.einsum("gij,gkj->gki", data.geom_xmat[solid].reshape(-1, 3, 3), corners)
+    away = turned[..., :2] + (data.geom_xpos[solid] - data.xpos[1])[:, None, :2]
+    return float(np.linalg.norm(away, axis=2).max(initial=0.0))
 
 
 def on_ground(planar: Tensor, home: Tensor, terrain: Terrain) -> Tensor:

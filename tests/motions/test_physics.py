@@ -7,13 +7,15 @@ from typing import Any
 import pytest
 import torch
 
+from splatrl.bodies import Box
 from splatrl.building import build_world, places
+from splatrl.collision import Occupancy
 from splatrl.collision.nothing import NoChecker
 from splatrl.configuration import load_config
-from splatrl.motions import DriveMotion, PhysicsMotion
+from splatrl.motions import DriveMotion, PhysicsMotion, Site
 from splatrl.physics import Terrain, Variation
 from splatrl.physics.robots import FOLDER, mjcf_path
-from splatrl.scenes import write_gaussians
+from splatrl.scenes import Scene, write_gaussians
 from tests.tiny import tiny_gaussians
 from tests.two_rooms import in_both
 
@@ -24,7 +26,8 @@ NOTHING: Any = NoChecker.__new__(NoChecker)
 
 def wheels(**settings: Any) -> PhysicsMotion:
     """Make the motion of a robot on wheels with a ball that it may push."""
-    return PhysicsMotion("wheels", "eye", **{"things": {"ball": "ball"}, "pushed": ["ball"], "threads": 1, **settings})
+    own = {"path": "wheels", "things": {"ball": "ball"}, "pushed": ["ball"], "threads": 1}
+    return PhysicsMotion(camera="eye", **{**own, **settings})
 
 
 def driven(motion: PhysicsMotion, state: torch.Tensor, action: tuple[float, float], steps: int) -> torch.Tensor:
@@ -79,6 +82,33 @@ def test_the_free_fraction_ends_where_a_wall_is_first_touched() -> None:
     assert motion.clear(start).tolist() == [True, True, True]
     inside = motion.placed(torch.tensor([[0.5, 0.5, 0.0]]))
     assert motion.clear(inside).tolist() == [False]
+
+
+@pytest.mark.parametrize(
+    ("leeway", "settings", "body", "walls"),
+    [
+        (0.0, {}, 0.1, False),  # wheels reach 0.22 m, and the walls are half a metre beyond the bounds
+        (0.4, {}, 0.1, True),
+        (0.0, {"path": "quadruped", "linear": (0.0, 0.5), "angular_deg": 45.0}, 0.1, True),  # reaches 0.4 m
+        (0.0, {}, 0.9, True),
+        (0.0, {"things": {"ball": "ball"}, "pushed": ["ball"]}, 0.1, True),
+    ],
+)
+def test_physics_knows_everything_solid_that_robots_and_pushed_things_can_reach(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    leeway: float,
+    settings: dict[str, Any],
+    body: float,
+    walls: bool,
+) -> None:
+    monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path))
+    scene = Scene("room", tiny_gaussians(), ((-1.5, -2.0, 0.0), (1.5, 2.0, 1.2)))
+    occupancy, shape = Occupancy.from_gaussians(scene.gaussians), Box((body, body, 0.1))
+    motion = wheels(**{"things": None, "pushed": (), "lower": (-1.0, -1.5), "upper": (1.0, 1.5), **settings})
+    motion.settle(Site(scene, occupancy, NOTHING, shape, True, leeway), lambda poses: torch.ones(len(poses)).bool())
+    boxes = motion.terrain.boxes
+    assert len(boxes) and ((boxes[:, 0] + boxes[:, 3]).max() > 1.4).item() is walls
 
 
 def test_pushable_things_are_not_obstacles_and_other_things_are() -> None:
@@ -175,14 +205,14 @@ MOTOR = '<actuator><general site="s" ctrlrange="-1 1" name="push"/></actuator>'
 @pytest.mark.parametrize(
     ("body", "rest", "settings", "message"),
     [
-        ('<geom size="0.1"/><camera name="eye"/>', "", {}, "body 'robot/b': expected a <freejoint/>"),
+        ('<geom size="0.1"/><camera name="eye"/>', "", {}, "body 'b': expected a <freejoint/>"),
         ('<freejoint/><geom size="0.1"/>', MOTOR, {}, "expected a camera called 'eye', got none"),
         (BODY, "", {}, "expected at least one <actuator>, found none"),
         (
             BODY,
             '<actuator><general site="s" name="push"/></actuator>',
             {},
-            "actuator 'robot/push': expected a ctrlrange",
+            "actuator 'push': expected a ctrlrange",
         ),
         (BODY, MOTOR, {}, "task.motion.linear: expected a value, got none, and .* no actuator called 'forward'"),
         (
@@ -194,6 +224,15 @@ MOTOR = '<actuator><general site="s" ctrlrange="-1 1" name="push"/></actuator>'
         (BODY, MOTOR, {"substep": 0}, "task.motion.substep: expected a number from 1e-05 to 1.0, got 0"),
         (BODY, MOTOR, {"substep": "x"}, "task.motion.substep: expected a number"),
         (BODY, MOTOR, {"pushed": ["egg"]}, "pushed: expected names from task.motion.things, got egg"),
+        *(
+            (
+                BODY,
+                MOTOR,
+                {"things": {name: "ball"}},
+                f"things: expected names without / and other than .*, got {name}$",
+            )
+            for name in ("robot", "scene", "ground", "world", "robot/b")
+        ),
     ],
 )
 def test_what_a_robot_lacks_is_reported_in_one_line(

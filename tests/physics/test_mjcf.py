@@ -5,9 +5,8 @@ from pathlib import Path
 
 import mujoco
 import pytest
-import torch
 
-from splatrl.physics import Terrain, compose, level_ground, read_mjcf
+from splatrl.physics import compose, level_ground, read_mjcf
 from splatrl.physics import mjcf as reading
 from splatrl.physics.robots import FOLDER, mjcf_path
 
@@ -132,23 +131,68 @@ def test_without_mujoco_an_error_says_what_to_install(monkeypatch: pytest.Monkey
         read_mjcf(FOLDER / "ball.xml")
 
 
-def test_a_robot_must_have_one_top_level_body_and_no_ground(tmp_path: Path) -> None:
-    floor = '<geom name="floor" type="plane" size="1 1 1"/>'
+def test_included_files_are_found_beside_the_main_file_or_else_beside_the_including_one(tmp_path: Path) -> None:
+    folder = tmp_path / "robot"
+    write_mesh(folder / "m.stl")
+    (folder / "parts" / "deep").mkdir(parents=True)
+    (folder / "parts" / "middle.xml").write_text(
+        '<mujocoinclude><include file="deep/leaf.xml"/><include file="../top.xml"/></mujocoinclude>'
+    )
+    (folder / "parts" / "deep" / "leaf.xml").write_text('<mujocoinclude><mesh name="a" file="m.stl"/></mujocoinclude>')
+    (folder / "top.xml").write_text('<mujocoinclude><mesh name="b" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></mujocoinclude>')
+    head = '<asset><include file="parts/middle.xml"/></asset>'
+    geoms = '<geom type="mesh" mesh="a"/><geom type="mesh" mesh="b"/>'
+    assert read_mjcf(written(tmp_path, f"<body><freejoint/>{geoms}</body>", head)).compile().nmesh == 2
+
+
+def test_different_included_files_of_one_name_are_refused(tmp_path: Path) -> None:
+    for side in ("left", "right"):
+        (tmp_path / "robot" / side).mkdir(parents=True)
+        (tmp_path / "robot" / side / "arm.xml").write_text('<mujocoinclude><include file="leaf.xml"/></mujocoinclude>')
+        (tmp_path / "robot" / side / "leaf.xml").write_text("<mujocoinclude/>")
+    head = '<include file="left/arm.xml"/><include file="right/arm.xml"/>'
     with pytest.raises(
-        ValueError,
-        match="geom 'floor': expected a geom inside a body, got one in <worldbody>; the ground comes from the scene",
+        ValueError, match=r"right/arm\.xml: <include>: expected another name than that of .*, got 'leaf"
     ):
-        compose(read_mjcf(written(tmp_path, BALL + floor)), level_ground())
-    with pytest.raises(ValueError, match=r"expected one body in <worldbody>, got 2"):
-        compose(read_mjcf(written(tmp_path, BALL + BALL.replace("ball", "other"))), level_ground())
+        read_mjcf(written(tmp_path, BALL, head))
 
 
-def test_options_come_from_the_robot_and_the_ground_from_the_terrain(tmp_path: Path) -> None:
-    plane = torch.tensor([0.6, 0.0, 0.8, 0.5], dtype=torch.float64)
-    path = written(tmp_path, BALL, '<option timestep="0.004" gravity="0 0 -3"/>')
-    model = compose(read_mjcf(path), Terrain(plane, torch.zeros(0, 6, dtype=torch.float64))).model
-    assert model.opt.timestep == 0.004 and model.opt.gravity[2] == -3
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    normal = data.geom_xmat[0].reshape(3, 3)[:, 2]
-    assert normal == pytest.approx([0.6, 0.0, 0.8]) and data.geom_xpos[0] @ normal == pytest.approx(0.5)
+def test_a_path_may_turn_around_inside_the_folder(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "robot" / "m.stl")
+    (tmp_path / "robot" / "assets").mkdir()
+    body = '<body><freejoint/><geom type="mesh" mesh="m"/></body>'
+    path = written(tmp_path, body, '<asset><mesh name="m" file="assets/../m.stl"/></asset>')
+    assert read_mjcf(path).compile().nmesh == 1
+    path.write_text(path.read_text().replace("assets/../m", "assets/../../secret"))
+    write_mesh(tmp_path / "secret.stl")
+    with pytest.raises(ValueError, match=rf"<mesh file>: {OUTSIDE}, got 'assets/../../secret.stl'"):
+        read_mjcf(path)
+
+
+ARM = """
+<body name="trunk" pos="0 0 1"><freejoint/><geom size="0.1"/>
+  <body name="head" pos="0 0 0.3"><geom size="0.05" pos="0.1 0 0"/></body>
+  <body name="arm"><joint name="j" axis="0 1 0" springdamper="0.1 1"/>
+    <geom type="capsule" size="0.02" fromto="0 0 0 0.3 0.1 0"/></body>
+</body>
+"""
+SERVO = '<actuator><position joint="j" kp="5" dampratio="1" ctrlrange="-1 1"/></actuator>'
+
+
+@pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass'")
+def test_the_total_mass_of_a_robot_holds_in_a_world_with_other_things(tmp_path: Path) -> None:
+    path = written(tmp_path, ARM, '<compiler settotalmass="7" inertiafromgeom="true"/>' + SERVO)
+    alone = mujoco.MjModel.from_xml_string(path.read_text())
+    world = compose(read_mjcf(path), level_ground(), {"ball": read_mjcf(mjcf_path("ball"))}).model
+    own = slice(2, 1 + alone.nbody)  # behind the world and the ground
+    assert world.body_mass[own].sum() == pytest.approx(7.0)
+    for name in ("body_mass", "body_inertia", "body_ipos", "body_iquat"):
+        assert getattr(world, name)[own] == pytest.approx(getattr(alone, name)[1:]), name
+    assert world.actuator_biasprm[0] == pytest.approx(alone.actuator_biasprm[0]), "damping depends on the mass"
+    assert world.dof_damping[: alone.nv] == pytest.approx(alone.dof_damping)
+    assert read_mjcf(mjcf_path("ball")).compile().body_mass[1] == pytest.approx(world.body("ball/ball").mass[0])
+
+
+def test_static_bodies_are_not_fused_with_their_parents(tmp_path: Path) -> None:
+    model = read_mjcf(written(tmp_path, ARM, '<compiler fusestatic="true"/>')).compile()
+    assert [model.body(number).name for number in range(1, model.nbody)] == ["trunk", "head", "arm"]

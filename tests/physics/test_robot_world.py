@@ -1,5 +1,6 @@
 """A robot among things: how it stands at first, and what is found in its model."""
 
+import math
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ ROBOT = """
 <mujoco>
   <worldbody>
     <body name="torso" pos="0 0 0.2"><freejoint/><geom size="0.1"/><camera name="eye"/>
-      <body><joint name="knee" axis="0 1 0"/><geom size="0.05" pos="0.3 0 0"/></body>
+      <body><joint name="knee" axis="0 1 0"/><geom size="0.05" pos="0.3 0 0"/><camera name="foot"/></body>
     </body>
   </worldbody>
   <actuator><general name="knee" joint="knee" dyntype="integrator" ctrlrange="-2 3"/></actuator>
@@ -34,12 +35,13 @@ def test_the_robot_starts_in_its_keyframe_and_things_where_their_files_place_the
     assert world.qpos[8:].tolist() == world.model.qpos0[8:].tolist() and len(world.qpos) == 15
     assert world.act.tolist() == [0.5] and world.ctrl.tolist() == [1.5] and world.model.opt.timestep == 0.004
     assert world.top == pytest.approx(0.5)  # the torso's sphere, above the bent knee
+    assert world.reach == pytest.approx(0.3 * math.cos(0.7) + 0.05, abs=0.03)  # the shin's, with a box around its end
 
 
 def test_cameras_actuators_and_free_joints_are_found_by_their_own_names(world: RobotWorld) -> None:
-    assert world.body_of_camera("eye") == "robot/torso"
+    assert world.body_of_camera("eye") == "robot/torso" and world.body_of_camera("foot") == "robot/body"
     assert world.control_range("knee") == [-2.0, 3.0] and world.control_range("hip") is None
     assert torch.equal(world.control_limits(), torch.tensor([[-2.0], [3.0]]))
     assert world.free_joint("ball") == 8 and world.free_joint("egg") is None
-    with pytest.raises(ValueError, match=r"robot\.xml: expected a camera called 'tail', got eye"):
+    with pytest.raises(ValueError, match=r"robot\.xml: expected a camera called 'tail', got eye, foot"):
         world.body_of_camera("tail")

@@ -113,7 +113,6 @@ class Task(Protocol):
         chooses_episodes: whether each start has a goal of its own, so that evaluations use the episodes of
             ``ChoosingTask``.
         given_together: keys of the memory that depend on each other: a reset is given all of them or none.
-        ways_out: what to change where no pose is free or no path leads to the goal, as it ends an error message.
     """
 
     motion: PlannedMotion
@@ -121,7 +120,11 @@ class Task(Protocol):
     goals_for_success: int | None
     chooses_episodes: bool
     given_together: Sequence[str]
-    ways_out: str
+
+    @property
+    def ways_out(self) -> str:
+        """What to change where no pose is free or no path leads to the goal, as it ends an error message."""
+        ...
 
     @property
     def goal_radius(self) -> float | None:

@@ -35,10 +35,13 @@ class TaskModule(torch.nn.Module):
     """
 
     motion: PlannedMotion
+    leeway = 0.0
+    """Distance beyond the motion's bounds at which robots count as outside, metres."""
+    landmark = "landmarks.goal"
+    """Key of the place that the goal is at or shows, for error messages."""
     goals_for_success: int | None = None
     chooses_episodes = False
     given_together: Sequence[str] = ()
-    ways_out = "try another landmarks.goal or robot.height, or a smaller robot.body.size"
 
     def __init__(self, motion: PlannedMotion, max_steps: int):
         super().__init__()
@@ -54,10 +57,16 @@ class TaskModule(torch.nn.Module):
         """None: episodes cannot be given with their goals."""
         return None
 
+    @property
+    def ways_out(self) -> str:
+        """What to change where no pose is free or no path leads to the goal; see ``Task``."""
+        places = self.landmark if self.motion.height is None else f"{self.landmark} or robot.height"
+        return f"try another {places}, or a smaller robot.body.size"
+
     def settle(self, site: Site, fits: Fits) -> Fits:
         """Put the motion into a scene; return where it lets episodes begin."""
         with under_key("task.motion"):
-            return self.motion.settle(site, fits)
+            return self.motion.settle(site._replace(leeway=self.leeway), fits)
 
     def check_picture(self, drawing: Drawing, robot: Robot) -> None:
         """Accept every drawing and camera."""

@@ -2,14 +2,17 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
+from splatrl.bodies import Box
 from splatrl.building import build_one_world
 from splatrl.configuration import load_config
 from splatrl.envs.tasks import Outcome, Route
-from splatrl.motions import PhysicsMotion
+from splatrl.misfits import check_height
+from splatrl.motions import PhysicsMotion, Site
 from splatrl.physics import RouteSettings, Terrain
 from tests.envs.tasks.courses import NOTHING, PLANE, CourseContract, cache, judged, wander
 from tests.envs.test_configured_tasks import ConfiguredContract
@@ -90,6 +93,27 @@ def test_touching_and_leaving_end_an_episode_and_reach_no_waypoint() -> None:
         state = at(task, 0, 0, 0.5)
         state[0, task.motion.layout.position][0] = x
         assert judged(task, state, state).outcome.item() == outcome
+
+
+def test_physics_knows_what_is_solid_as_far_as_the_leeway_lets_cars_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    task, told = Route(car(), courses=1, test_courses=1, leeway=0.4), []
+    monkeypatch.setattr(task.motion, "settle", lambda site, fits: told.append(site) or fits)
+    site: Any = Site(None, None, None, Box((0.1, 0.1, 0.1)), True)  # type: ignore[arg-type]
+    task.settle(site, lambda poses: torch.ones(len(poses)).bool())
+    assert site.leeway == 0.0 and [each.leeway for each in told] == [0.4]
+
+
+def test_nobody_is_told_to_change_the_height_of_a_car(tmp_path: Path) -> None:
+    task = route()
+    assert task.ways_out == "try another landmarks.goal, or a smaller robot.body.size"
+    bottom = ((-1.0, -1.0, 0.5), (1.0, 1.0, 2.0))
+    with pytest.raises(ValueError, match=r"scene\.bounds: expected a bottom below the robot, at 0\.25 m, got 0\.5 m"):
+        check_height(bottom, task)
+    high = ["robot=wheels", "robot.body.size=[0.4,0.3,0.5]", "motion@task.motion=physics"]
+    with pytest.raises(
+        ValueError, match=r"expected free poses.*; try another landmarks\.goal, or a smaller robot\.body"
+    ):
+        build_one_world(load_config([*tiny_overrides(tmp_path, "drive"), *high]))
 
 
 def test_the_reward_is_progress_plus_a_bonus_per_waypoint() -> None:
