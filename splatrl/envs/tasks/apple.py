@@ -63,7 +63,7 @@ class Apple(OutcomeTask):
     motion: ForwardMotion
     place: Tensor  # [3] float32; with several scenes [S, 3]
     of_scene = ("place",)
-    ways_out = "try another landmarks.object or robot.height, or a smaller robot.body.size"
+    ways_out = "try another landmarks.object or robot.height, or a smaller robot.body"
 
     def __init__(
         self,

@@ -38,7 +38,7 @@ class TaskModule(torch.nn.Module):
     goals_for_success: int | None = None
     chooses_episodes = False
     given_together: Sequence[str] = ()
-    ways_out = "try another landmarks.goal or robot.height, or a smaller robot.body.size"
+    ways_out = "try another landmarks.goal or robot.height, or a smaller robot.body"
 
     def __init__(self, motion: PlannedMotion, max_steps: int):
         super().__init__()
