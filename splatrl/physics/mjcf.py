@@ -55,6 +55,25 @@ def read_mjcf(path: Path | str) -> Any:
             that expand one element into many or load code, in one line that names the file and the element.
     """
     mujoco, path = needed(), Path(path)
+    text, reading = _read(path)
+    try:
+        spec = mujoco.MjSpec.from_string(text.decode(), include=reading.included, assets=reading.assets)
+        model = spec.copy().compile()
+    except (ValueError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: expected MJCF, got {_one_line(error)}") from error
+    if odd := [name for name in NUMBERS if not np.isfinite(getattr(model, name)).all()]:
+        raise ValueError(f"{path}: expected finite numbers, got infinite ones or NaN in {odd[0]}")
+    return spec
+
+
+def mjcf_files(path: Path) -> list[Path]:
+    """Return an MJCF file, the files that it includes, and its meshes and textures; raises as ``read_mjcf``."""
+    _, reading = _read(path)
+    return [path, *(path.parent / name for name in (*reading.included, *reading.assets))]
+
+
+def _read(path: Path) -> tuple[bytes, _Reading]:
+    """Read an MJCF file and everything that it references, and check it."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: expected an MJCF file, found none")
     reading = _Reading(path.parent.resolve())
@@ -64,14 +83,7 @@ def read_mjcf(path: Path | str) -> Any:
     for tree in trees:
         for node in tree.iter():
             _read_files(path, node, places, reading)
-    try:
-        spec = mujoco.MjSpec.from_string(text.decode(), include=reading.included, assets=reading.assets)
-        model = spec.copy().compile()
-    except (ValueError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: expected MJCF, got {_one_line(error)}") from error
-    if odd := [name for name in NUMBERS if not np.isfinite(getattr(model, name)).all()]:
-        raise ValueError(f"{path}: expected finite numbers, got infinite ones or NaN in {odd[0]}")
-    return spec
+    return text, reading
 
 
 def _checked(path: Path, text: bytes, reading: _Reading) -> list[ElementTree.Element]:
