@@ -4,7 +4,7 @@ import functools
 import itertools
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn
@@ -89,9 +89,9 @@ RUN_CONFIG = "config.yaml"
 """File name of the config in a run folder."""
 FIRST_BYTES = 2**16
 """Least free space for a run, in bytes: its configs, which Hydra writes before the command begins."""
-PATHS = ("scene.path", "collision.occupancy.cloud", "demos", "evaluation.episodes")
+PATHS = ("scene.path", "collision.occupancy.cloud", "demos", "evaluation.episodes", "task.motion.looks")
 """Keys whose strings are paths, made absolute in a run folder; ``demos`` may also be a number, which is left alone."""
-NAMES_OR_PATHS = ("drawing.sprite", "transforms.sprite.sprite", "task.motion.gait", "robot.path")
+NAMES_OR_PATHS = ("drawing.sprite", "transforms.sprite.sprite", "task.motion.gait", "task.motion.things", "robot.path")
 """Keys whose strings are paths or built-in names; they are made absolute if there is such a file."""
 
 
@@ -121,16 +121,28 @@ def forget_run(folder: Path) -> None:
 
 def with_absolute_paths(cfg: DictConfig) -> DictConfig:
     """Return a config with absolute paths, valid from any working directory; the same object if nothing changes."""
-    given = {key: OmegaConf.select(cfg, key) for key in PATHS}
-    named = {key: OmegaConf.select(cfg, key) for key in NAMES_OR_PATHS}
-    given |= {key: path for key, path in named.items() if isinstance(path, str) and expanded(path).is_file()}
-    absolute = {key: str(expanded(path).absolute()) for key, path in given.items() if isinstance(path, str)}
+    given = paths_of(cfg)
+    absolute = {key: str(expanded(path).absolute()) for key, path in given.items()}
     changed = {key: path for key, path in absolute.items() if path != given[key]}
     if changed:
         cfg = cfg.copy()
         for key, path in changed.items():
             OmegaConf.update(cfg, key, path)
     return cfg
+
+
+def paths_of(cfg: DictConfig) -> dict[str, str]:
+    """Return the paths in a config by key, such as ``task.motion.things[ball]``; built-in names are left out."""
+    named = {key: path for key, path in _strings(cfg, NAMES_OR_PATHS) if expanded(path).is_file()}
+    return dict(_strings(cfg, PATHS)) | named
+
+
+def _strings(cfg: DictConfig, keys: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield the strings at keys of a config and in the nodes there, with their keys."""
+    for key in keys:
+        value = OmegaConf.select(cfg, key)
+        within = {f"{key}[{name!s}]": value[name] for name in value} if isinstance(value, DictConfig) else {key: value}
+        yield from ((place, text) for place, text in within.items() if isinstance(text, str))
 
 
 def run_config(folder: Path, allow_targets: Sequence[str] = ()) -> DictConfig:

@@ -60,15 +60,7 @@ def read_mjcf(path: Path | str) -> Any:
             that expand one element into many or load code, in one line that names the file and the element.
     """
     mujoco, path = needed(), Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: expected an MJCF file, found none")
-    reading = _Reading(path.parent.resolve())
-    text = _small(path, MOST_TEXT)
-    trees = _checked(path, text, reading)
-    places = {key: value for tree in trees for node in tree.iter("compiler") for key, value in node.attrib.items()}
-    for tree in trees:
-        for node in tree.iter():
-            _read_files(path, node, places, reading)
+    text, reading = _read(path)
     try:
         spec = mujoco.MjSpec.from_string(text.decode(), include=reading.included, assets=reading.assets)
         spec.compiler.fusestatic = False
@@ -81,6 +73,26 @@ def read_mjcf(path: Path | str) -> Any:
     if getattr(spec.compiler, "settotalmass", 0.0) > 0.0:  # MuJoCo has announced its removal
         _fix_inertia(spec, alone, model)
     return spec
+
+
+def mjcf_files(path: Path) -> list[Path]:
+    """Return an MJCF file, the files that it includes, and its meshes and textures; raises as ``read_mjcf``."""
+    _, reading = _read(path)
+    return [path, *reading.found.values(), *(path.parent / name for name in reading.assets)]
+
+
+def _read(path: Path) -> tuple[bytes, _Reading]:
+    """Read an MJCF file and everything that it references, and check it."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: expected an MJCF file, found none")
+    reading = _Reading(path.parent.resolve())
+    text = _small(path, MOST_TEXT)
+    trees = _checked(path, text, reading)
+    places = {key: value for tree in trees for node in tree.iter("compiler") for key, value in node.attrib.items()}
+    for tree in trees:
+        for node in tree.iter():
+            _read_files(path, node, places, reading)
+    return text, reading
 
 
 def _fix_inertia(spec: Any, alone: Any, model: Any) -> None:

@@ -12,6 +12,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from torchrl.envs import EnvBase, RewardScaling
 
+from splatrl.bodies import Sphere
 from splatrl.building import build_trainer, build_world, make_env
 from splatrl.building.places import constructor
 from splatrl.collision import CudaChecker, NativeChecker, NoChecker
@@ -241,6 +242,18 @@ def test_a_task_moves_to_the_device_of_its_env_and_the_plan_stays(
 def test_every_task_builds_an_env_that_steps(path: Path, tmp_path: Path) -> None:
     env = make_env(tiny_overrides(tmp_path, path.stem), batch_size=[2])
     assert env.rollout(2)["next", "reward"].shape[0] == 2
+
+
+@pytest.mark.parametrize("path", TASKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("robot", ["round", "wheels"])
+def test_a_robot_that_is_typed_keeps_its_body_in_every_task(path: Path, robot: str) -> None:
+    typed = load_config([f"task={path.stem}", f"robot={robot}"])
+    assert typed.robot.body == load_config([f"robot={robot}"]).robot.body
+
+
+def test_a_task_published_with_a_point_takes_a_sphere_too(tmp_path: Path) -> None:
+    world = build_world(load_config([*tiny_overrides(tmp_path, "fps"), "robot=round", "robot.body.radius=0.1"]))
+    assert world.robot.body == Sphere(0.1)
 
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)

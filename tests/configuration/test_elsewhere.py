@@ -57,6 +57,19 @@ def test_a_run_keeps_the_path_of_its_sprite_but_not_the_name_of_a_built_in_one(t
     assert run_config(trained(tmp_path / "b", words)).drawing.sprite == "apple"
 
 
+def test_a_run_keeps_the_files_of_its_things_and_looks_in_any_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for folder in (tmp_path, tmp_path / "elsewhere"):  # another file of the same name must not be taken
+        (folder / "box.xml").touch()
+    things = ["+task.motion.things={crate: box.xml}", "+task.motion.looks.ball=garden/a.ply"]
+    run = trained(tmp_path / "run", ["scene=garden/", "task=push", *things])
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    for cfg in (run_config(run), config_elsewhere(run, ["task.max_steps=50"])):
+        assert dict(cfg.task.motion.things) == {"ball": "ball", "crate": str(tmp_path / "box.xml")}
+        assert dict(cfg.task.motion.looks) == {"ball": str(tmp_path / "garden" / "a.ply")}
+
+
 def test_changed_settings_are_allowed_for_one_resumption_only(tmp_path: Path) -> None:
     run = trained(tmp_path / "run", ["scene=garden/"])
     changed = resumed_config(run, [f"resume={run}", "resume_changed=true", "loss.gamma=0.9", "view=true"])

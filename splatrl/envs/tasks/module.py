@@ -61,7 +61,7 @@ class TaskModule(torch.nn.Module):
     def ways_out(self) -> str:
         """What to change where no pose is free or no path leads to the goal; see ``Task``."""
         places = self.landmark if self.motion.height is None else f"{self.landmark} or robot.height"
-        return f"try another {places}, or a smaller robot.body.size"
+        return f"try another {places}, or a smaller robot.body"
 
     def settle(self, site: Site, fits: Fits) -> Fits:
         """Put the motion into a scene; return where it lets episodes begin."""

@@ -50,7 +50,7 @@ class Orbit(OutcomeTask):
     goal: Tensor  # [3] float64: x, y and yaw of the goal pose
     goal_sphere: Tensor  # [3] float64: azimuth, distance and elevation of the goal
     of_scene = ("goal",)
-    ways_out = "try another task.azimuth_deg, task.distance or landmarks.object, or a smaller robot.body.size"
+    ways_out = "try another task.azimuth_deg, task.distance or landmarks.object, or a smaller robot.body"
 
     def __init__(
         self,
