@@ -35,6 +35,7 @@ Thing = TypeVar("Thing")
 class _Taken:
     image: Image.Image
     seconds: float
+    file: str | None = None
     gps: tuple[float, float] | None = None
     turned: bool = False
 
@@ -156,7 +157,7 @@ def _from_folder(source: Path, count: tuple[int, int], longest: int, progress: P
                     image = image.transpose(Image.Transpose.ROTATE_270)  # clockwise
                 value = sharpness(np.asarray(image.convert("L"))) if len(group) > 1 else 0.0
                 place = photo_files.gps_place(paths[number])
-                yield bucket, _Taken(image, float(number), place, lying[number]), value
+                yield bucket, _Taken(image, float(number), paths[number].name, place, lying[number]), value
 
     yield from sharpest(graded())
     progress("photos", len(paths), len(paths))
@@ -164,7 +165,7 @@ def _from_folder(source: Path, count: tuple[int, int], longest: int, progress: P
 
 def _write(made: Path, taken: Iterator[_Taken], source: Path, remarks: list[str]) -> None:
     """Write the images and what is known of them; ``remarks`` are complete once all images were taken."""
-    names, seconds, gps, turned = [], [], [], []
+    names, seconds, files, gps, turned = [], [], [], [], []
     rows, columns = np.zeros(1), np.zeros(1)
     for number, photo in enumerate(taken):
         grey = np.asarray(photo.image.convert("L"))
@@ -172,6 +173,7 @@ def _write(made: Path, taken: Iterator[_Taken], source: Path, remarks: list[str]
         names.append(f"{number:04}.jpg")
         photo.image.convert("RGB").save(made / names[-1], quality=95, subsampling=0)
         seconds.append(photo.seconds)
+        files += [photo.file] if photo.file is not None else []
         gps.append(photo.gps or (math.nan, math.nan))
         turned.append(photo.turned)
     size = (len(columns), len(rows))
@@ -181,6 +183,7 @@ def _write(made: Path, taken: Iterator[_Taken], source: Path, remarks: list[str]
     index = {
         "names": names,
         "seconds": seconds,
+        "files": files,
         "size": size,
         "focal": focal,
         "gps": gps,
@@ -217,4 +220,5 @@ def _photos(kept: Path) -> Photos:
         gps=None if gps.isnan().all() else gps,
         turned=turned,
         remarks=tuple(index["remarks"]),
+        files=tuple(index["files"]),
     )

@@ -85,7 +85,8 @@ def photos_of(folder: Path, images: list[np.ndarray], seconds: list[float] | Non
     for path, image in zip(paths, images, strict=True):
         Image.fromarray(image).save(path)
     times = torch.tensor(seconds if seconds else list(range(len(images))), dtype=torch.float64)
-    return Photos(paths, images[0].shape[1], images[0].shape[0], times)
+    files = () if seconds else tuple(path.name for path in paths)
+    return Photos(paths, images[0].shape[1], images[0].shape[0], times, files=files)
 
 
 QUARTER_TURN = (0, 1, -1, 0)
