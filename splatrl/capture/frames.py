@@ -128,16 +128,16 @@ def _from_video(
     ends, start, found = buckets(times, count), float(times[0]), False
     encoding = videos.encoding_of(source)
 
-    def graded() -> Iterator[tuple[int, "VideoFrame", float]]:
+    def graded() -> Iterator[tuple[int, tuple[float, "VideoFrame"], float]]:
         for number, (seconds, frame) in enumerate(videos.frames(source, remark)):
             progress("frames", min(number, len(times)), len(times))
             grey = videos.grey(frame, SHARPNESS_WIDTH)
             if grey.mean() >= BLACK:
-                yield int(np.searchsorted(ends, seconds, side="right")), frame, sharpness(grey)
+                yield int(np.searchsorted(ends, seconds, side="right")), (seconds, frame), sharpness(grey)
 
-    for best in sharpest(graded()):
+    for seconds, frame in sharpest(graded()):
         found = True
-        yield _Taken(videos.upright(best, longest, encoding), float(best.time) - start)
+        yield _Taken(videos.upright(frame, longest, encoding), seconds - start)
     if not found:
         raise CaptureError(f"{source}: expected decodable frames that are not black, found none")
     progress("frames", len(times), len(times))
@@ -166,19 +166,21 @@ def _from_folder(source: Path, count: tuple[int, int], longest: int, progress: P
 def _write(made: Path, taken: Iterator[_Taken], source: Path, remarks: list[str]) -> None:
     """Write the images and what is known of them; ``remarks`` are complete once all images were taken."""
     names, seconds, files, gps, turned = [], [], [], [], []
-    rows, columns = np.zeros(1), np.zeros(1)
+    rows: list[np.ndarray] = []
+    columns: list[np.ndarray] = []
     for number, photo in enumerate(taken):
         grey = np.asarray(photo.image.convert("L"))
-        rows, columns = np.maximum(rows, grey.max(1)), np.maximum(columns, grey.max(0))
+        rows.append(grey.max(1))
+        columns.append(grey.max(0))
         names.append(f"{number:04}.jpg")
         photo.image.convert("RGB").save(made / names[-1], quality=95, subsampling=0)
         seconds.append(photo.seconds)
         files += [photo.file] if photo.file is not None else []
         gps.append(photo.gps or (math.nan, math.nan))
         turned.append(photo.turned)
-    size = (len(columns), len(rows))
+    size = (len(columns[0]), len(rows[0]))
     if not source.is_dir():
-        size = _without_bars([made / name for name in names], videos.within_bars(rows, columns))
+        size = _without_bars([made / name for name in names], videos.within_bars(np.array(rows), np.array(columns)))
     focal = photo_files.focal_length(source, size) if source.is_dir() else None
     index = {
         "names": names,

@@ -93,6 +93,9 @@ def test_black_bars_around_a_film_are_cut_off(tmp_path: Path) -> None:
     cut = (320 - photos.width) // 2
     for image, path in zip(inner, photos.paths, strict=True):
         assert np.abs(_read(path) - image[:, cut:-cut]).mean() < 12
+    slate = np.full_like(framed[0], 220)  # one bright image does not hide the bars
+    write_video(tmp_path / "c.mp4", [slate, *framed, *framed])
+    assert read_photos(tmp_path / "c.mp4", tmp_path / "slate", count=(9, 9)).width == photos.width
     dark = [np.pad(image[100:], ((100, 0), (0, 0), (0, 0))) for image in inner]  # a night sky is no bar
     write_video(tmp_path / "b.mp4", dark)
     assert read_photos(tmp_path / "b.mp4", tmp_path / "dark", count=(4, 4)).height == 240
