@@ -160,14 +160,22 @@ def square_pixels(image: Image.Image, aspect: float) -> Image.Image:
     return image if size == image.size else image.resize(size, Image.Resampling.BILINEAR)
 
 
+def one_field(image: Image.Image) -> Image.Image:
+    """Return every other line of an interlaced frame, whose lines in between were taken at another time."""
+    return Image.fromarray(np.asarray(image)[::2])
+
+
 def displayed(frame: "VideoFrame", aspect: float) -> Image.Image:
     """Return a video frame as players show it: RGB, with square pixels, and turned or mirrored as the file says.
+
+    Of an interlaced frame, one of the two fields is shown.
 
     Args:
         frame: the frame as decoded.
         aspect: the video's ``pixel_aspect``.
     """
-    image = square_pixels(frame.to_image(), aspect)
+    image = frame.to_image()
+    image = square_pixels(one_field(image), aspect / 2) if frame.interlaced_frame else square_pixels(image, aspect)
     told: Any = frame.side_data  # PyAV's stubs know only motion vectors
     if (matrix := told.get("DISPLAYMATRIX")) is None:
         return image

@@ -33,6 +33,7 @@ class Photos:
         turned: [N] bool, whether an image was turned a quarter clockwise, onto its side, to have the size of the
             others; None where none was.
         remarks: what of the source was not used although it should have been, one sentence each.
+        files: N names of the source's files, for messages; empty where the images are known by their ``seconds``.
     """
 
     paths: list[Path]
@@ -47,6 +48,7 @@ class Photos:
     gps: Tensor | None = None
     turned: Tensor | None = None
     remarks: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,7 @@ class Reconstruction:
         seen_point: [T] int64, index of the point in each observation of a point by a camera.
         seen_by: [T] int64, index of the camera in each observation.
         missing: fraction of the given images whose pose was not found.
+        lost: the longest stretches of these images, each in words: by the names of their files or their times.
         depths: N depth images of a sensor, as in ``Photos``; empty without a sensor.
         depth_unit: length of one count in these images, in the unit of the frame.
         seconds: [N] float64, time at which each image was taken, as in ``Photos``; None where unknown.
@@ -81,6 +84,7 @@ class Reconstruction:
     seen_point: Tensor
     seen_by: Tensor
     missing: float = 0.0
+    lost: tuple[str, ...] = ()
     depths: tuple[Path, ...] = ()
     depth_unit: float = 0.001
     seconds: Tensor | None = None

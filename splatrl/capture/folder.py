@@ -106,7 +106,9 @@ def problems(placed: Placed, found: Suggestions, quality: Quality) -> list[str]:
         f"by {placed.up_error_deg:.0f}°, and the floor may be lower.": placed.up_from == "cameras",
         "Its scale may be far off: it rests on a floor that was hardly seen, or on parts that may be joined wrongly. "
         "Film a printed marker, or measure a distance in the scene.": placed.metric and placed.scale_error is None,
-        f"{100 * missing:.0f} % of the images have no pose.": missing > MOST_MISSING,
+        f"{100 * missing:.0f} % of the images have no pose, among them {', '.join(placed.reconstruction.lost)}.": (
+            missing > MOST_MISSING
+        ),
         f"{100 * (1 - quality.path_free):.0f} % of the camera's path runs through solid space (red in the map).": (
             quality.path_free < GOOD_PATH
         ),

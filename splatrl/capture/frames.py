@@ -35,6 +35,7 @@ Thing = TypeVar("Thing")
 class _Taken:
     image: Image.Image
     seconds: float
+    file: str | None = None
     gps: tuple[float, float] | None = None
     turned: bool = False
 
@@ -127,16 +128,16 @@ def _from_video(
     ends, start, found = buckets(times, count), float(times[0]), False
     encoding = videos.encoding_of(source)
 
-    def graded() -> Iterator[tuple[int, "VideoFrame", float]]:
+    def graded() -> Iterator[tuple[int, tuple[float, "VideoFrame"], float]]:
         for number, (seconds, frame) in enumerate(videos.frames(source, remark)):
             progress("frames", min(number, len(times)), len(times))
             grey = videos.grey(frame, SHARPNESS_WIDTH)
             if grey.mean() >= BLACK:
-                yield int(np.searchsorted(ends, seconds, side="right")), frame, sharpness(grey)
+                yield int(np.searchsorted(ends, seconds, side="right")), (seconds, frame), sharpness(grey)
 
-    for best in sharpest(graded()):
+    for seconds, frame in sharpest(graded()):
         found = True
-        yield _Taken(videos.upright(best, longest, encoding), float(best.time) - start)
+        yield _Taken(videos.upright(frame, longest, encoding), seconds - start)
     if not found:
         raise CaptureError(f"{source}: expected decodable frames that are not black, found none")
     progress("frames", len(times), len(times))
@@ -156,7 +157,7 @@ def _from_folder(source: Path, count: tuple[int, int], longest: int, progress: P
                     image = image.transpose(Image.Transpose.ROTATE_270)  # clockwise
                 value = sharpness(np.asarray(image.convert("L"))) if len(group) > 1 else 0.0
                 place = photo_files.gps_place(paths[number])
-                yield bucket, _Taken(image, float(number), place, lying[number]), value
+                yield bucket, _Taken(image, float(number), paths[number].name, place, lying[number]), value
 
     yield from sharpest(graded())
     progress("photos", len(paths), len(paths))
@@ -164,23 +165,27 @@ def _from_folder(source: Path, count: tuple[int, int], longest: int, progress: P
 
 def _write(made: Path, taken: Iterator[_Taken], source: Path, remarks: list[str]) -> None:
     """Write the images and what is known of them; ``remarks`` are complete once all images were taken."""
-    names, seconds, gps, turned = [], [], [], []
-    rows, columns = np.zeros(1), np.zeros(1)
+    names, seconds, files, gps, turned = [], [], [], [], []
+    rows: list[np.ndarray] = []
+    columns: list[np.ndarray] = []
     for number, photo in enumerate(taken):
         grey = np.asarray(photo.image.convert("L"))
-        rows, columns = np.maximum(rows, grey.max(1)), np.maximum(columns, grey.max(0))
+        rows.append(grey.max(1))
+        columns.append(grey.max(0))
         names.append(f"{number:04}.jpg")
         photo.image.convert("RGB").save(made / names[-1], quality=95, subsampling=0)
         seconds.append(photo.seconds)
+        files += [photo.file] if photo.file is not None else []
         gps.append(photo.gps or (math.nan, math.nan))
         turned.append(photo.turned)
-    size = (len(columns), len(rows))
+    size = (len(columns[0]), len(rows[0]))
     if not source.is_dir():
-        size = _without_bars([made / name for name in names], videos.within_bars(rows, columns))
+        size = _without_bars([made / name for name in names], videos.within_bars(np.array(rows), np.array(columns)))
     focal = photo_files.focal_length(source, size) if source.is_dir() else None
     index = {
         "names": names,
         "seconds": seconds,
+        "files": files,
         "size": size,
         "focal": focal,
         "gps": gps,
@@ -217,4 +222,5 @@ def _photos(kept: Path) -> Photos:
         gps=None if gps.isnan().all() else gps,
         turned=turned,
         remarks=tuple(index["remarks"]),
+        files=tuple(index["files"]),
     )

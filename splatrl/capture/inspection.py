@@ -1,6 +1,6 @@
 """What robots could do in a scene that comes without cameras: what is solid, where to walk, and what to look for."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,7 +10,7 @@ from splatrl.capture.pictures import GOALS, draw_goals
 from splatrl.capture.suggestions import Goal, place_proposals, seen_in_splat, suggest
 from splatrl.capture.walkable import walkable_area
 from splatrl.collision.occupancy import Occupancy
-from splatrl.evaluation.scene_pictures import draw_scene, survey_occupancy
+from splatrl.evaluation.scene_pictures import draw_scene, stated_occupancy, survey_occupancy
 from splatrl.evaluation.terrain_pictures import draw_terrain
 from splatrl.physics.survey import Surveyed, find_terrain
 from splatrl.scenes.scene import Bounds, Scene
@@ -68,7 +68,12 @@ class Proposed(NamedTuple):
 
 
 def inspect_occupancy(
-    scene: Scene, floor: float, height: float, pictures: ScenePictures, resolution: float | None = None
+    scene: Scene,
+    floor: float,
+    height: float,
+    pictures: ScenePictures,
+    resolution: float | None = None,
+    stated: Mapping[str, Any] | None = None,
 ) -> tuple[Occupancy, list[str]]:
     """Find what is solid, and draw it.
 
@@ -78,6 +83,8 @@ def inspect_occupancy(
         height: height of the robot, metres.
         pictures: draws what is found.
         resolution: edge of a voxel, metres; None chooses one.
+        stated: keys and values of the scene's ``scene.yaml``, by which training decides what is solid; None for a scene
+            without one.
 
     Returns:
         What is solid, and lines that say how much.
@@ -85,7 +92,7 @@ def inspect_occupancy(
     Raises:
         ValueError: for a scene without extent, or a grid that becomes too large.
     """
-    occupancy = survey_occupancy(scene, resolution)
+    occupancy = survey_occupancy(scene, resolution) if stated is None else stated_occupancy(scene, stated, resolution)
     return occupancy, [str(occupancy.report()), *_drew(pictures.of_scene(scene, occupancy, floor, height))]
 
 

@@ -9,12 +9,15 @@ Floats = NDArray[np.float64]
 
 TORN = 8.0
 """Jerk from which a camera's path counts as torn: twice the jerk above which a film is mapped a second way."""
+MOVING = 0.25
+"""Minimum speed of a camera that walks, as a fraction of its 90th percentile. Velocities below it are mostly noise of
+the poses, and a film that stands still for half its length has no others in most of its images."""
 FEWEST = 38
 """Minimum number of velocity changes, those of 40 images; with fewer, the 99th percentile says nothing."""
 
 
 def leaps(places: Floats, seconds: Floats) -> Floats:
-    """Return the size of each change of a camera's velocity, relative to the median change.
+    """Return the size of each change of a camera's velocity, relative to the median change while it moves.
 
     Args:
         places: [N, 3] positions of the camera, in any unit.
@@ -25,7 +28,11 @@ def leaps(places: Floats, seconds: Floats) -> Floats:
     """
     velocity = np.diff(places, axis=0) / np.maximum(np.diff(seconds), 1e-3)[:, None]
     changes: Floats = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
-    return changes / max(float(np.median(changes)), 1e-12) if len(changes) else changes
+    if not len(changes):
+        return changes
+    speed = np.linalg.norm(velocity, axis=1)
+    moves = np.maximum(speed[1:], speed[:-1]) >= MOVING * np.quantile(speed, 0.9)
+    return changes / max(float(np.median(changes[moves])), 1e-12)
 
 
 def camera_leaps(found: Reconstruction) -> Floats:

@@ -154,7 +154,8 @@ def reconstruct(
     notes = [*photos.remarks, *([] if known else _first_look(photos, settings.force, progress, say))]
     least = 0.0 if settings.force else ENOUGH
     found = with_measured_points(find_poses(photos, stages, settings.seed, progress, least=least))
-    say(f"poses       {len(found.paths)} of {len(photos.paths)} images, {len(found.points):,} points")
+    lost = f"\n            missing: {', '.join(found.lost)}" if found.lost else ""
+    say(f"poses       {len(found.paths)} of {len(photos.paths)} images, {len(found.points):,} points{lost}")
     if photos.up is None and (rotated := why_not_upright(found)) is not None:
         notes.append(_unless_forced(rotated, settings.force, "poses", say))
     placed = place(found, photos.up, photos.metric, settings.marker, settings.distance, settings.camera_height)

@@ -81,7 +81,7 @@ def job_of(photos: Photos, seed: int = 0, exact_camera: bool = False) -> Job:
         fixed=exact_camera,
         camera_to_world=None if photos.camera_to_world is None else photos.camera_to_world.tolist(),
         seed=seed,
-        seconds=photos.seconds.tolist() if _timed(photos) else None,
+        seconds=None if photos.files else photos.seconds.tolist(),
     )
 
 
@@ -89,22 +89,26 @@ def _check_share(photos: Photos, found: np.ndarray, least: float) -> None:
     count = len(photos.paths)
     if len(found) >= max(2, least * count):
         return
-    timed = _timed(photos)
-    parts = []
-    for first, last in missing_runs(found, count):
-        names = (photos.paths[first].name, photos.paths[last].name)
-        times = (f"{photos.seconds[first]:.1f} s", f"{photos.seconds[last]:.1f} s")
-        parts.append(" to ".join(times if timed else names) + f" ({last - first + 1} images)")
+    missing = ", ".join(missing_parts(photos, found))
     raise CaptureError(
         f"tracking lost: only {len(found)} of {count} images could be registered ({len(found) / count:.0%}; at least "
-        f"{least:.0%} are needed). Missing: {', '.join(parts)}. Film these parts and the way to them again, more "
+        f"{least:.0%} are needed). Missing: {missing}. Film these parts and the way to them again, more "
         "slowly and with more overlap, and turn in a curve rather than on the spot; --force leaves these parts out."
     )
 
 
-def _timed(photos: Photos) -> bool:
-    """Return whether capture times are known; the photos of a folder are only numbered."""
-    return not torch.equal(photos.seconds, torch.arange(len(photos.paths), dtype=photos.seconds.dtype))
+def missing_parts(photos: Photos, found: np.ndarray) -> tuple[str, ...]:
+    """Return the longest stretches of images without a pose in words, by the names of their files or their times.
+
+    Args:
+        photos: all images.
+        found: indices of the images with a pose.
+    """
+    names = photos.files or [f"{seconds:.1f} s" for seconds in photos.seconds.tolist()]
+    return tuple(
+        names[first] if first == last else f"{names[first]} to {names[last]} ({last - first + 1} images)"
+        for first, last in missing_runs(found, len(photos.paths))
+    )
 
 
 def missing_runs(found: np.ndarray, count: int, most: int = 4) -> list[tuple[int, int]]:
@@ -145,8 +149,9 @@ def _reconstruction(
         seen_point=_tensor(model, "seen_point"),
         seen_by=_tensor(model, "seen_by"),
         missing=1 - len(images) / len(photos.paths),
+        lost=missing_parts(photos, model["images"]),
         depths=tuple(photos.depths[number] for number in images) if photos.depths else (),
-        seconds=photos.seconds[torch.tensor(images, dtype=torch.int64)] if _timed(photos) else None,
+        seconds=None if photos.files else photos.seconds[torch.tensor(images, dtype=torch.int64)],
         gps=None if photos.gps is None else photos.gps[torch.tensor(images, dtype=torch.int64)],
         turned=None if photos.turned is None else photos.turned[torch.tensor(images, dtype=torch.int64)],
     )

@@ -1,5 +1,6 @@
 """The frames of a video, upright, and the times at which they are shown."""
 
+import itertools
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,13 +17,16 @@ from splatrl.capture.high_range import UNKNOWN, usual_range
 if TYPE_CHECKING:
     from av import VideoFrame
     from av.container import InputContainer
+    from av.video.stream import VideoStream
 
 
 MOST_DAMAGED = 0.03
 """Maximum fraction of a video's frames that may be damaged; some bytes are often lost in a transfer."""
-BLACK, THINNEST, EDGE = 24, 0.01, 0.005
-"""Maximum grey level of a bar, its minimum width as a fraction of the image's side, and the extra fraction that is cut
-off because the bar's edge is blurred."""
+BLACK, LIT, THINNEST, EDGE = 24, 0.2, 0.01, 0.005
+"""Maximum grey level of a bar, the fraction of images from which on a brighter line is none, a bar's minimum width as a
+fraction of the image's side, and the extra fraction that is cut off because the bar's edge is blurred."""
+USUAL_RATE = 30
+"""Frames per second of a video that does not tell."""
 
 
 @contextmanager
@@ -85,6 +89,8 @@ def encoding_of(path: Path) -> Encoding:
 def packet_times(path: Path) -> np.ndarray:
     """Return when each frame of a video is shown, without decoding any; frames that an edit has cut away are left out.
 
+    Times that go back, as where files were joined, are moved as ``frames`` moves them.
+
     Args:
         path: the video file.
 
@@ -96,12 +102,21 @@ def packet_times(path: Path) -> np.ndarray:
     """
     with open_video(path) as container:
         stream = container.streams.video[0]
-        packets = (packet for packet in container.demux(stream) if packet.size and not packet.is_discard)
-        times = [packet.pts for packet in packets if packet.pts is not None]
-        base = float(stream.time_base or 0)
-    if not times or not base:
+        base, interval = float(stream.time_base or 0), _interval(stream)
+        parts: list[list[int]] = [[]]
+        last = -math.inf
+        for packet in container.demux(stream):
+            if packet.pts is None or packet.is_discard or not packet.size:
+                continue
+            if packet.dts is not None:
+                if packet.dts < last:  # the next of several films that were joined
+                    parts.append([])
+                last = packet.dts
+            parts[-1].append(packet.pts)
+    times = np.array([time for part in parts for time in sorted(part)], np.float64) * base
+    if not len(times) or not base:
         raise CaptureError(f"{path}: expected frames with timestamps, found none")
-    return np.sort(np.asarray(times, np.float64)) * base
+    return np.array([*itertools.accumulate(times.tolist(), lambda before, time: _after(before, time, interval))])
 
 
 def frames(path: Path, remark: Callable[[str], object] = lambda _: None) -> Iterator[tuple[float, "VideoFrame"]]:
@@ -112,41 +127,78 @@ def frames(path: Path, remark: Callable[[str], object] = lambda _: None) -> Iter
         remark: called at the end with a sentence that says how many, if any.
 
     Yields:
-        Seconds in the time of the file, and the frame, not yet turned upright.
+        Seconds in the time of the file, ascending, and the frame, not yet turned upright. A time that is not later than
+        the one before is moved to one frame after it.
 
     Raises:
         CaptureError: as ``open_video`` does, where the size of the images changes, or where more than ``MOST_DAMAGED``
-            of the frames are damaged.
+            of the frames are damaged, or missing at the end.
     """
+    with open_video(path) as container:
+        interval, last = _interval(container.streams.video[0]), -math.inf
+        for frame in _decoded(path, container, remark):
+            if frame.time is not None:
+                last = _after(last, frame.time, interval)
+                yield last, frame
+
+
+def _decoded(path: Path, container: "InputContainer", remark: Callable[[str], object]) -> Iterator["VideoFrame"]:
     import av
 
-    with open_video(path) as container:
-        stream = container.streams.video[0]
-        stream.thread_type = "AUTO"
-        size, aspect, count, damaged = None, images.pixel_aspect(container), 0, 0
-        for packet in container.demux(stream):
-            count += packet.size > 0
-            try:
-                decoded = packet.decode()
-            except av.InvalidDataError:
-                damaged += 1
-                continue
-            for frame in decoded:
-                images.require_small(path, *images.square_size(frame.width, frame.height, aspect))
-                if frame.time is None:
-                    continue
-                size = size or (frame.width, frame.height)
-                if size != (frame.width, frame.height):
-                    raise CaptureError(
-                        f"{path}: expected frames of one size, got {size} and {frame.width, frame.height}"
-                    )
-                yield frame.time, frame
-        if damaged > max(1.0, MOST_DAMAGED * count):
-            raise CaptureError(
-                f"{path}: expected at most {100 * MOST_DAMAGED:.0f} % damaged frames, got {damaged} of {count}"
-            )
-        if damaged:
-            remark(f"{damaged} of {count} frames of {path.name} are damaged, and are not used.")
+    stream = container.streams.video[0]
+    stream.thread_type = "AUTO"
+    size, aspect, count, damaged = None, images.pixel_aspect(container), 0, 0
+    end = stream.start_time or 0
+    for packet in container.demux(stream):
+        count += packet.size > 0
+        if packet.pts is not None and not packet.is_discard:
+            end = max(end, packet.pts + (packet.duration or 0))
+        try:
+            decoded = packet.decode()
+        except av.InvalidDataError:
+            damaged += 1
+            continue
+        for frame in decoded:
+            images.require_small(path, *images.square_size(frame.width, frame.height, aspect))
+            size = size or (frame.width, frame.height)
+            if size != (frame.width, frame.height):
+                raise CaptureError(f"{path}: expected frames of one size, got {size} and {frame.width, frame.height}")
+            yield frame
+    missing = _missing(stream, count, end)
+    damaged, count = damaged + missing, count + missing
+    ends = f"; it breaks off, and the last {missing} are missing" if missing else ""
+    if damaged > max(1.0, MOST_DAMAGED * count):
+        raise CaptureError(
+            f"{path}: expected at most {100 * MOST_DAMAGED:.0f} % damaged frames, got {damaged} of {count}{ends}"
+        )
+    if damaged:
+        remark(f"{damaged} of {count} frames of {path.name} are damaged, and are not used{ends}.")
+
+
+def _missing(stream: "VideoStream", count: int, end: int) -> int:
+    """Return how many frames a file that breaks off lacks; 0 where it does not tell.
+
+    Frames that an edit has cut away are counted, but not shown, so number and duration must both say so.
+
+    Args:
+        stream: the video, after all of its packets were read.
+        count: number of packets that were read.
+        end: end of the last frame that is shown, in the time base of the stream.
+    """
+    if not stream.frames or stream.duration is None:
+        return 0
+    left = (stream.duration + (stream.start_time or 0) - end) * float(stream.time_base or 0) / _interval(stream)
+    return max(0, min(stream.frames - count, round(left)))
+
+
+def _interval(stream: "VideoStream") -> float:
+    """Return the usual time from frame to frame, seconds."""
+    return 1.0 / float(stream.average_rate or USUAL_RATE)
+
+
+def _after(before: float, time: float, interval: float) -> float:
+    """Return when a frame is shown, which is after the frame before whatever time its file states, seconds."""
+    return time if time > before else before + interval
 
 
 def grey(frame: "VideoFrame", longest: int) -> np.ndarray:
@@ -157,8 +209,11 @@ def grey(frame: "VideoFrame", longest: int) -> np.ndarray:
         longest: maximum pixels along the longer side.
     """
     scale = min(1.0, longest / max(frame.width, frame.height))
-    small = frame.reformat(max(3, round(frame.width * scale)), max(3, round(frame.height * scale)), "gray")
-    return small.to_ndarray()
+    size = max(3, round(frame.width * scale)), max(3, round(frame.height * scale))
+    if frame.interlaced_frame:
+        field = images.one_field(Image.fromarray(frame.reformat(format="gray").to_ndarray()))
+        return np.asarray(field.resize(size, Image.Resampling.BOX))
+    return frame.reformat(*size, "gray").to_ndarray()
 
 
 def upright(frame: "VideoFrame", longest: int, encoding: Encoding) -> Image.Image:
@@ -190,15 +245,15 @@ def within_bars(rows: np.ndarray, columns: np.ndarray) -> tuple[int, int, int, i
     The same width is cut from two opposite sides, so that the middle of the image stays where the lens pointed.
 
     Args:
-        rows: [H] brightest grey level of each row, over all images.
-        columns: [W] brightest grey level of each column, over all images.
+        rows: [N, H] brightest grey level of each row of each image.
+        columns: [N, W] brightest grey level of each column of each image.
 
     Returns:
         Left, upper, right and lower edge, pixels.
     """
 
     def edges(brightest: np.ndarray) -> tuple[int, int]:
-        size, lit = len(brightest), np.flatnonzero(brightest > BLACK)
+        size, lit = brightest.shape[1], np.flatnonzero((brightest > BLACK).mean(0) >= LIT)
         width = int(min(lit[0], size - 1 - lit[-1])) if len(lit) else 0
         cut = width + math.ceil(EDGE * size) if width >= THINNEST * size else 0
         return (cut, size - cut) if size - 2 * cut >= 16 else (0, size)

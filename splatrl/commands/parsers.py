@@ -144,12 +144,15 @@ def scene(arguments: Sequence[str]) -> argparse.Namespace:
         "fit in memory; --out town.spz writes them as small files",
     )
     result.add_argument(
-        "--height", type=float, default=0.4, help="height of the robot, metres, at which free space is drawn"
+        "--height",
+        type=float,
+        help="height of the robot, metres, at which free space is drawn; by default that of scene.yaml, or 0.4",
     )
     result.add_argument(
         "--resolution",
         type=float,
-        help="voxel size of the occupancy, metres; by default 0.05, but between 1/256 and 1/50 of the scene's diagonal",
+        help="voxel size of the occupancy, metres; by default that of scene.yaml; for a splat file 0.05, but between "
+        "1/256 and 1/50 of the scene's diagonal",
     )
     words = joined(joined(arguments, {"--up": 3}, is_numbers), {"--up": 1})
     return result.parse_args(joined(words, WORDS))

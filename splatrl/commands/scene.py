@@ -27,6 +27,8 @@ from splatrl.values import require_number
 
 STILL_TO_TYPE = {"robot_height": "robot.height=0.4", "goal": "'landmarks.goal=[x,y,yaw]'"}
 """Overrides that the user must type for keys for which no proposal was found."""
+ROBOT_HEIGHT = 0.4
+"""Height of the robot where neither ``--height`` nor a ``scene.yaml`` states it, metres."""
 FRAME_OPTIONS = ("up", "axes", "scale", "translation", "matrix", "nerfstudio", "distance")
 
 
@@ -74,10 +76,11 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
     scene = Scene(splat_name(path), standing, robust_bounds(standing))
     drawn, floor = antialiased_beside(path), floor_height(upright, world_from_splat)
     pictures = inspection.ScenePictures(target.path, drawn is not False)
+    height = options.height or ROBOT_HEIGHT
     try:
-        occupancy, lines = inspection.inspect_occupancy(scene, floor, options.height, pictures, options.resolution)
+        occupancy, lines = inspection.inspect_occupancy(scene, floor, height, pictures, options.resolution)
         show(lines)
-        proposed = inspection.propose(scene, occupancy, floor, options.height, pictures)
+        proposed = inspection.propose(scene, occupancy, floor, height, pictures)
     except ValueError as error:
         across = max(high - low for low, high in zip(*scene.bounds, strict=True))
         raise ValueError(f"{error}; if the scene is not {across:.3g} m across, pass --scale or --distance") from error
@@ -107,10 +110,11 @@ def look_again(options: argparse.Namespace, folder: Path, target: SceneFolder) -
     drawn = described.get("antialiased", antialiased_beside(folder / described["splat"]))
     pictures = inspection.ScenePictures(target.path, drawn is not False)
     show([survey(scene.gaussians), described_upright(scene.gaussians, described.get("metric", True))])
-    occupancy, lines = inspection.inspect_occupancy(scene, 0.0, options.height, pictures, options.resolution)
+    height = options.height or described.get("robot_height", ROBOT_HEIGHT)
+    occupancy, lines = inspection.inspect_occupancy(scene, 0.0, height, pictures, options.resolution, described)
     show(lines)
     lower, upper = described.get("walk", [corner[:2] for corner in scene.bounds])
-    show(inspection.inspect_terrain(scene, occupancy, (lower, upper), options.height, pictures))
+    show(inspection.inspect_terrain(scene, occupancy, (lower, upper), height, pictures))
     if target.converts:
         proposals = {key: described[key] for key in PROPOSALS if key in described}
         proposals |= {} if drawn is None else {"antialiased": drawn}

@@ -1,6 +1,8 @@
 """Pictures for judging a captured scene: what is free, what is solid, and a view from inside."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -38,6 +40,23 @@ def survey_occupancy(scene: Scene, resolution: float | None = None) -> Occupancy
     margin = 0.1 * diagonal
     crop = ((lower - margin).tolist(), (upper + margin).tolist())
     return Occupancy.from_gaussians(scene.gaussians, edge, DensitySettings(min_volume=_SMALLEST_PIECE * edge**3), crop)
+
+
+def stated_occupancy(scene: Scene, stated: Mapping[str, Any], resolution: float | None = None) -> Occupancy:
+    """Compute the occupancy that training uses in a scene whose folder states its settings, before it is filled.
+
+    Args:
+        scene: the scene, in the world frame.
+        stated: keys and values of its ``scene.yaml``; none is null.
+        resolution: edge of a voxel, metres; None takes the ``voxel_size`` that is stated, or training's default.
+
+    Raises:
+        ValueError: for a grid that becomes too large, or damaged free space.
+    """
+    edge = resolution or stated.get("voxel_size")
+    settings: dict[str, Any] = {} if edge is None else {"resolution": edge}
+    density = DensitySettings(cutoff=stated.get("cutoff", DensitySettings.cutoff))
+    return Occupancy.from_scene(scene, density=density, **settings)
 
 
 def draw_scene(

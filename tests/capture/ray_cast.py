@@ -85,7 +85,8 @@ def photos_of(folder: Path, images: list[np.ndarray], seconds: list[float] | Non
     for path, image in zip(paths, images, strict=True):
         Image.fromarray(image).save(path)
     times = torch.tensor(seconds if seconds else list(range(len(images))), dtype=torch.float64)
-    return Photos(paths, images[0].shape[1], images[0].shape[0], times)
+    files = () if seconds else tuple(path.name for path in paths)
+    return Photos(paths, images[0].shape[1], images[0].shape[0], times, files=files)
 
 
 QUARTER_TURN = (0, 1, -1, 0)
@@ -98,17 +99,19 @@ def write_video(
     rate: int = 10,
     shown: tuple[int, int, int, int] = (1, 0, 0, 1),
     intra: bool = False,
+    first: bool = False,
 ) -> None:
-    """Write a video as H.264 in MP4.
+    """Write a video as H.264.
 
     Args:
-        path: the file to write.
+        path: the file to write, in the container that its suffix names.
         images: [H, W, 3] uint8 each.
         rate: frames per second.
         shown: display matrix a, b, c, d, by which the file tells players to rotate or mirror the frames.
         intra: whether no frame refers to another.
+        first: whether the index of an MP4 comes before its frames, as for the web.
     """
-    with av.open(str(path), "w") as container:
+    with av.open(str(path), "w", options={"movflags": "faststart"} if first else {}) as container:
         stream = container.add_stream("h264", rate=rate)
         stream.height, stream.width = images[0].shape[:2]
         stream.pix_fmt, stream.options = "yuv420p", {"crf": "12"} | ({"g": "1"} if intra else {})

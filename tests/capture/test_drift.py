@@ -33,17 +33,20 @@ def test_only_a_large_change_of_scale_half_way_counts_as_lost_scale(scale: float
     assert not lost or "m above the floor at" in str(said)
 
 
-HALF = 40
+HALF, STILL = 40, 90
 
 
-def _film(jump: float) -> Placed:
-    """Return a walk whose second half is shifted sideways by ``jump`` metres."""
+def _film(jump: float, still: int = 0) -> Placed:
+    """Return a walk whose second half is shifted sideways by ``jump`` metres, after ``still`` images from one place."""
     first = walk()
-    rows = torch.arange(2 * HALF) % CAMERAS
+    rows = torch.arange(still + 2 * HALF) % CAMERAS
     poses = first.camera_to_world[rows].clone()
     seconds = torch.arange(len(rows), dtype=torch.float64) / 4
-    poses[:, 0, 3], poses[:, 1, 3] = 0.8 * seconds, torch.sin(0.5 * seconds)
-    poses[HALF:, 1, 3] += jump
+    walked = (seconds - still / 4).clamp(min=0.0)
+    poses[:, 0, 3], poses[:, 1, 3] = 0.8 * walked, torch.sin(0.5 * walked)
+    poses[:still, 2, 3] = poses[still, 2, 3]
+    poses[:, :3, 3] += 0.0002 * torch.randn(len(rows), 3, generator=torch.Generator().manual_seed(0))
+    poses[still + HALF :, 1, 3] += jump
     film = replace(first, paths=[first.paths[row] for row in rows], camera_to_world=poses, seconds=seconds)
     return place(film, marker=None, camera_height=1.4)
 
@@ -54,6 +57,11 @@ def test_a_camera_that_jumps_is_reported_with_the_time_of_the_jump(scale: float)
     film = replace(film, reconstruction=moved(film.reconstruction, np.diag([scale] * 3 + [1.0])))
     assert "jump at 10 s" in str(leap(film))
     assert leap(_film(0.0)) is None
+
+
+def test_a_film_that_stands_still_for_half_its_length_is_not_reported_as_jumping() -> None:
+    assert leap(_film(0.0, still=STILL)) is None
+    assert "jump at 32 s" in str(leap(_film(1.5, still=STILL)))
 
 
 def test_photos_without_times_are_never_reported_as_jumping() -> None:

@@ -43,6 +43,12 @@ def test_the_sharpest_frame_of_each_interval_is_chosen(tmp_path: Path) -> None:
         assert np.abs(_read(path) - images[number]).mean() < 12  # the video stores colours at half the resolution
 
 
+def test_the_images_of_a_film_have_times_even_if_these_are_whole_seconds(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mp4", _images(4), rate=1)
+    photos = read_photos(tmp_path / "a.mp4", tmp_path / "out", count=(4, 4))
+    assert photos.seconds.tolist() == [0, 1, 2, 3] and photos.files == ()
+
+
 def test_frames_of_an_anamorphic_film_have_square_pixels(tmp_path: Path) -> None:
     film = anamorphic(tmp_path / "film.mkv", (96, 72), Fraction(4, 3))
     photos = read_photos(film, tmp_path / "out", count=(2, 2))
@@ -87,6 +93,9 @@ def test_black_bars_around_a_film_are_cut_off(tmp_path: Path) -> None:
     cut = (320 - photos.width) // 2
     for image, path in zip(inner, photos.paths, strict=True):
         assert np.abs(_read(path) - image[:, cut:-cut]).mean() < 12
+    slate = np.full_like(framed[0], 220)  # one bright image does not hide the bars
+    write_video(tmp_path / "c.mp4", [slate, *framed, *framed])
+    assert read_photos(tmp_path / "c.mp4", tmp_path / "slate", count=(9, 9)).width == photos.width
     dark = [np.pad(image[100:], ((100, 0), (0, 0), (0, 0))) for image in inner]  # a night sky is no bar
     write_video(tmp_path / "b.mp4", dark)
     assert read_photos(tmp_path / "b.mp4", tmp_path / "dark", count=(4, 4)).height == 240
@@ -162,7 +171,7 @@ def test_photos_are_upright_in_numeric_order_and_take_their_focal_length_from_ex
     photos = read_photos(tmp_path / "in", tmp_path / "out")
     assert (photos.width, photos.height) == (60, 80) and photos.seconds.tolist() == [0, 1]
     assert [round(_read(path).mean() / 10) for path in photos.paths] == [9, 10]
-    assert photos.K is not None
+    assert photos.files == ("IMG9.jpg", "IMG10.jpg") and photos.K is not None
     torch.testing.assert_close(photos.K[0, 0].item(), 26 / np.hypot(36, 24) * 100)
     assert photos.K[:2, 2].tolist() == [30, 40]
 

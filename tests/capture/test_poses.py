@@ -21,7 +21,7 @@ from splatrl.capture.child import _pass_on, run_child
 from splatrl.capture.job import Job, write_job
 from splatrl.capture.mapping import SHARED, find_cameras
 from splatrl.capture.pipeline import CaptureSettings, reconstruct
-from splatrl.capture.poses import find_poses, missing_runs
+from splatrl.capture.poses import find_poses, job_of, missing_runs
 from splatrl.capture.structure import MODEL, SPARSE, _keep, pairs, run
 from tests.capture import ray_cast
 from tests.capture.ray_cast import HALF, photos_of, walk
@@ -101,9 +101,19 @@ def test_images_without_a_pose_are_named_and_left_out_where_that_is_allowed(
         shutil.copy(tmp_path / "out" / "structure" / MODEL, work)
 
     monkeypatch.setattr(poses_module, "run_child", found_again)
+    for number in reversed(range(len(images))):  # a phone's names, which are not those of the images that are kept
+        (tmp_path / "in" / f"{number:04}.png").rename(tmp_path / "in" / f"IMG_{2031 + number}.png")
+    said: list[str] = []
     settings = CaptureSettings(camera_height=1.0, marker=None, force=True)
-    placed, _ = reconstruct(tmp_path / "in", tmp_path / "scene", settings, say=lambda _: None)
+    placed, _ = reconstruct(tmp_path / "in", tmp_path / "scene", settings, say=said.append)
+    assert "missing: IMG_2037.png to IMG_2039.png (3 images)" in "\n".join(said)
     assert placed.reconstruction.missing == pytest.approx(3 / 9), "with force, the capture goes on without them"
+
+
+def test_a_time_lapse_with_an_image_a_second_has_times(tmp_path: Path) -> None:
+    images = [np.zeros((8, 8, 3), np.uint8)] * 3
+    assert job_of(photos_of(tmp_path / "film", images, [0.0, 1.0, 2.0])).seconds == [0.0, 1.0, 2.0]
+    assert job_of(photos_of(tmp_path / "photos", images)).seconds is None
 
 
 def test_low_contrast_images_are_posed(tmp_path: Path) -> None:

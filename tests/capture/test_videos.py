@@ -1,7 +1,10 @@
 """Frames of videos are shown as players show them, and damaged ones are left out."""
 
+import struct
+from fractions import Fraction
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 from PIL import Image
@@ -61,3 +64,57 @@ def test_frames_of_a_rotated_phone_are_turned_upright_and_scaled(tmp_path: Path)
     assert (photos.width, photos.height) == (120, 160)
     shown = _read(photos.paths[0])
     assert shown[10, 110, 0] > 200 and shown[10, 10, 0] < 100 and shown[150, 110, 0] < 100
+
+
+def test_frames_that_are_missing_at_the_end_of_a_film_count_as_damaged(tmp_path: Path) -> None:
+    whole, cut = tmp_path / "whole.mp4", tmp_path / "a.mp4"
+    write_video(whole, [room_image(pose) for pose in walk(40)], intra=True, first=True)
+    assert read_photos(whole, tmp_path / "all", count=(4, 4)).remarks == ()
+    with av.open(str(whole)) as container:
+        last = [packet.pos for packet in container.demux(video=0) if packet.pos is not None]
+    cut.write_bytes(whole.read_bytes()[: last[39]])
+    (remark,) = read_photos(cut, tmp_path / "one", count=(4, 4)).remarks
+    assert remark == "1 of 40 frames of a.mp4 are damaged, and are not used; it breaks off, and the last 1 are missing."
+    cut.write_bytes(whole.read_bytes()[: last[20]])
+    with pytest.raises(CaptureError, match="got 20 of 40; it breaks off, and the last 20 are missing"):
+        read_photos(cut, tmp_path / "half", count=(4, 4))
+
+
+def test_frames_that_an_edit_cuts_off_at_the_end_are_not_missing(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mov", [room_image(pose) for pose in walk(40)], intra=True)
+    content = bytearray((tmp_path / "a.mov").read_bytes())
+    edit = content.index(b"elst") + 12  # milliseconds that are shown
+    assert struct.unpack_from(">I", content, edit) == (4000,)
+    struct.pack_into(">I", content, edit, 2000)
+    (tmp_path / "a.mov").write_bytes(content)
+    photos = read_photos(tmp_path / "a.mov", tmp_path / "out", count=(40, 40))
+    assert len(photos.paths) == 20 and photos.remarks == ()
+
+
+def test_times_of_films_that_were_joined_do_not_go_back(tmp_path: Path) -> None:
+    images = [room_image(pose) for pose in walk(20)]
+    write_video(tmp_path / "part.ts", images)
+    (tmp_path / "a.ts").write_bytes(2 * (tmp_path / "part.ts").read_bytes())
+    photos = read_photos(tmp_path / "a.ts", tmp_path / "out", count=(8, 8))
+    seconds = photos.seconds.tolist()
+    assert [int(2 * second + 1e-6) for second in seconds] == list(range(8)), "one image of each half second"
+    for second, path in zip(seconds, photos.paths, strict=True):
+        assert np.abs(_read(path) - images[round(10 * second) % 20]).mean() < 12
+
+
+def test_one_field_of_interlaced_frames_is_used(tmp_path: Path) -> None:
+    images = [np.repeat(room_image(pose)[..., 1:2], 3, 2) for pose in walk(16)]  # grey: two lines share their colours
+    with av.open(str(tmp_path / "a.mpg"), "w") as container:
+        stream = container.add_stream("mpeg2video", rate=Fraction(25), options={"b": "8M", "flags": "+ildct+ilme"})
+        stream.height, stream.width = images[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        for upper, lower in zip(images[::8], images[7::8], strict=True):
+            combed = upper.copy()
+            combed[1::2] = lower[1::2]
+            for _ in range(4):
+                container.mux(stream.encode(av.VideoFrame.from_ndarray(combed, format="rgb24")))
+        container.mux(stream.encode())
+    photos = read_photos(tmp_path / "a.mpg", tmp_path / "out", count=(2, 2))
+    assert (photos.width, photos.height) == (320, 240)
+    for image, lower, path in zip(images[::8], images[7::8], photos.paths, strict=True):
+        assert np.abs(_read(path) - image).mean() < 12 < np.abs(lower.astype(float) - image).mean()

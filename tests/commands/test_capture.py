@@ -42,7 +42,8 @@ def photographed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Photos, Reco
     paths = [folder / path.name for path in true.paths]
     for path, view in zip(paths, views, strict=True):
         Image.fromarray(view).save(path)
-    photos = Photos(paths, WIDTH // 4, HEIGHT // 4, torch.arange(len(paths), dtype=torch.float64))
+    times, files = torch.arange(len(paths), dtype=torch.float64), tuple(path.name for path in paths)
+    photos = Photos(paths, WIDTH // 4, HEIGHT // 4, times, files=files)
     return photos, replace(found, paths=paths, K=small, width=WIDTH // 4, height=HEIGHT // 4)
 
 

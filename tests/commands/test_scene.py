@@ -6,13 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from hydra.utils import instantiate
 from PIL import Image
 
 from splatrl.building import build_world
 from splatrl.capture import inspection
+from splatrl.collision.occupancy import Occupancy
 from splatrl.collision.point_clouds import write_points
 from splatrl.commands.scene import main
 from splatrl.configuration import load_config
+from splatrl.evaluation.scene_pictures import survey_occupancy
 from splatrl.scenes import Gaussians, read_gaussians, read_scene, similarity, write_gaussians
 from splatrl.scenes.blocks import BlockScene
 from splatrl.scenes.description import read_description
@@ -104,6 +107,30 @@ def test_a_folder_is_surveyed_again_in_the_frame_that_its_yaml_states(
     assert description.read_text() == edited
     with pytest.raises(SystemExit, match=r"edit its scene\.yaml"):
         main([str(splat.parent), "--scale", "2"])
+
+
+def test_a_folder_is_surveyed_again_with_the_solid_space_and_height_of_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "yard"
+    folder.mkdir()
+    write_gaussians(folder / "splat.ply", world())
+    write_points(folder / "free.ply", survey_occupancy(read_scene(folder / "splat.ply"), 0.1).centers()[::3])
+    keys = "robot_height: 0.7\nvoxel_size: 0.1\ncutoff: 0.91\nfree: free.ply\n"
+    (folder / "scene.yaml").write_text(f"splat: splat.ply\n{keys}")
+    seen: list[tuple[Occupancy, float]] = []
+
+    def drawn(solid: Occupancy, height: float) -> list[Path]:
+        seen.append((solid, height))
+        return []
+
+    monkeypatch.setattr(inspection, "draw_scene", lambda _, solid, __, height, *___: drawn(solid, height))
+    monkeypatch.setattr(inspection, "inspect_terrain", lambda _, solid, __, height, ___: drawn(solid, height))
+    main([str(folder)])
+    main([str(folder), "--height=0.3"])
+    of_scene = instantiate(load_config([f"scene={folder}/", "collision.occupancy.fill=null"]).collision.occupancy)
+    assert [height for _, height in seen] == [0.7, 0.7, 0.3, 0.3]
+    assert {solid.digest for solid, _ in seen} == {of_scene(read_scene(folder)).digest}
 
 
 @pytest.mark.usefixtures("ungrounded")

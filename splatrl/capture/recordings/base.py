@@ -118,6 +118,11 @@ class Recording:
     border: float = 0.0
     remarks: tuple[str, ...] = ()
 
+    @property
+    def timed(self) -> bool:
+        """Whether the times of the shots are known; otherwise they are only numbered."""
+        return any(shot.seconds % 1 for shot in self.shots)
+
 
 class FilePicture:
     """An image in a file of its own.

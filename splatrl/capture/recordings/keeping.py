@@ -108,7 +108,7 @@ def _write(made: Path, recording: Recording, count: tuple[int, int], longest: in
     poses = np.array([shot.camera_to_world for shot in shots])
     turns = _turns(recording, poses)
     depths = _DepthFiles(made / DEPTHS, recording.source)
-    index: dict[str, Any] = {"names": [], "seconds": [], "poses": [], "remarks": [*recording.remarks]}
+    index: dict[str, Any] = {"names": [], "seconds": [], "files": [], "poses": [], "remarks": [*recording.remarks]}
     size: tuple[int, int] | None = None
     for number, picture in _chosen(recording, count, progress, index["remarks"].append):
         image, shot, name = picture.image(), shots[number], f"{len(index['names']):04}"
@@ -119,6 +119,7 @@ def _write(made: Path, recording: Recording, count: tuple[int, int], longest: in
         depths.write(name, None if shot.depth is None else _cut_depth(shot.depth(), boxes[number], camera, turns))
         index["names"].append(name)
         index["seconds"].append(shot.seconds - shots[0].seconds)
+        index["files"] += [] if recording.timed else [shot.name]
         index["poses"].append(turned_poses(poses[number], turns).tolist())
     if size is None:
         raise CaptureError(f"{recording.source}: expected images for its poses, found none")
@@ -239,4 +240,5 @@ def _photos(kept: Path, recording: Recording) -> Photos:
         tuple(kept / DEPTHS / f"{name}.png" for name in names) if index["depth"] else (),
         recording.metric,
         remarks=tuple(index["remarks"]),
+        files=tuple(index["files"]),
     )

@@ -63,6 +63,7 @@ def as_prepared(recording: Recording, folder: Path, progress: Progress) -> Photo
         None if recording.up is None else torch.from_numpy(recording.up),
         metric=recording.metric,
         remarks=recording.remarks,
+        files=() if recording.timed else tuple(shot.name for shot in recording.shots),
     )
 
 
