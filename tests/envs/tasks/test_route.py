@@ -105,7 +105,7 @@ def test_physics_knows_what_is_solid_as_far_as_the_leeway_lets_cars_go(monkeypat
 
 def test_nobody_is_told_to_change_the_height_of_a_car(tmp_path: Path) -> None:
     task = route()
-    assert task.ways_out == "try another landmarks.goal, or a smaller robot.body.size"
+    assert task.ways_out == "try another landmarks.goal, or a smaller robot.body"
     bottom = ((-1.0, -1.0, 0.5), (1.0, 1.0, 2.0))
     with pytest.raises(ValueError, match=r"scene\.bounds: expected a bottom below the robot, at 0\.25 m, got 0\.5 m"):
         check_height(bottom, task)
