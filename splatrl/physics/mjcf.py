@@ -78,7 +78,8 @@ def read_mjcf(path: Path | str) -> Any:
 def mjcf_files(path: Path) -> list[Path]:
     """Return an MJCF file, the files that it includes, and its meshes and textures; raises as ``read_mjcf``."""
     _, reading = _read(path)
-    return [path, *reading.found.values(), *(path.parent / name for name in reading.assets)]
+    included = [file.relative_to(reading.folder) for file in reading.found.values()]
+    return [path, *(path.parent / name for name in (*included, *reading.assets))]
 
 
 def _read(path: Path) -> tuple[bytes, _Reading]:
