@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,9 +13,6 @@ from torch import Tensor
 
 from splatrl.collision.report import OccupancyReport
 from splatrl.collision.voxel_grid import FARTHEST_KEY, MAX_VOXELS, check_resolution, checked_points, within
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +109,7 @@ class Voxels:
         }
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], max_voxels: int = MAX_VOXELS) -> "Self":
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], max_voxels: int = MAX_VOXELS) -> Self:
         """Rebuild a grid from the arrays of ``to_arrays``.
 
         Raises:
@@ -125,7 +122,7 @@ class Voxels:
             raise ValueError(f"occupancy: expected the arrays written by to_arrays, got {error}") from error
 
     @classmethod
-    def _unpacked(cls, arrays: Mapping[str, NDArray[Any]], max_voxels: int) -> "Self":
+    def _unpacked(cls, arrays: Mapping[str, NDArray[Any]], max_voxels: int) -> Self:
         shape = tuple(int(extent) for extent in arrays["shape"])
         count, packed = math.prod(shape), arrays["occupied_bits"]
         if count > max_voxels:
