@@ -78,7 +78,7 @@ def read_mjcf(path: Path | str) -> Any:
 def mjcf_files(path: Path) -> list[Path]:
     """Return an MJCF file, the files that it includes, and its meshes and textures; raises as ``read_mjcf``."""
     _, reading = _read(path)
-    included = [file.relative_to(reading.folder) for file in reading.found.values()]
+    included = [str(file.relative_to(reading.folder)) for file in reading.found.values()]
     return [path, *(path.parent / name for name in (*included, *reading.assets))]
 
 
