@@ -45,6 +45,7 @@ def write_scene(
     known: Tensor | None = None,
     splat: str = SPLAT,
     moving: Tensor | None = None,
+    work: Path | None = None,
 ) -> Quality:
     """Check a fitted capture and write it as a scene folder: splat, ``scene.yaml``, report and pictures.
 
@@ -59,6 +60,8 @@ def write_scene(
         known: [N, h, w] depths of the photos' pixels, metres, 0 where unknown; None where no depth is known.
         splat: name of the splat file; ``.spz`` is small, and rounds.
         moving: [N, h, w] bool, pixels of the photos that show moving things and were left out; None where unknown.
+        work: folder on the same disk in which the scene is made before its files move, where ``remove_stale`` removes
+            what a killed process left; None takes the parent of ``folder``.
 
     Raises:
         CaptureError: for a held-out image that cannot be read.
@@ -66,7 +69,7 @@ def write_scene(
     """
     name = name or folder.resolve().name
     check_absent(folder / SCENE_FILE, force)
-    with _whole(folder) as fresh:
+    with _whole(folder, work or folder.parent) as fresh:
         write_gaussians(fresh / splat, gaussians)
         gaussians = read_gaussians(fresh / splat)  # check exactly what was written
         area = survey_area(gaussians, placed, known)
@@ -106,6 +109,8 @@ def problems(placed: Placed, found: Suggestions, quality: Quality) -> list[str]:
         f"by {placed.up_error_deg:.0f}°, and the floor may be lower.": placed.up_from == "cameras",
         "Its scale may be far off: it rests on a floor that was hardly seen, or on parts that may be joined wrongly. "
         "Film a printed marker, or measure a distance in the scene.": placed.metric and placed.scale_error is None,
+        "GPS positions of the photos do not give the scale: there are fewer than five, or they do not fit the camera's "
+        "path.": not placed.metric and placed.reconstruction.gps is not None,
         f"{100 * missing:.0f} % of the images have no pose, among them {', '.join(placed.reconstruction.lost)}.": (
             missing > MOST_MISSING
         ),
@@ -143,13 +148,13 @@ def _proposals(placed: Placed, area: Area, found: Suggestions, quality: Quality)
 
 
 @contextmanager
-def _whole(folder: Path) -> Iterator[Path]:
-    """Yield a new folder to write to; its files move into ``folder`` once the block succeeds, ``scene.yaml`` last.
+def _whole(folder: Path, work: Path) -> Iterator[Path]:
+    """Yield a new folder in ``work``, whose files move into ``folder`` once the block succeeds, ``scene.yaml`` last.
 
     A folder without ``scene.yaml`` is not a scene, so one whose writing was interrupted is never taken for one.
     """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    fresh = folder.with_name(f"{folder.name}.{secrets.token_hex(4)}.tmp")
+    work.mkdir(parents=True, exist_ok=True)
+    fresh = work / f".{folder.name}.{secrets.token_hex(4)}.tmp"
     fresh.mkdir()
     try:
         yield fresh

@@ -26,6 +26,8 @@ INDEX = "index.json"
 PER_SECOND = 4.0
 """Frames to take per second of video, unless the wanted minimum is more, or the maximum less."""
 SHARPNESS_WIDTH = 480
+SMALLEST = 32
+"""Minimum side of an image, pixels; smaller ones show no features."""
 BLACK = 10.0
 """Mean grey level below which a video frame shows nothing: the lens was covered, or clips fade into each other."""
 Thing = TypeVar("Thing")
@@ -179,6 +181,10 @@ def _write(made: Path, taken: Iterator[_Taken], source: Path, remarks: list[str]
         gps.append(photo.gps or (math.nan, math.nan))
         turned.append(photo.turned)
     size = (len(columns[0]), len(rows[0]))
+    if min(size) < SMALLEST:
+        raise CaptureError(
+            f"{source}: expected images of at least {SMALLEST} pixels along each side, got {size[0]} × {size[1]}"
+        )
     if not source.is_dir():
         size = _without_bars([made / name for name in names], videos.within_bars(np.array(rows), np.array(columns)))
     focal = photo_files.focal_length(source, size) if source.is_dir() else None

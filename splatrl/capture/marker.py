@@ -143,14 +143,16 @@ def write_marker_page(path: Path, marker: int = 0, side: float = MARKER_SIDE) ->
     """Write an A4 page with a marker to print, as PDF.
 
     Args:
-        path: the file to write; ends in .pdf.
+        path: the file to write; must end in .pdf.
         marker: id of the marker, 0 to 49.
         side: side of the black square, metres.
 
     Raises:
         ImportError: without the extra ``capture``.
-        ValueError: for an id out of range, or a side that does not fit the page.
+        ValueError: for a path with another suffix, an id out of range, or a side that does not fit the page.
     """
+    if path.suffix.lower() != ".pdf":
+        raise ValueError(f"{path}: expected a name that ends in .pdf")
     if not 0 <= marker < 50:
         raise ValueError(f"marker: expected a number from 0 to 49, got {marker}")
     if not 0.02 <= side <= 0.18:

@@ -17,6 +17,8 @@ from splatrl.files import natural
 from splatrl.images import PHOTO_FORMATS, PHOTO_SUFFIXES
 
 UNREAD = (".heic", ".heif", ".avif", ".dng", ".tif", ".tiff", ".jxl")
+FILMS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mts", ".mpg", ".3gp")
+"""Suffixes of files that are named where a folder holds no photos."""
 EXIF_IFD, FOCAL_35MM, GPS_IFD = 0x8769, 0xA405, 0x8825
 NAMED = 5
 """Maximum number of photos that a message names."""
@@ -45,7 +47,9 @@ def photos_of(folder: Path) -> list[Path]:
         raise CaptureError(f"{folder}: expected photos ({kinds}), got {unread[0]}{others}; convert them to JPEG first")
     if not found:
         deeper = sorted({path.parent for path in folder.glob("*/*") if path.suffix.lower() in PHOTO_SUFFIXES})
+        films = sorted(path for path in files if path.suffix.lower() in FILMS)
         hint = f"; there are some in {deeper[0]}, so name that folder" if deeper else ""
+        hint = f"; there is a film, {films[0]}, so name that" if films else hint
         raise CaptureError(f"{folder}: expected photos ({kinds}), found none{hint}")
     return found
 
@@ -137,7 +141,8 @@ def gps_place(path: Path) -> tuple[float, float] | None:
     """Return where a photo was taken according to its EXIF.
 
     Returns:
-        Latitude and longitude, degrees, positive to the north and to the east; None where EXIF does not state them.
+        Latitude and longitude, degrees, positive to the north and to the east; None where EXIF does not state them, or
+        states 0 for both, as cameras without a fix do.
     """
     try:
         told = _exif(path, GPS_IFD)
@@ -145,7 +150,8 @@ def gps_place(path: Path) -> tuple[float, float] | None:
         longitude = _degrees(told[4]) * (-1 if told[3] == "W" else 1)
     except (OSError, SyntaxError, ValueError, TypeError, KeyError, ZeroDivisionError):
         return None
-    return (latitude, longitude) if abs(latitude) <= 90 and abs(longitude) <= 180 else None
+    known = abs(latitude) <= 90 and abs(longitude) <= 180 and (latitude, longitude) != (0, 0)
+    return (latitude, longitude) if known else None
 
 
 @contextmanager

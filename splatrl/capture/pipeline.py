@@ -102,6 +102,8 @@ def capture(
         raise CaptureError(
             f"{folder}: expected a scene folder other than the source, got the source; choose one with --out"
         )
+    if folder.is_file():
+        raise CaptureError(f"{folder}: expected a folder for the scene, got a file; choose another one with --out")
     stages = folder / STAGES
     for name in (SCENE_FILE,) if stages.exists() else (SCENE_FILE, SPLAT, SMALL_SPLAT):  # not those of a capture
         check_absent(folder / name, settings.force)
@@ -211,6 +213,7 @@ def build_scene(
         known=depths.far(frame),
         splat=settings.splat,
         moving=depths.moving,
+        work=stages.place,
     )
     say("\n".join([f"check       {_words(quality)}", *(f"            {problem}" for problem in quality.problems)]))
     return quality

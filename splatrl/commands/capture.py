@@ -2,7 +2,10 @@
 
 import argparse
 import shlex
+import signal
 import sys
+from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 
 from tqdm import tqdm
@@ -25,13 +28,14 @@ SELDOM = 10.0
 def run(options: argparse.Namespace) -> None:
     """Capture a scene, or write a printable marker page."""
     side = MARKER_SIDE if options.marker_side is None else options.marker_side
-    if options.marker is not None:
-        write_marker_page(options.marker, side=side)
-        print(f"{options.marker}: print it at actual size (100 %) and place it where the camera will see it")
-        return
-    source = expanded(options.source)
-    folder, splat = scene_folder(expanded(options.out or _beside(source)))
     try:
+        if options.marker is not None:
+            write_marker_page(options.marker, side=side)
+            print(f"{options.marker}: print it at actual size (100 %) and place it where the camera will see it")
+            return
+        source = expanded(options.source)
+        folder, splat = scene_folder(expanded(options.out or _beside(source)))
+        _interrupt_on_sigterm()
         device = chosen_device(options.device)
         print(device_line(device))
         with Bars() as bars:
@@ -42,6 +46,13 @@ def run(options: argparse.Namespace) -> None:
         print("\nstopped; finished work is kept; run the same command again to continue", file=sys.stderr)
         sys.exit(INTERRUPTED)
     print(f"report: {folder / 'report.html'}\ntrain in it: splatrl-train {shlex.quote(f'scene={folder}/')}")
+
+
+def _interrupt_on_sigterm() -> None:
+    """Let SIGTERM end a capture as Ctrl-C does; pycolmap's handler, which its import installs, prints a stack trace."""
+    with suppress(ImportError):  # without the extra, the capture itself says so
+        import_module("pycolmap")
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 def _beside(source: Path) -> Path:

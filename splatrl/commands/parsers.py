@@ -3,16 +3,26 @@
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from splatrl.commands.options import Parser, is_numbers, joined
-from splatrl.values import split_words
+from splatrl.values import require_number, split_words
 
 if TYPE_CHECKING:
     from splatrl.capture.scale import Distance
 
 WORDS = {"--axes": 3, "--translation": 3, "--matrix": 16, "--distance": 7}
 """Options that take several words, some of which may begin with a minus sign, and how many words each takes."""
+CAPTURE: dict[str, dict[str, Any]] = {
+    "camera_height": {"above": 0.0, "unit": "metres"},
+    "marker_side": {"above": 0.0, "unit": "metres"},
+    "robot_width": {"low": 1, "whole": True, "unit": "pixels"},
+    "width": {"low": 16, "whole": True, "unit": "pixels"},
+    "gaussians": {"low": 1, "whole": True},
+    "views": {"low": 1, "whole": True},
+    "seed": {"low": 0, "high": 2**31 - 1, "whole": True},
+}
+"""Limits of the numbers that ``splatrl-capture`` takes, as for ``require_number``; some are used only after minutes."""
 GAIT = """
 splatrl-gait outputs/2026-01-31/12-00-00 --out gait.npz
 splatrl-train task=walk task.motion.gait=gait.npz
@@ -33,7 +43,7 @@ def capture(arguments: Sequence[str]) -> argparse.Namespace:
     )
     result.add_argument(
         "--out",
-        type=Path,
+        type=_folder,
         help="folder for the scene; by default the source's name without its suffix, plus -scene if that is the source "
         "itself; garden.spz makes a folder garden that holds the splat as a small file",
     )
@@ -76,7 +86,24 @@ def capture(arguments: Sequence[str]) -> argparse.Namespace:
     options = result.parse_args(joined(arguments, {"--distance": 7}, is_numbers))
     if options.marker is None and options.source is None:
         result.error("expected a video or a folder of photos, or --marker")
+    try:
+        for name, limits in CAPTURE.items():
+            if getattr(options, name) is not None:
+                require_number(f"--{name.replace('_', '-')}", getattr(options, name), **limits)
+    except ValueError as error:
+        result.error(str(error))
     return options
+
+
+def _folder(text: str) -> Path:
+    """Parse the path of a folder; an empty one would be the working directory.
+
+    Raises:
+        argparse.ArgumentTypeError: for an empty path.
+    """
+    if not text:
+        raise argparse.ArgumentTypeError("expected a folder, got an empty name")
+    return Path(text)
 
 
 def _distance(text: str) -> "Distance":
@@ -131,7 +158,7 @@ def scene(arguments: Sequence[str]) -> argparse.Namespace:
     )
     result.add_argument(
         "--out",
-        type=Path,
+        type=_folder,
         help="folder for scene.yaml and pictures; by default the file's folder; garden.spz makes a folder garden that "
         "also holds the splat as a small file",
     )

@@ -15,8 +15,8 @@ from splatrl.capture import folder as folder_module
 from splatrl.capture.area import survey_area
 from splatrl.capture.base import CaptureError
 from splatrl.capture.check import Quality
-from splatrl.capture.folder import write_scene
-from splatrl.capture.suggestions import seen_by_cameras, seen_in_splat, suggest, thing_size
+from splatrl.capture.folder import problems, write_scene
+from splatrl.capture.suggestions import NOTHING, seen_by_cameras, seen_in_splat, suggest, thing_size
 from splatrl.capture.walkable import walkable_area
 from splatrl.capture.world import Placed
 from splatrl.collision.occupancy import Occupancy
@@ -160,6 +160,13 @@ def test_moving_things_are_pictured_and_mentioned_in_the_report(tmp_path: Path) 
 
 def test_the_report_on_a_good_capture_lists_no_problems(written: tuple[Path, Placed, Quality]) -> None:
     assert "Problems and notes" not in (written[0] / "report.html").read_text(encoding="utf-8")
+
+
+def test_gps_positions_that_do_not_give_the_scale_are_mentioned(written: tuple[Path, Placed, Quality]) -> None:
+    _, placed, quality = written
+    for gps, told in ((None, False), (torch.zeros(2, 2), True)):
+        without = replace(placed, scale_from="unknown", reconstruction=replace(placed.reconstruction, gps=gps))
+        assert any("GPS" in problem for problem in problems(without, NOTHING, quality)) == told
 
 
 def test_a_folder_is_written_completely_or_not_at_all(

@@ -198,13 +198,14 @@ def test_photos_take_their_gps_positions_from_exif(tmp_path: Path) -> None:
     told = [{1: "N", 2: (46.0, 30.0, 36.0), 3: "W", 4: (91.0, 0.0, 18.0)}, {}, {1: "S", 2: (46.0, 30.0, 36.0)}]
     told += [{1: "S", 2: (0.0, 15.0, 0.0), 3: "E", 4: (0.0, 0.0, 36.0)}, {1: "N", 2: 46.0, 3: "E", 4: 3.0}]
     told += [{1: "N", 2: (91.0, 0.0, 0.0), 3: "E", 4: (0.0, 0.0, 36.0)}]
+    told += [{1: "N", 2: (0.0, 0.0, 0.0), 3: "E", 4: (0.0, 0.0, 0.0)}]  # a camera without a fix
     for number, place in enumerate(told):
         exif = Image.Exif()
         exif.get_ifd(0x8825).update(place)
         image.save(tmp_path / "in" / f"{number}.jpg", exif=exif)
     gps = read_photos(tmp_path / "in", tmp_path / "out").gps
     unknown = (torch.nan, torch.nan)
-    expected = torch.tensor([(46.51, -91.005), unknown, unknown, (-0.25, 0.01), unknown, unknown]).double()
+    expected = torch.tensor([(46.51, -91.005), unknown, unknown, (-0.25, 0.01), unknown, unknown, unknown]).double()
     torch.testing.assert_close(gps, expected, equal_nan=True, atol=1e-5, rtol=0)
     for number in (0, 3):
         image.save(tmp_path / "in" / f"{number}.jpg")
@@ -259,6 +260,19 @@ def test_photos_of_several_formats_are_read_together(tmp_path: Path) -> None:
     Image.new("RGB", (80, 60), (160,) * 3).save(tmp_path / "in" / "4.webp")
     photos = read_photos(tmp_path / "in", tmp_path / "out")
     assert [round(_read(path).mean() / 40) for path in photos.paths] == [0, 1, 2, 3, 4]
+
+
+def test_a_folder_that_holds_a_film_instead_of_photos_is_refused_with_the_name_of_the_film(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "walk.MP4").write_bytes(b"x")
+    with pytest.raises(CaptureError, match=r"found none; there is a film, .*walk\.MP4, so name that$"):
+        read_photos(tmp_path / "in", tmp_path / "out")
+
+
+def test_a_film_of_a_few_pixels_is_refused(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mp4", [image[::60, ::40] for image in _images(4)])
+    with pytest.raises(CaptureError, match=r"expected images of at least 32 pixels along each side, got 8 × 4"):
+        read_photos(tmp_path / "a.mp4", tmp_path / "out")
 
 
 def test_buckets_are_four_per_second_within_the_bounds() -> None:

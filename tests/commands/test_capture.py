@@ -1,6 +1,7 @@
 """splatrl-capture turns photos into a folder in which robots can be trained; poses are given here, to save time."""
 
 import os
+import signal
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +23,7 @@ from splatrl.capture.progress import Progress
 from splatrl.capture.scale import Click, Distance
 from splatrl.capture.stereo import Depths
 from splatrl.commands import capture
-from splatrl.files import alone_in
+from splatrl.files import alone_in, remove_stale
 from splatrl.renderers import NativeRenderer
 from tests.capture.walks import HEIGHT, WIDTH, K, strewn, walk
 
@@ -290,6 +291,26 @@ def test_problems_found_by_the_report_are_printed_too(
     assert "The sky fell." in (tmp_path / "garden" / "report.html").read_text()
 
 
+@pytest.mark.usefixtures("unchecked", "fitted_once")
+def test_a_kill_while_the_scene_is_written_leaves_nothing_beside_it(
+    tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    places: list[Path] = []
+    described = write_folder.write_description
+
+    def describe(fresh: Path, *given: Any, **more: Any) -> object:
+        places.append(fresh)
+        return described(fresh, *given, **more)
+
+    monkeypatch.setattr(write_folder, "write_description", describe)
+    capture.main(["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK])
+    (unfinished,) = places
+    assert unfinished.parent == tmp_path / "garden" / "stages"
+    unfinished.mkdir()  # as a kill leaves it
+    remove_stale(unfinished.parent)
+    assert not unfinished.exists()
+
+
 def test_two_captures_do_not_share_a_folder(tmp_path: Path, stages: list[str]) -> None:
     (tmp_path / "garden" / "stages").mkdir(parents=True)
     with alone_in(tmp_path / "garden" / "stages"), pytest.raises(SystemExit, match="that another process is using"):
@@ -406,6 +427,24 @@ def test_an_interrupt_says_how_to_continue(
     )
 
 
+def test_a_termination_says_how_to_continue(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def terminated(*arguments: object) -> Photos:
+        assert signal.getsignal(signal.SIGTERM) is signal.default_int_handler, "or it would end the tests"
+        signal.raise_signal(signal.SIGTERM)
+        raise AssertionError
+
+    monkeypatch.setattr(pipeline, "read_photos", terminated)
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        with pytest.raises(SystemExit) as ended:
+            capture.main(["walk.mp4", "--out", str(tmp_path / "walk")])
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert ended.value.code == capture.INTERRUPTED and "to continue" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
@@ -453,9 +492,46 @@ def test_an_invalid_distance_is_a_usage_error(
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("typed", "message"),
+    [
+        ("--camera-height=0", "expected a number of metres above 0.0, got 0.0"),
+        ("--camera-height=-1.4", "expected a number of metres above 0.0, got -1.4"),
+        ("--camera-height=nan", "expected a number of metres above 0.0, got nan"),
+        ("--camera-height=inf", "expected a number of metres above 0.0, got inf"),
+        ("--marker-side=-1", "expected a number of metres above 0.0, got -1.0"),
+        ("--gaussians=0", "expected a whole number of at least 1, got 0"),
+        ("--width=5", "expected a whole number of pixels, at least 16, got 5"),
+        ("--robot-width=0", "expected a whole number of pixels, at least 1, got 0"),
+        ("--views=0", "expected a whole number of at least 1, got 0"),
+        ("--seed=-1", "expected a whole number from 0 to 2147483647, got -1"),
+        ("--seed=99999999999999999999", "expected a whole number from 0 to 2147483647, got 99999999999999999999"),
+        ("--out=", "expected a folder, got an empty name"),
+    ],
+)
+def test_numbers_out_of_range_are_refused_before_a_capture_begins(
+    typed: str, message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(capture, "capture", lambda *_: pytest.fail("it began"))
+    with pytest.raises(SystemExit):
+        capture.main(["garden.mp4", typed])
+    assert f"splatrl-capture: {typed.partition('=')[0]}: {message};" in capsys.readouterr().err
+
+
+def test_a_file_in_the_place_of_the_scene_is_refused(tmp_path: Path, stages: list[str]) -> None:
+    (tmp_path / "garden").write_text("theirs")
+    with pytest.raises(SystemExit, match=r"garden: expected a folder for the scene, got a file; .*--out"):
+        capture.main(["garden.mp4", "--out", str(tmp_path / "garden")])
+    assert (tmp_path / "garden").read_text() == "theirs" and not stages
+
+
 def test_a_page_with_a_marker_is_written_without_a_capture(tmp_path: Path) -> None:
     capture.main(["--marker", str(tmp_path / "marker.pdf")])
     assert (tmp_path / "marker.pdf").read_bytes().startswith(b"%PDF")
+    for path, message in ((tmp_path / "none" / "m.pdf", "No such file"), (tmp_path / "m.png", "a name that ends in")):
+        with pytest.raises(SystemExit, match=f"^splatrl-capture: .*{message}"):
+            capture.main(["--marker", str(path)])
+    assert [path.name for path in tmp_path.iterdir()] == ["marker.pdf"]
 
 
 def test_a_missing_source_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
