@@ -69,7 +69,8 @@ def intrinsics(fov: float, width: int, height: int) -> Tensor:
     if not 0.0 < fov < math.pi:
         raise ValueError(f"fov: expected an angle in (0, π) radians, got {fov}")
     focal = 0.5 * width / math.tan(0.5 * fov)
-    return torch.tensor([[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]])
+    rows = [[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]]
+    return torch.tensor(rows, dtype=torch.float32)
 
 
 def look_at(

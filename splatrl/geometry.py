@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 CAMERA_TO_BODY = torch.tensor(
-    [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+    [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]], dtype=torch.float32
 )
 """[4, 4] float32: pose of a camera at the body's origin that looks along the body's +x."""
 ORTHONORMAL = 1e-3

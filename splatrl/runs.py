@@ -47,7 +47,7 @@ class TrainedPolicy:
 
 
 def load_policy(
-    run: Path,
+    run: str | Path,
     checkpoint: str | None = None,
     device: str | None = None,
     cfg: DictConfig | None = None,
@@ -68,6 +68,7 @@ def load_policy(
         FileNotFoundError: if the folder holds no run, or the checkpoint does not exist.
         ValueError: for a damaged checkpoint.
     """
+    run = Path(run)
     cfg = run_config(run, allow_targets) if cfg is None else cfg
     chosen = checkpoint or cfg.evaluation.checkpoint
     if chosen not in CHECKPOINTS:

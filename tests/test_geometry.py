@@ -1,4 +1,5 @@
 import math
+import runpy
 
 import pytest
 import torch
@@ -6,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
+from splatrl import geometry
 from splatrl.geometry import (
     CAMERA_TO_BODY,
     along_heading,
@@ -115,3 +117,12 @@ def test_a_camera_on_a_body_looks_forward_with_its_right_to_the_bodys_right() ->
     assert camera_right.tolist() == [0, -1, 0]  # the body's y is left
     assert camera_down.tolist() == [0, 0, -1]
     assert CAMERA_TO_BODY.det() == 1
+
+
+def test_the_module_can_be_imported_under_another_default_dtype() -> None:
+    torch.set_default_dtype(torch.float64)
+    try:
+        imported = runpy.run_path(geometry.__file__)
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert imported["CAMERA_TO_BODY"].dtype == torch.float32

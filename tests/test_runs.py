@@ -33,7 +33,7 @@ def test_a_policy_acts_in_the_world_that_it_was_trained_in(run: Path) -> None:
 def test_the_weights_are_those_of_the_checkpoint_that_is_asked_for(run: Path) -> None:
     world = build_world(run_config(run))
     for checkpoint, action in ((None, 1), ("last", 1), ("best", BEST)):
-        trained = load_policy(run, checkpoint, world=world)
+        trained = load_policy(str(run), checkpoint, world=world)
         assert trained.world is world
         assert int(trained.policy(trained.beginning())["logits"].argmax()) == action
         saved = torch.load(run / "checkpoints" / f"{checkpoint or 'last'}.pt", weights_only=True)["ppo"]["model"]

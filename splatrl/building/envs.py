@@ -10,6 +10,7 @@ from torchrl.envs import EnvBase
 
 from splatrl.building.worlds import build_world
 from splatrl.configuration import load_config
+from splatrl.envs.given import check_default_dtype
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.values import require_number
 
@@ -27,8 +28,10 @@ def make_env(
             do not depend on how processes are numbered.
 
     Raises:
-        ValueError: for a batch size of another shape, or a config that is refused.
+        ValueError: for a batch size of another shape, a config that is refused, or another default dtype of PyTorch
+            than float32.
     """
+    check_default_dtype()
     if batch_size is not None and (isinstance(batch_size, int) or len(batch_size) != 1 or batch_size[0] < 1):
         raise ValueError(f"batch_size: expected a list with one whole number of at least 1, or None, got {batch_size}")
     cfg = load_config(overrides)

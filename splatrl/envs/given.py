@@ -1,4 +1,4 @@
-"""Validation of the scenes, states and memory given to a reset, and of actions."""
+"""Validation of the scenes, states and memory given to a reset, of actions, and of PyTorch's default dtype."""
 
 from collections.abc import Mapping, Sequence
 
@@ -90,6 +90,12 @@ def check_actions(action: Tensor, spec: TensorSpec) -> None:
     """Refuse the numbers of actions that do not exist, with a ValueError; actions of other kinds pass."""
     if isinstance(spec, Categorical) and len(wrong := action[(action < 0) | (action >= spec.n)]):
         raise ValueError(f"action: expected whole numbers from 0 to {spec.n - 1}, got {int(wrong[0])}")
+
+
+def check_default_dtype() -> None:
+    """Refuse another default dtype than float32, with a ValueError: new tensors would not fit those that are kept."""
+    if (found := torch.get_default_dtype()) != torch.float32:
+        raise ValueError(f"torch.set_default_dtype: expected torch.float32, got {found}")
 
 
 def _shown(values: Tensor) -> str:

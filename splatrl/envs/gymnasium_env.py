@@ -14,6 +14,7 @@ from gymnasium.spaces import Box, Dict, Discrete, MultiBinary
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
 from torchrl.data import Bounded, Categorical, TensorSpec
 from torchrl.envs import EnvBase
 
@@ -36,9 +37,10 @@ class GymnasiumEnv(gymnasium.Env[Observation, Action]):
         sensor's reading under the sensor's key.
     Action: the task's, ``Discrete``; for continuous control a ``Box`` of float32 in [-1, 1], as Gymnasium's clients
         expect, mapped linearly onto the task's limits: ``drive`` stands still at (-1/3, 0), not at 0.
-    Info: ``outcome`` (int, an ``Outcome``), ``goals`` (int, number reached so far), ``success`` (bool) and ``state``
-        (the task's state, an array).
-    Reset: ``reset(seed=...)`` seeds the starts, ``reset(options={"state": ...})`` begins at the given task state.
+    Info: ``outcome`` (int, an ``Outcome``), ``goals`` (int, number reached so far), ``success`` (bool), ``state`` (the
+        task's state, an array) and, with several scenes, ``scene`` (int, the scene in which the episode takes place).
+    Reset: ``reset(seed=...)`` seeds the starts, ``reset(options={"state": ...})`` begins at the given task state; with
+        several scenes ``options`` must hold its ``scene``, too.
 
     Example:
         >>> import splatrl
@@ -99,9 +101,9 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
 
     Observation: [B, H, W, 3] uint8; with ``sensors`` a dictionary, see ``GymnasiumEnv``.
     Action: [B] int64, or [B, n] float32 in [-1, 1] for continuous control; see ``GymnasiumEnv``.
-    Info: ``outcome``, ``goals``, ``success`` and ``state`` that belong to the observation, [B, ...] each. With
-        same-step resets, ``final_obs`` and ``final_info`` hold the last observation and info of robots whose episode
-        ended. Each entry has a mask, [B] bool, under ``_<name>``.
+    Info: ``outcome``, ``goals``, ``success``, ``state`` and, with several scenes, ``scene`` that belong to the
+        observation, [B, ...] each. With same-step resets, ``final_obs`` and ``final_info`` hold the last observation
+        and info of robots whose episode ended. Each entry has a mask, [B] bool, under ``_<name>``.
     Reset: a single seed is used for the whole batch. With a list of seeds, each robot's start depends only on its own
         seed, and everything drawn later depends on all of them; robots with None draw from the env's generator as
         before.
@@ -258,20 +260,25 @@ def _together(seeds: list[int | None]) -> int | None:
 def _begin(
     env: EnvBase, seed: int | None, options: dict[str, Any] | None, seeds: list[int | None] | None = None
 ) -> TensorDictBase:
-    unknown = set(options or ()) - {"state"}
-    if unknown:
-        raise ValueError(f"options: expected 'state' as the only key, got {sorted(unknown)}")
+    specs = env.observation_spec
+    expected = {key: specs[key] for key in ("state", "scene") if key in specs.keys()}  # noqa: SIM118, a spec is no dict
+    if options and options.keys() != expected.keys():
+        raise ValueError(f"options: expected {' and '.join(map(repr, expected))}, got {sorted(options)}")
     if seed is not None:
         env.set_seed(int(seed))
     if not options:
         return env.reset() if seeds is None else env.reset(seeds=seeds)
-    expected = env.observation_spec["state"]
-    state = torch.as_tensor(options["state"], dtype=expected.dtype, device=env.device)
-    placed = state.reshape(expected.shape) if state.numel() == expected.shape.numel() else None
-    if placed is None or not expected.is_in(placed):
-        shape = list(expected.shape)
-        raise ValueError(f"options['state']: expected shape {shape} and values within bounds, got {state.tolist()}")
-    return env.reset(TensorDict({"state": placed}, env.batch_size, device=env.device), set_state=True)
+    given = {key: _given(f"options[{key!r}]", options[key], spec) for key, spec in expected.items()}
+    return env.reset(TensorDict(given, env.batch_size, device=env.device), set_state=True)
+
+
+def _given(name: str, value: Any, spec: TensorSpec) -> Tensor:
+    """Return what a client gives for a key of the batch, [B, ...]; ``name`` is for the message."""
+    given = torch.as_tensor(value, dtype=spec.dtype, device=spec.device)
+    placed = given.reshape(spec.shape) if given.numel() == spec.shape.numel() else None
+    if placed is None or not spec.is_in(placed):
+        raise ValueError(f"{name}: expected shape {list(spec.shape)} and values within bounds, got {given.tolist()}")
+    return placed
 
 
 def _act(env: EnvBase, present: TensorDictBase, space: gymnasium.Space[Any], actions: Any) -> TensorDictBase:
@@ -327,7 +334,8 @@ def _column(td: TensorDictBase, key: str) -> npt.NDArray[Any]:
 
 
 def _infos(td: TensorDictBase) -> Infos:
-    columns = {key: _column(td, key) for key in ("outcome", "goals", "success")}
+    keys = ("outcome", "goals", "success", *(["scene"] if "scene" in td.keys() else []))  # noqa: SIM118, a TensorDict is no dict
+    columns = {key: _column(td, key) for key in keys}
     return {**columns, "state": td["state"].cpu().numpy().copy()}  # clients may edit it
 
 

@@ -46,9 +46,10 @@ class Robot:
         require_number("robot.fov_deg", self.fov_deg, 1, 179)
         for name in ("image_width", "image_height"):
             require_number(f"robot.{name}", getattr(self, name), 1, MOST_PIXELS, whole=True)
-        down = axis_rotations(1, torch.tensor(math.radians(self.pitch_deg)))
-        centred = rigid(down, torch.zeros(3)) @ CAMERA_TO_BODY
-        object.__setattr__(self, "camera_to_body", centred if self.mount is None else torch.tensor(self.mount))
+        down = axis_rotations(1, torch.tensor(math.radians(self.pitch_deg), dtype=torch.float32))
+        centred = rigid(down, down.new_zeros(3)) @ CAMERA_TO_BODY
+        mounted = centred if self.mount is None else torch.tensor(self.mount, dtype=torch.float32)
+        object.__setattr__(self, "camera_to_body", mounted)
         K = intrinsics(math.radians(self.fov_deg), self.image_width, self.image_height)
         object.__setattr__(self, "K", K)
 

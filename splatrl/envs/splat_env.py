@@ -17,7 +17,7 @@ from splatrl.collision.nothing import NoChecker
 from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum.starts import Curriculum
 from splatrl.envs.drawing.base import Drawing
-from splatrl.envs.given import check_actions, check_memory, check_seeds, given_scene, given_state
+from splatrl.envs.given import check_actions, check_default_dtype, check_memory, check_seeds, given_scene, given_state
 from splatrl.envs.lattice_steps import LatticeSteps, Taken, suits
 from splatrl.envs.restart import maybe_reset, with_rows
 from splatrl.envs.robot import Robot
@@ -78,8 +78,8 @@ class SplatEnv(EnvBase):
         sensors: sensors other than the camera, by key.
 
     Raises:
-        ValueError: for a batch size that is not one positive number, a task whose memory uses the env's keys, or a
-            given state outside the motion's spec.
+        ValueError: for a batch size that is not one positive number, a task whose memory uses the env's keys, a given
+            state outside the motion's spec, or another default dtype of PyTorch than float32.
     """
 
     batch_locked = True
@@ -97,6 +97,7 @@ class SplatEnv(EnvBase):
         device: torch.device | str = "cpu",
         sensors: Mapping[str, Sensor] | None = None,
     ):
+        check_default_dtype()
         if len(batch_size) != 1 or batch_size[0] < 1:
             raise ValueError(f"batch_size: expected one number of at least 1, got {list(batch_size)}")
         super().__init__(device=device, batch_size=torch.Size(batch_size))
@@ -161,6 +162,7 @@ class SplatEnv(EnvBase):
         seeds: Sequence[int | None] | None = None,
         **_: Any,
     ) -> TensorDictBase:
+        check_default_dtype()
         given = TensorDict(batch_size=self.batch_size) if tensordict is None else tensordict
         mask = given.get("_reset", None)
         only = None if mask is None else mask.flatten()

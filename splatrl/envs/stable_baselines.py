@@ -68,7 +68,7 @@ class StableBaselinesVecEnv(VecEnv):
             if done[row]:
                 info = _row(infos["final_info"], row)
                 info["terminal_observation"] = infos["final_obs"][row]
-                info["TimeLimit.truncated"] = bool(truncated[row])
+                info["TimeLimit.truncated"] = bool(truncated[row] and not terminated[row])
                 info["is_success"] = info["success"]
             else:
                 info = _row(infos, row)
@@ -125,5 +125,5 @@ def _together(options: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
 
 def _row(infos: Infos, row: int) -> Infos:
     """Return the info of one robot, with scalars as Python numbers."""
-    values = {key: infos[key][row] for key in ("outcome", "goals", "success", "state")}
+    values = {key: infos[key][row] for key in ("outcome", "goals", "success", "state", "scene") if key in infos}
     return {key: value.item() if value.ndim == 0 else value for key, value in values.items()}

@@ -77,7 +77,25 @@ class StatefulEnv(TransformedEnv):
 
 
 class BaseAndTransforms(Compose):
-    """Transforms whose state includes that of the env they wrap."""
+    """Transforms whose state includes that of the env they wrap.
+
+    Members of a plain ``Compose`` take its place, as they do when TorchRL appends one to another: TorchRL cannot find
+    the env under a transform in a ``Compose`` within a ``Compose``.
+    """
+
+    def __init__(self, *transforms: Transform):
+        super().__init__(*(each for transform in transforms for each in _members(transform)))
+
+    def append(self, transform: Transform | Callable[[TensorDictBase], TensorDictBase]) -> None:
+        """Add a transform outside the others; see ``Compose.append``."""
+        for each in _members(transform):
+            super().append(each)
+
+    def insert(self, index: int, transform: Transform | Callable[[TensorDictBase], TensorDictBase]) -> None:
+        """Add a transform between the others; see ``Compose.insert``."""
+        place = index + len(self) if -len(self) <= index < 0 else index
+        for number, each in enumerate(_members(transform)):
+            super().insert(place + number, each)
 
     def _save_to_state_dict(self, destination: dict[str, Any], prefix: str, keep_vars: bool) -> None:
         super()._save_to_state_dict(destination, prefix, keep_vars)
@@ -102,6 +120,15 @@ class BaseAndTransforms(Compose):
         if env is not None:
             base = {key.removeprefix(mine): value for key, value in state_dict.items() if key.startswith(mine)}
             env.base_env.load_state_dict(base, strict=strict)
+
+
+def _members(
+    transform: Transform | Callable[[TensorDictBase], TensorDictBase],
+) -> list[Transform | Callable[[TensorDictBase], TensorDictBase]]:
+    """Return the transforms of a plain ``Compose``, and of those within it; any other transform as it is."""
+    if isinstance(transform, Compose) and type(transform) is Compose:
+        return [each for member in transform for each in _members(member)]
+    return [transform]
 
 
 def _check(transform: Transform | Callable[[TensorDictBase], TensorDictBase]) -> None:

@@ -94,9 +94,7 @@ class DeviceLatticeRenderer(ViewCache[DeviceAlbum]):
     rendered until one of them is stored. The renderer must handle ``only`` without synchronising as well.
     """
 
-    @torch.compiler.disable
-    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
-        """Return [B, H, W, 3] uint8: cached views are copied, others rendered; rows not in ``only`` are zero."""
+    def _pixels(self, cameras: Cameras, parts: Parts | None, only: Tensor | None) -> Tensor:
         if parts is not None:
             require_parts_of(parts, cameras)
         wanted = None if only is None else checked_only(only, cameras)

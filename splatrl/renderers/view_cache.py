@@ -1,5 +1,6 @@
 """A cache of rendered views for poses on a finite lattice, so that each view is rendered only once."""
 
+import threading
 from abc import ABC, abstractmethod
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -36,7 +37,8 @@ class ViewCache(ABC, Generic[Kept]):
 
     This pays off if robots stand on a finite lattice of poses: eventually every view is a copy. If poses are continuous
     or noisy, nothing repeats, and the renderer itself should be used. When the memory is full, new views are rendered
-    but not cached. Pickles do not include the cached images.
+    but not cached. Threads may share a cache, and draw through it one at a time. Pickles do not include the cached
+    images.
 
     Args:
         renderer: the renderer of the views that are not cached.
@@ -51,6 +53,7 @@ class ViewCache(ABC, Generic[Kept]):
             raise ValueError(f"max_bytes: expected at least 0, got {max_bytes}")
         self.renderer = renderer
         self.max_bytes = max_bytes
+        self._using = threading.Lock()  # no other thread may store a view between looking one up and storing it
         self._albums: dict[tuple[int, ...], Kept] = {}  # by image size and whatever else must match
         if isinstance(renderer, Faulty):
             self.raise_faults = renderer.raise_faults
@@ -70,9 +73,15 @@ class ViewCache(ABC, Generic[Kept]):
         """Render colour, depth and alpha for each camera; nothing is cached. See ``Renderer``."""
         return self.renderer.render(cameras, parts, only)
 
-    @abstractmethod
+    @torch.compiler.disable
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         """Return [B, H, W, 3] uint8: cached views are copied, others rendered; rows not in ``only`` are zero."""
+        with self._using:
+            return self._pixels(cameras, parts, only)
+
+    @abstractmethod
+    def _pixels(self, cameras: Cameras, parts: Parts | None, only: Tensor | None) -> Tensor:
+        """Do what ``pixels`` does, while no other thread does."""
 
 
 class _Album:
@@ -117,9 +126,7 @@ class LatticeRenderer(ViewCache[_Album]):
     Duplicates within a batch are rendered once.
     """
 
-    @torch.compiler.disable
-    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
-        """Return [B, H, W, 3] uint8: cached views are copied, others rendered; rows not in ``only`` are zero."""
+    def _pixels(self, cameras: Cameras, parts: Parts | None, only: Tensor | None) -> Tensor:
         return draw_only(self._recalled, cameras, parts, only)
 
     def _recalled(self, cameras: Cameras, parts: Parts | None) -> Tensor:

@@ -57,7 +57,7 @@ class Trainer:
     def __init__(
         self,
         ppo: PPO,
-        folder: Path,
+        folder: str | Path,
         test: Callable[[], Mapping[str, float]],
         test_interval: int,
         checkpoint_interval: int,
@@ -67,7 +67,7 @@ class Trainer:
     ):
         require_number("logger.test_interval", test_interval, 1, whole=True)
         require_number("checkpoint.interval", checkpoint_interval, 1, whole=True)
-        self.ppo, self.folder, self.test, self.prepare = ppo, folder, test, prepare
+        self.ppo, self.folder, self.test, self.prepare = ppo, Path(folder), test, prepare
         self.watch: Callable[[Mapping[str, float]], object] = lambda row: None
         self.made_with = dict(made_with or {})
         self.test_interval, self.checkpoint_interval = test_interval, checkpoint_interval
@@ -75,7 +75,7 @@ class Trainer:
         self.history: list[dict[str, float]] = []
         self.best: tuple[float, ...] = ()
         self.seconds = 0.0
-        (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
+        (self.folder / "checkpoints").mkdir(parents=True, exist_ok=True)
 
     @property
     def levels(self) -> int:

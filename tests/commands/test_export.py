@@ -105,32 +105,58 @@ def test_the_checkpoint_and_the_folder_can_be_chosen(
 def test_a_wider_camera_is_cropped_to_the_policys_field_of_view(
     exported: tuple[Path, str], film: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = {}
+    told, notes = {}, {}
     for fov in ("90", "60", "127"):
         run_policy(monkeypatch, exported[0], film, "--fov", fov)
-        told[fov] = capsys.readouterr().out
+        told[fov], notes[fov] = capsys.readouterr()
         assert told[fov].startswith(f"0 {NAMES[1]} ")
     assert told["90"] == told["60"] != told["127"]
+    assert notes["60"] == "--fov: the video shows 60° of the policy's 90°\n" and not notes["90"] + notes["127"]
 
 
 def test_other_observations_of_a_policy_are_given_on_the_command_line(
     film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    chosen = load_config([*tiny_overrides(tmp_path, "pointnav"), "sensors=[rgb,imagegoal,pointgoal]"])
+    sensors = ["sensors=[rgb,imagegoal,pointgoal,depth,lidar]", "sensors.depth.normalize=false"]
+    chosen = load_config([*tiny_overrides(tmp_path, "pointnav"), *sensors])
     run = save_run(tmp_path / "run", chosen, 1)
     command(monkeypatch, f"run={run}", "frames=8")
     picture = str(tmp_path / "goal.png")
     cv2.imwrite(picture, np.full((24, 32, 3), 90, np.uint8))
-    folder, words = run / "export", (film, "--give", f"imagegoal={picture}")
+    farthest = {"bytes": np.full((24, 32), 255, np.uint8), "words": np.full((24, 32), 65535, np.uint16)}
+    for name, depth in farthest.items():
+        cv2.imwrite(str(tmp_path / f"{name}.png"), depth)
+    given = {
+        "imagegoal": picture,
+        "pointgoal_with_gps_compass": "2.5,0.3",
+        "lidar": ",".join(["1.25"] * 64),
+        "depth": ",".join(["10"] * 12 * 16),
+    }
+
+    def said(**changed: object) -> tuple[str, str]:
+        words = [f"{name}={value}" for name, value in (given | changed).items()]
+        try:
+            run_policy(monkeypatch, run / "export", film, *(word for each in words for word in ("--give", each)))
+        except SystemExit:
+            return "", capsys.readouterr().err
+        return tuple(capsys.readouterr())
+
     capsys.readouterr()
-    run_policy(monkeypatch, folder, *words, "--give", "pointgoal_with_gps_compass=2.5,0.3")
-    assert len(capsys.readouterr().out.splitlines()) == 5
-    with pytest.raises(SystemExit, match="2"):
-        run_policy(monkeypatch, folder, *words)
-    assert "--give: expected imagegoal and pointgoal_with_gps_compass for this policy" in capsys.readouterr().err
-    with pytest.raises(ValueError, match="reshape"):
-        run_policy(monkeypatch, folder, *words, "--give", "pointgoal_with_gps_compass=2")
-    assert not capsys.readouterr().out
+    expected, _ = said()
+    assert len(expected.splitlines()) == 5
+    for name in farthest:
+        assert said(depth=tmp_path / f"{name}.png")[0] == expected
+    assert said(depth=",".join(["1"] * 12 * 16))[0] not in ("", expected)
+    pixels = "expected 192 numbers or an image file, got"
+    for changed, message in (
+        ({"depth": "no.png"}, f"--give depth: {pixels} no.png"),
+        ({"depth": film}, f"--give depth: {pixels} {str(film)[:60]}"),
+        ({"pointgoal_with_gps_compass": 2}, "--give pointgoal_with_gps_compass: expected 2 numbers, got 2"),
+        ({"lidar": picture}, f"--give lidar: expected 64 numbers, got {picture[:60]}"),
+    ):
+        assert message in said(**changed)[1]
+    del given["depth"]
+    assert "--give: expected " in (told := said()[1]) and "for this policy; check depth" in told
 
 
 @pytest.mark.parametrize(

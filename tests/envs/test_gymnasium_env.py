@@ -140,7 +140,7 @@ def unbounded_env() -> EnvBase:
         (
             lambda env: env.reset(options={"pose": 1}),
             ValueError,
-            r"options: expected 'state' as the only key, got \['pose'\]",
+            r"options: expected 'state', got \['pose'\]",
         ),
         (
             lambda env: env.reset(options={"state": [5, 0, 0]}),

@@ -1,7 +1,9 @@
 """Several scenes in one batch: each row equals the same row in its scene alone."""
 
 import pickle
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -9,6 +11,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import check_env_specs
 
 import splatrl
+from splatrl.envs import GymnasiumEnv, GymnasiumVectorEnv
 from tests.two_rooms import in_both, overrides, two_rooms
 
 TASKS = ["grid", "fps", "drive", "apple", "snake"]
@@ -55,6 +58,26 @@ def test_episodes_stay_in_their_scene_and_new_ones_are_drawn(both: EnvBase) -> N
     begins, scene = steps["step_count"][..., 0] == 0, steps["scene"][..., 0]
     assert not (scene[:, 1:] != scene[:, :-1])[~begins[:, 1:]].any()
     assert len(scene[begins].unique()) == 2
+
+
+def test_gymnasiums_envs_tell_the_scene_and_begin_in_a_given_one(tmp_path: Path) -> None:
+    settings = in_both(tmp_path)
+    single = GymnasiumEnv(splatrl.make_env(settings, batch_size=[1]))
+    batch = GymnasiumVectorEnv(splatrl.make_env(settings, batch_size=[4]))
+    seen, info = batch.reset(seed=3)
+    assert set(info["scene"].tolist()) == {0, 1} and info["_scene"].all()
+    for row in range(4):
+        chosen = {key: info[key][row] for key in ("state", "scene")}
+        again, told = single.reset(options=chosen)
+        assert np.array_equal(again, seen[row])
+        assert told["state"].tolist() == info["state"][row].tolist() and told["scene"] == info["scene"][row]
+    assert np.array_equal(batch.reset(options={key: info[key] for key in ("state", "scene")})[0], seen)
+    with pytest.raises(ValueError, match=r"options: expected 'state' and 'scene', got \['state'\]"):
+        single.reset(options={"state": told["state"]})
+    with pytest.raises(
+        ValueError, match=r"options\['scene'\]: expected shape \[1, 1\] and values within bounds, got 2"
+    ):
+        single.reset(options={"state": told["state"], "scene": 2})
 
 
 def test_the_same_seed_gives_the_same_scenes(both: EnvBase) -> None:

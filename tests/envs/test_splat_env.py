@@ -73,6 +73,20 @@ class TestContractOfAConfiguredWorld(EnvContract):
         assert (seen - expected).abs().max() <= 1 and seen.float().std() > 10
 
 
+def test_another_default_dtype_is_refused() -> None:
+    env = tiny_env((3,))
+    parts = env.drawing, env.checker, tiny_robot(), env.task, env.curriculum, [3]
+    message = r"torch\.set_default_dtype: expected torch\.float32, got torch\.float64"
+    torch.set_default_dtype(torch.float64)
+    try:
+        assert tiny_robot().camera_to_body.dtype == tiny_robot().K.dtype == torch.float32
+        for call in (env.reset, partial(SplatEnv, *parts), make_env):
+            with pytest.raises(ValueError, match=message):
+                call()
+    finally:
+        torch.set_default_dtype(torch.float32)
+
+
 def step_from(states: list[list[int]], actions: list[int], max_steps: int = 20) -> TensorDictBase:
     """Take one step with robots placed by hand."""
     env = tiny_env([len(states)], max_steps=max_steps)

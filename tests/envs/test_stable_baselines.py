@@ -14,6 +14,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecFrameStack, VecMonitor
+from torchrl.envs import StepCounter, TransformedEnv
 
 from splatrl.building import env_makers
 from splatrl.envs.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
@@ -61,6 +62,15 @@ def test_an_episode_ends_with_its_last_view_and_its_outcome() -> None:
         assert np.array_equal(infos[row]["terminal_observation"], last)
         assert infos[row]["state"].tolist() == state
     assert not np.array_equal(seen[0], infos[0]["terminal_observation"])
+
+
+def test_an_episode_that_ends_at_the_limit_of_a_step_counter_is_not_truncated_too() -> None:
+    env = StableBaselinesVecEnv(TransformedEnv(tiny_env([2]), StepCounter(1, step_count_key="actions")))
+    env.set_options([{"state": state} for state in ([1, 5, 0], [0, 0, 0])])
+    env.reset()
+    _, _, done, infos = env.step(np.array([FORWARD_X, SPIN]))
+    assert done.all() and [info["outcome"] for info in infos] == [Outcome.GOAL, Outcome.RUNNING]
+    assert [info["TimeLimit.truncated"] for info in infos] == [False, True]
 
 
 def test_shared_attributes_are_reported_for_each_robot() -> None:

@@ -11,7 +11,16 @@ import pytest
 import torch
 from tensordict.nn import TensorDictModule
 from torchrl.collectors import Collector
-from torchrl.envs import ActionDiscretizer, Compose, EnvBase, FrameSkipTransform, RewardScaling, TransformedEnv
+from torchrl.envs import (
+    ActionDiscretizer,
+    Compose,
+    EnvBase,
+    FrameSkipTransform,
+    RewardScaling,
+    RewardSum,
+    StepCounter,
+    TransformedEnv,
+)
 
 from splatrl.building import make_env, worlds
 from splatrl.envs.gymnasium_env import GymnasiumVectorEnv
@@ -120,6 +129,23 @@ def test_a_pickle_holds_paths_and_no_scene(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(worlds, "check_config", lambda cfg: (read.append(cfg), make(cfg)))
     pickle.loads(pickled)
     assert len(read) == 1
+
+
+def test_a_compose_can_be_added_like_the_transforms_in_it(tmp_path: Path) -> None:
+    def added() -> Compose:
+        return Compose(StepCounter(5, step_count_key="actions"), Compose(RewardSum()))
+
+    makers: list[Callable[[], EnvBase]] = [
+        lambda: tiny_env((3,)).append_transform(added()),
+        lambda: StatefulEnv(tiny_env((3,)), added()),
+        lambda: StatefulEnv(tiny_env((3,)), RewardScaling(0.0, 1.0)).insert_transform(0, added()),
+        lambda: StatefulEnv(tiny_env((3,)), RewardScaling(0.0, 1.0)).insert_transform(-1, added()),
+    ]
+    expected = StatefulEnv(tiny_env((3,)), *added()[:1], RewardSum())
+    for make in makers:
+        env = make()
+        assert [type(each) for each in env.transform][:2] == [StepCounter, RewardSum]
+        assert_same(*(seeded_rollout(one, 6, 0) for one in (env, expected)))
 
 
 def test_torchrls_frame_skip_is_refused_wherever_it_can_be_detected(tmp_path: Path) -> None:

@@ -1,9 +1,11 @@
+import threading
+
 import pytest
 import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
-from splatrl.renderers import LatticeRenderer, Parts
+from splatrl.renderers import DeviceLatticeRenderer, LatticeRenderer, Parts
 from tests.renderers.cases import TwoModels, random_cameras
 from tests.renderers.parts_cases import at, placed, random_parts
 
@@ -82,6 +84,30 @@ def test_changes_that_the_caller_makes_to_images_are_not_cached() -> None:
     second = lattice.pixels(cameras)
     second.zero_()
     assert torch.equal(lattice.pixels(cameras), expected)
+
+
+class Interrupted(TwoModels):
+    """While it draws the first batch, another thread asks the cache for a view of that batch."""
+
+    other: threading.Thread | None = None
+
+    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
+        drawn = super().pixels(cameras, parts, only)
+        if self.other is not None and self.other.ident is None:
+            self.other.start()
+            self.other.join(0.2)
+        return drawn
+
+
+@pytest.mark.parametrize("kind", [LatticeRenderer, DeviceLatticeRenderer])
+def test_threads_that_share_a_cache_see_the_views_of_the_renderer(kind: type[LatticeRenderer]) -> None:
+    inner, cameras = Interrupted(), random_cameras(1, 3)
+    expected, lattice = inner.renderer.pixels(cameras), kind(inner)
+    inner.other = threading.Thread(target=lattice.pixels, args=(cameras[:1],))
+    first = lattice.pixels(cameras)
+    inner.other.join()
+    assert torch.equal(first, expected) and torch.equal(lattice.pixels(cameras), expected)
+    assert inner.rendered == len(lattice) == 3
 
 
 def test_render_bypasses_the_cache() -> None:

@@ -15,7 +15,7 @@ from tests.tiny import tiny_env
 from tests.training.test_ppo import learner, parameters
 
 
-def trainer(folder: Path, tests: list[float], frames: int = 64 * 6) -> Trainer:
+def trainer(folder: str | Path, tests: list[float], frames: int = 64 * 6) -> Trainer:
     """Make a trainer of six batches that tests after every second one, with the given results."""
     ppo = learner(tiny_env([4], max_steps=10), total_frames=frames)
     results = ({"success": success} for success in tests)
@@ -23,7 +23,7 @@ def trainer(folder: Path, tests: list[float], frames: int = 64 * 6) -> Trainer:
 
 
 def test_the_best_checkpoint_is_the_one_that_tested_best(tmp_path: Path) -> None:
-    loop = trainer(tmp_path, [0.4, 0.9, 0.6])
+    loop = trainer(str(tmp_path), [0.4, 0.9, 0.6])
     loop.fit()
     best, last = (load_checkpoint(tmp_path / "checkpoints" / f"{name}.pt") for name in ("best", "last"))
     assert (best["ppo"]["frames"], last["ppo"]["frames"]) == (256, 384)
