@@ -1,14 +1,17 @@
-"""The scene, settings and hardware of a training, and whether another run may resume it."""
+"""The scene, files, settings and hardware of a training, and whether another run may resume it."""
 
 import warnings
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from splatrl.configuration import PATHS
-from splatrl.files import expanded
+from splatrl.configuration import paths_of, with_absolute_paths
+from splatrl.files import digest_of, expanded
 from splatrl.native import _core
+from splatrl.physics import mjcf_files
+from splatrl.scenes.formats.reading import META
 from splatrl.values import flat
 
 SPEED_ONLY = {"threads", "renderer.threads", "resume", "collector.cuda_graph", "optim.compile"}
@@ -16,6 +19,9 @@ SPEED_ONLY |= {"resume_changed", "allow_targets", "view"}
 """Keys of a config that do not change the results."""
 FREE = ("device:", "scene.path:", "scene.name:", "logger.", "checkpoint.", "evaluation.", "collector.total_frames:")
 """Prefixes of the lines of ``differences`` that a resumed run may have; a scene is identified by its content."""
+NOT_DIGESTED = ("scene.path", "demos", "evaluation.episodes")
+"""Paths without a digest: the scene has its own, a checkpoint no longer depends on demonstrations, and the episodes of
+evaluations do not concern the training."""
 
 
 def differences(asked: Mapping[str, Any], found: Mapping[str, Any]) -> list[str]:
@@ -37,11 +43,17 @@ def made_with(cfg: DictConfig, scene_digest: str) -> dict[str, Any]:
     """
     settings = OmegaConf.to_container(cfg)
     assert isinstance(settings, dict)
-    return {"settings": settings, "scene": scene_digest, "isa": _core.isa(), "threads": cfg.threads}
+    return {
+        "settings": settings,
+        "scene": scene_digest,
+        "files": _digests(cfg),
+        "isa": _core.isa(),
+        "threads": cfg.threads,
+    }
 
 
 def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
-    """Refuse to resume a training that began with another scene or other settings.
+    """Refuse to resume a training that began with another scene, other settings or files with other content.
 
     The device, the scene's location, the training's length and the settings of logging, checkpoints and evaluation may
     change. If the number of PyTorch threads or the processor's instruction set differs, a warning says that results may
@@ -59,8 +71,11 @@ def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
     changed = [line for line in differences(now["settings"], then["settings"]) if not line.startswith(FREE)]
     if now["scene"] != then["scene"]:
         changed.append("scene: its Gaussians differ")
+    began = then.get("files", {})
+    common = now["files"].keys() & began.keys()  # a new file is told by the setting or the file that refers to it
+    changed += [f"{path}: its content differs" for path in sorted(common) if now["files"][path] != began[path]]
     if changed:
-        lines = ["resume: expected the scene and settings with which the run began, got different ones:"]
+        lines = ["resume: expected the scene, settings and files with which the run began, got different ones:"]
         raise ValueError(
             "\n".join(
                 [*lines, *(f"  {line}" for line in changed), "to resume with them anyway, type resume_changed=true"]
@@ -73,7 +88,20 @@ def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
 
 def _settings(config: Mapping[str, Any]) -> dict[str, Any]:
     """Return the dotted keys of a config with their values, with paths made absolute."""
-    return {
-        key: str(expanded(value).absolute()) if key in PATHS and isinstance(value, str) else value
-        for key, value in flat(config)
-    }
+    cfg = OmegaConf.to_container(with_absolute_paths(OmegaConf.create(dict(config))))
+    assert isinstance(cfg, dict), type(cfg)
+    return dict(flat({str(key): value for key, value in cfg.items()}))
+
+
+def _digests(cfg: DictConfig) -> dict[str, str]:
+    """Return digests of the files that a training depends on besides its scene, by path, without built-in ones."""
+    given = [expanded(path) for key, path in paths_of(cfg).items() if key not in NOT_DIGESTED]
+    return {str(file): digest_of([file]) for path in given for file in _files(path)}
+
+
+def _files(path: Path) -> list[Path]:
+    """Return a file and those that belong to it, such as an MJCF's meshes or the images of an unpacked SOG."""
+    if path.suffix == ".xml":
+        return mjcf_files(path)
+    folder = path.parent if path.name == META else path
+    return sorted(file for file in folder.iterdir() if file.is_file()) if folder.is_dir() else [path]

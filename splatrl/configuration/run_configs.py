@@ -141,7 +141,7 @@ def _strings(cfg: DictConfig, keys: Sequence[str]) -> Iterator[tuple[str, str]]:
     """Yield the strings at keys of a config and in the nodes there, with their keys."""
     for key in keys:
         value = OmegaConf.select(cfg, key)
-        within = {f"{key}[{name}]": value[name] for name in value} if isinstance(value, DictConfig) else {key: value}
+        within = {f"{key}[{name!s}]": value[name] for name in value} if isinstance(value, DictConfig) else {key: value}
         yield from ((place, text) for place, text in within.items() if isinstance(text, str))
 
 

@@ -5,7 +5,7 @@ from splatrl.physics.compose import Composed, compose
 from splatrl.physics.courses import draw_courses
 from splatrl.physics.gaussians import BodyGaussians, gaussians_from_mjcf
 from splatrl.physics.kinematics import Kinematics
-from splatrl.physics.mjcf import read_mjcf
+from splatrl.physics.mjcf import mjcf_files, read_mjcf
 from splatrl.physics.routes import RouteSettings
 from splatrl.physics.state_layout import StateLayout
 from splatrl.physics.stepping import Physics, Stepped
@@ -28,5 +28,6 @@ __all__ = [
     "draw_courses",
     "gaussians_from_mjcf",
     "level_ground",
+    "mjcf_files",
     "read_mjcf",
 ]

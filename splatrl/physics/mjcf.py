@@ -37,6 +37,7 @@ class _Reading:
 
     folder: Path
     included: dict[str, bytes] = field(default_factory=dict)
+    found: dict[str, Path] = field(default_factory=dict)  # where the included files are
     assets: dict[str, bytes] = field(default_factory=dict)
     elements: int = 0
     size: int = 0
@@ -55,6 +56,25 @@ def read_mjcf(path: Path | str) -> Any:
             that expand one element into many or load code, in one line that names the file and the element.
     """
     mujoco, path = needed(), Path(path)
+    text, reading = _read(path)
+    try:
+        spec = mujoco.MjSpec.from_string(text.decode(), include=reading.included, assets=reading.assets)
+        model = spec.copy().compile()
+    except (ValueError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: expected MJCF, got {_one_line(error)}") from error
+    if odd := [name for name in NUMBERS if not np.isfinite(getattr(model, name)).all()]:
+        raise ValueError(f"{path}: expected finite numbers, got infinite ones or NaN in {odd[0]}")
+    return spec
+
+
+def mjcf_files(path: Path) -> list[Path]:
+    """Return an MJCF file, the files that it includes, and its meshes and textures; raises as ``read_mjcf``."""
+    _, reading = _read(path)
+    return [path, *reading.found.values(), *(reading.folder / name for name in reading.assets)]
+
+
+def _read(path: Path) -> tuple[bytes, _Reading]:
+    """Read an MJCF file and everything that it references, and check it."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: expected an MJCF file, found none")
     reading = _Reading(path.parent.resolve())
@@ -64,14 +84,7 @@ def read_mjcf(path: Path | str) -> Any:
     for tree in trees:
         for node in tree.iter():
             _read_files(path, node, places, reading)
-    try:
-        spec = mujoco.MjSpec.from_string(text.decode(), include=reading.included, assets=reading.assets)
-        model = spec.copy().compile()
-    except (ValueError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: expected MJCF, got {_one_line(error)}") from error
-    if odd := [name for name in NUMBERS if not np.isfinite(getattr(model, name)).all()]:
-        raise ValueError(f"{path}: expected finite numbers, got infinite ones or NaN in {odd[0]}")
-    return spec
+    return text, reading
 
 
 def _checked(path: Path, text: bytes, reading: _Reading) -> list[ElementTree.Element]:
@@ -102,7 +115,7 @@ def _checked(path: Path, text: bytes, reading: _Reading) -> list[ElementTree.Ele
             name = node.get("file", "")
             if name not in reading.included:
                 inner = _inside(where, reading.folder, name)
-                reading.included[name] = _small(inner, MOST_TEXT)
+                reading.found[name], reading.included[name] = inner, _small(inner, MOST_TEXT)
                 found += _checked(inner, reading.included[name], reading)
     return found
 
