@@ -47,7 +47,7 @@ def planner_episodes(
         while sum(map(len, waiting)) < ROBOTS:
             waiting.append(plan.starts[torch.randperm(len(plan.starts), generator=generator)])
         starts, rest = torch.cat(waiting).split([ROBOTS, sum(map(len, waiting)) - ROBOTS])
-        waiting = [rest]
+        waiting, starts = [rest], world.task.motion.varied(starts, generator)
         for episode in _walked(world, plan, starts, seed + len(kept), generator):
             if int(episode["next", "outcome"][-1]) == Outcome.GOAL and len(kept) < episodes:
                 kept.append(episode)

@@ -16,7 +16,7 @@ from splatrl.evaluation.chase import chase_cameras
 from splatrl.evaluation.recording import Recording, record_episodes
 from splatrl.evaluation.rollouts import Episodes
 from splatrl.evaluation.start_maps import start_map, success_map
-from splatrl.evaluation.starts import Chosen
+from splatrl.evaluation.starts import Chosen, varied
 from splatrl.evaluation.topdown import MapView, footprint, map_window, top_down
 from splatrl.evaluation.video import PANEL, rollout_video
 from splatrl.motions import Motion
@@ -90,9 +90,9 @@ class Pictures:
         ordered = rows[self.plan.distance[rows].argsort(stable=True)]
         count = env.numel()
         start = self.plan.states[ordered[_spread(len(ordered), count)]]
-        states, memory = (start, {}) if chosen is None else (chosen.state, chosen.memory)
-        recordings = record_episodes(env, policy, states, seed=seed, memory=memory)
         motion = env.task.motion
+        states, memory = (varied(motion, start), {}) if chosen is None else (chosen.state, chosen.memory)
+        recordings = record_episodes(env, policy, states, seed=seed, memory=memory)
         outside = partial(self._outside, env) if motion.models else None  # without a body, there is nothing to see
         rollout_video(
             [recordings[row] for row in shown([len(recording.action) for recording in recordings], frames)],

@@ -11,10 +11,13 @@ from torch import Tensor
 from splatrl.envs.tasks.base import ChoosingTask, GoalTask
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.episode_sets import read_episodes, write_episodes
+from splatrl.motions import Motion
 from splatrl.values import under_key
 
 EPISODES_SEED = 3000
 """Seed of the starts and goals drawn for tests; each scene adds its index."""
+PHYSICS_SEED = 4000
+"""Seed of what a motion varies between the episodes of tests; each scene adds its index."""
 
 
 def spread(rows: Tensor, most: int) -> Tensor:
@@ -93,16 +96,24 @@ def spread_starts(world: World | Worlds, most: int) -> Chosen:
     """Choose up to ``most`` starts, evenly spaced over the start set.
 
     With several scenes, each gets an equal number, at least one, spaced over its own start set. If each episode of the
-    task has its own goal, starts and goals are drawn at random instead, with a fixed seed.
+    task has its own goal, starts and goals are drawn at random instead, with a fixed seed. What the motion varies
+    between episodes, such as the physics, depends on the seed and the row alone.
     """
     if world.task.chooses_episodes:
         return _drawn_episodes(world, most)
     plans = [one.plan for one in world.worlds]
     rows = [spread(plan.start_rows, max(1, most // len(plans))) for plan in plans]
     scene = torch.arange(len(plans)).repeat_interleave(torch.tensor([len(own) for own in rows]))
-    states = torch.cat([plan.states[own] for plan, own in zip(plans, rows, strict=True)])
+    states = torch.cat(
+        [varied(one.task.motion, one.plan.states[rows[number]], number) for number, one in enumerate(world.worlds)]
+    )
     distance = torch.cat([plan.distance[own] for plan, own in zip(plans, rows, strict=True)])
     return Chosen(states, scene if len(plans) > 1 else None, distance)
+
+
+def varied(motion: Motion, state: Tensor, scene: int = 0) -> Tensor:
+    """Return starts with what a motion varies between episodes, drawn with a fixed seed: [N, n] -> [N, n]."""
+    return motion.varied(state, torch.Generator().manual_seed(PHYSICS_SEED + scene))
 
 
 def _drawn_episodes(world: World | Worlds, most: int) -> Chosen:
