@@ -19,6 +19,8 @@ MAX_JSON = 64 * 2**20
 MAX_NESTS = 2**21
 """Maximum number of lists and objects in a JSON text: an empty one is two bytes of text, but 64 bytes of memory."""
 MAX_DEPTH = 32
+INVALID = (yaml.YAMLError, OmegaConfBaseException, AssertionError, RecursionError, ValueError, TypeError, LookupError)
+"""What PyYAML and OmegaConf raise for a text that is not YAML or cannot be plain values."""
 REFERENCE = re.compile(r"\$\{[\w.]+\}")
 """A reference to another key, such as ${robot.height}: the entire value, so that nothing grows, and no resolver."""
 
@@ -38,10 +40,8 @@ def read_yaml(path: Path, limit: int = MAX_YAML) -> Any:
     try:
         _check_events(text)
         return OmegaConf.to_container(OmegaConf.create(text), resolve=False)
-    except (yaml.YAMLError, OmegaConfBaseException, AssertionError, RecursionError) as error:
-        raise ValueError(f"{path}: expected plain YAML, got {error or type(error).__name__}") from error
-    except (ValueError, TypeError, LookupError) as error:
-        raise ValueError(f"{path}: expected plain YAML, got {error}") from error
+    except INVALID as error:
+        raise ValueError(f"{path}: expected plain YAML, got {_problem(error)}") from error
 
 
 def read_config(path: Path) -> DictConfig:
@@ -123,6 +123,14 @@ def _check_events(text: str) -> None:
             raise ValueError(f"values nested more than {MAX_DEPTH} deep")
         if isinstance(event, yaml.AliasEvent):
             raise ValueError(f"the alias *{event.anchor}")
+
+
+def _problem(error: Exception) -> str:
+    """Return in one line what is wrong with a YAML text; the parser's own message quotes the text in several."""
+    if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
+        line, column = error.problem_mark.line + 1, error.problem_mark.column + 1
+        return f"an error in line {line}, column {column}: {error.problem}"
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _texts(node: Any) -> Iterator[str]:

@@ -30,7 +30,8 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
         ("a: !!binary x", "expected plain YAML"),
         ("a: !!set {1}", "expected plain YAML"),
         ("\x00", "expected plain YAML"),
-        ("- [", "expected plain YAML"),
+        ("- [", "got an error in line 1, column 4: expected the node content"),
+        ("a: 1\n b: 2", "got an error in line 2, column 3: mapping values are not allowed here"),
         ("#" * MAX_YAML + "\n", "expected at most 131,072 bytes"),
     ],
     ids=[
@@ -48,6 +49,7 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
         "set",
         "null byte",
         "unclosed list",
+        "indented key",
         "too large",
     ],
 )
@@ -57,7 +59,7 @@ def test_yaml_that_expands_runs_code_or_is_invalid_is_refused_by_file(text: str,
     began = time.process_time()
     with pytest.raises(ValueError, match=message) as refused:
         read_yaml(path)
-    assert str(path) in str(refused.value)
+    assert str(path) in str(refused.value) and "\n" not in str(refused.value)
     assert time.process_time() - began < 60  # not a test of speed: expanding it would take hours
 
 

@@ -162,9 +162,11 @@ class TorchChecker:
         edge = self.occupancy.resolution
         origin = torch.tensor(self.occupancy.origin_key, device=device)
         reach = solid.edges.abs().sum(1) + solid.radius[:, None] + _SLACK
-        low = ((solid.center - reach) / edge).ceil().long() - 1 - origin  # includes the voxel below a touched face
-        high = ((solid.center + reach) / edge).floor().long() - origin
-        low, high = low.clamp(min=0), torch.minimum(high, torch.tensor(occupied.shape, device=device) - 1)
+        shape = torch.tensor(occupied.shape, device=device, dtype=solid.center.dtype)
+        low = ((solid.center - reach) / edge).ceil() - 1 - origin  # includes the voxel below a touched face
+        high = ((solid.center + reach) / edge).floor() - origin
+        # limited before the conversion, since places far away exceed int64
+        low, high = torch.minimum(low.clamp(min=0), shape).long(), torch.minimum(high.clamp(min=-1), shape - 1).long()
         size = (high - low + 1).clamp(min=0)
         ends = size.prod(1).cumsum(0)
         for begin in range(0, int(ends[-1]) if len(ends) else 0, _PAIRS):

@@ -30,12 +30,10 @@ from splatrl.runs import TrainedPolicy, load_policy
 from splatrl.scenes.description import SCENE_FILE
 from splatrl.scenes.scene import Scene
 from splatrl.viewer.driving import Driving
+from splatrl.viewer.markdown import plain
 from splatrl.viewer.page import Page
 from splatrl.viewer.placing import Placing
 from splatrl.viewer.rollout import Rollout
-
-OF_A_RUN = ("run", "evaluation.checkpoint", "host", "port", "device", "allow_targets")
-"""The only keys that may be typed together with ``run``, since a run brings its own settings."""
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="view")
@@ -66,14 +64,10 @@ def run(cfg: DictConfig) -> None:
 
 def _config_of_run(cfg: DictConfig, typed: Sequence[str]) -> tuple[DictConfig, Callable[[World], TrainedPolicy]]:
     """Return the config of the run folder ``cfg.run``, and a function that loads its policy into a world."""
-    keys = [word.partition("=")[0] for word in typed]
-    others = [word for word, key in zip(typed, keys, strict=True) if key not in OF_A_RUN]
-    if others:
-        raise ValueError(f"run={cfg.run}: expected only {', '.join(OF_A_RUN)} with it, got {', '.join(others)}")
     folder = Path(cfg.run)
     own = run_config(folder, cfg.allow_targets)
     own.device = own.device if cfg.device == "auto" else cfg.device
-    if "evaluation.checkpoint" in keys:
+    if any(word.startswith("evaluation.checkpoint=") for word in typed):
         own.evaluation.checkpoint = cfg.evaluation.checkpoint
     return own, lambda world: load_policy(folder, cfg=own, world=world)
 
@@ -101,7 +95,7 @@ def furnish(
         if trained is not None:
             raise
         print(f"driving is not available: {line(error)}", flush=True)
-        gui.add_markdown(f"Driving is not available: {line(error)}")
+        gui.add_markdown(f"Driving is not available: {plain(line(error))}")
         page.show_occupancy(survey_occupancy(scene))
         return lambda: None
     page.show_occupancy(world.occupancy)
@@ -116,7 +110,7 @@ def furnish(
         try:
             Driving(page, world)
         except ValueError as error:
-            gui.add_markdown(f"Driving is not available: {line(error)}")
+            gui.add_markdown(f"Driving is not available: {plain(line(error))}")
     with tabs.add_tab("place"):
         Placing(page, world, place_values(cfg, scene), folder, lambda stated: _check(cfg, scene, stated))
     return lambda: [each() for each in stop]

@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from splatrl.configuration.elsewhere import words_of_place
-from splatrl.configuration.grammar import quoted, readable
+from splatrl.configuration.grammar import bare, quoted, readable
 from splatrl.configuration.key_help import help_page
 from splatrl.configuration.run_configs import RUN_CONFIG
 from splatrl.configuration.scene_choice import SEEDED, SWEEP, load_config, with_scene_paths
@@ -36,6 +36,8 @@ MAIN_KEYS = {
     "view": "scene",
 }
 """The key, per command, that a bare word without ``=`` was probably meant for."""
+OF_A_RUN = ("run", "evaluation.checkpoint", "host", "port", "device", "allow_targets")
+"""Of ``splatrl-view``, the only keys that may be typed together with ``run``, since a run brings its own settings."""
 MOST_NEAR = 3  # similar keys to suggest, at most
 
 
@@ -57,6 +59,8 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
     arguments = SPELLED.get(name, list)([readable(word) for word in arguments])
     try:
         _check_words(name, arguments)
+        if name == "view":
+            _check_beside_run(arguments)
         result = _options_first(with_scene_paths(arguments, name))
         if any(argument.partition("=")[0] in OWN_CONFIG for argument in arguments):
             return result  # the user's own config: Hydra reports unknown keys
@@ -131,6 +135,15 @@ def _check_words(name: str, arguments: Sequence[str]) -> None:
             groups = [group for group in ("task", "scene") if name == "train" and word in options(group)]
             meant = f"{word}=..." if _is_ours(word, name) else f"{(*groups, MAIN_KEYS[name])[0]}={word}"
             raise UserError(f"{word}: expected key=value; did you mean {meant}?")
+
+
+def _check_beside_run(arguments: Sequence[str]) -> None:
+    """Refuse overrides, in the words in which they were typed, of what a run's own settings decide."""
+    typed = [word for word in arguments if "=" in word or word.startswith("~")]
+    runs = [bare(word.partition("=")[2]) for word in typed if word.startswith("run=")]
+    others = [word for word in typed if not word.startswith(("-", "hydra")) and word.partition("=")[0] not in OF_A_RUN]
+    if others and runs and runs[-1] != "null":
+        raise UserError(f"run={runs[-1]}: expected only {', '.join(OF_A_RUN)} with it, got {', '.join(others)}")
 
 
 def _is_ours(key: str, name: str) -> bool:

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 SOLID, FREE, NO_WAY, WALKED, LIMITS = (88, 110, 150), (46, 160, 67), (227, 179, 65), (31, 111, 235), (130, 80, 223)
 AWAY, ABOVE = 0.8, 0.7
 """Horizontal distance and height of the initial camera from the scene's centre, as multiples of its longer side."""
+NEAREST, BEYOND = 1e-3, 3.0
+"""Nearest distance that the page draws, as a multiple of the scene's longer side; and the farthest, as a multiple of
+that side or, if it is longer, of the distance of the farthest Gaussian from the centre."""
 AS_MANY = "automatic"
 SIDES = 8
 """Number of viewpoints around the scene, at the same distance, from which its colours are averaged."""
@@ -138,7 +141,10 @@ class Page:
             made[0].visible = box.value
 
     def _aim(self, scene: Scene) -> None:
-        """Place the initial camera above the scene, on the side where it is lowest, looking down at its centre."""
+        """Place the initial camera above the scene, on the side where it is lowest, looking down at its centre.
+
+        It draws from 0.01 to 1,000 m, as viser's camera does, or nearer and farther if the scene needs it.
+        """
         lower, upper = np.array(scene.bounds)
         middle, means = 0.5 * (lower + upper), scene.gaussians.means.cpu().numpy()
         walls = means[((means >= middle * [0, 0, 1] + lower * [1, 1, 0]) & (means <= upper)).all(1)]
@@ -148,6 +154,9 @@ class Page:
         camera = self.server.initial_camera
         camera.position = middle + side * np.array([*(-AWAY * ahead), ABOVE])
         camera.look_at, camera.up = middle, np.array([0.0, 0.0, 1.0])
+        farthest = float(np.linalg.norm(means - middle, axis=1).max(initial=side))
+        camera.near = min(camera.near, NEAREST * side)
+        camera.far = max(camera.far, BEYOND * farthest)
 
 
 def around(bounds: Bounds) -> Tensor:

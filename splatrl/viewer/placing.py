@@ -1,4 +1,4 @@
-"""The part of the page in which goal, object and bounds are dragged, previewed, and saved to ``scene.yaml``."""
+"""The part of the page in which goal, object and corners are moved, previewed, and saved to ``scene.yaml``."""
 
 import math
 import threading
@@ -14,15 +14,17 @@ from splatrl.envs.world import World
 from splatrl.geometry import axis_rotations, quats_to_rotations, rigid
 from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.editing import edit_description
+from splatrl.viewer.markdown import plain
 from splatrl.viewer.page import Page
-from splatrl.viewer.place import CORNERS, Handle, changes, dragged, handles
+from splatrl.viewer.place import CORNERS, Handle, changes, dragged, handles, listed, numbers_of, typed
 
 if TYPE_CHECKING:
     import viser
 
 THUMBNAIL = 320
 """Height of the preview of a robot's view at the goal, pixels."""
-LABELS = {"goal": "goal: x, y (m), yaw (°)", "object": "thing: x, y, z (m)"}
+NUMBERS = {"goal": "x, y (m), yaw (°)", "object": "x, y, z (m)", "walk": "x, y (m)", "bounds": "x, y, z (m)"}
+"""What the numbers of a handle are, for the label of its input field."""
 
 
 class Placing:
@@ -50,18 +52,18 @@ class Placing:
         self.height = world.robot.height
         self._lock, self._looks = threading.Lock(), threading.Lock()
         self.controls: dict[str, viser.TransformControlsHandle] = {}
-        self.fields: dict[str, viser.GuiInputHandle[tuple[float, float, float]]] = {}
-        gui = page.server.gui
-        for key, label in LABELS.items():
-            if values.get(key) is not None:
-                self._field(key, label)
+        self.fields: dict[str, viser.GuiTextHandle] = {}
+        gui, found = page.server.gui, handles(self.values, self.height)
+        for handle in found:
+            self._control(handle)
+        for handle in found:
+            if handle.name.partition(" ")[0] not in CORNERS:
+                self._field(handle.name)
         if values.get("goal") is not None:
             self.view = gui.add_image(self._seen(), label="what a robot sees at the goal")
         for key in CORNERS:
             if values.get(key) is not None:
                 self._switch(key)
-        for handle in handles(self.values, self.height):
-            self._control(handle)
         self.status = gui.add_markdown(
             "" if folder is not None else "Only scenes in a folder, with a `scene.yaml`, can be saved."
         )
@@ -78,22 +80,38 @@ class Placing:
         step = self.world.task.motion.step
         with self._lock:
             self.values = dragged(self.values, handle, step)
-        self._follow(handle.name.partition(" ")[0])
+        text = listed(numbers_of(self.values, handle.name))
+        setattr(self.fields[handle.name], "value", text)  # noqa: B010 - typed as read-only
+        self._follow(handle.name)
+
+    def enter(self, name: str, text: str) -> None:
+        """Adopt what is being typed for a handle as soon as it can be read; the text itself is left alone."""
+        try:
+            with self._lock:
+                self.values = typed(self.values, name, text)
+        except ValueError as error:
+            self.status.content = plain(error)
+            return
+        handle = next(handle for handle in handles(self.values, self.height) if handle.name == name)
+        self.controls[name].position, self.controls[name].wxyz = handle.position, _quat(handle.yaw)
+        self._follow(name)
 
     def save(self) -> bool:
         """Write the changes to the folder's ``scene.yaml``, report the result on the page, and return the success."""
         if self.folder is None:
             return False
         with self._lock:
-            changed = changes(self.saved, self.values)
             try:
+                for name, field in self.fields.items():
+                    typed(self.values, name, field.value)  # refuses a text that cannot be read
+                changed = changes(self.saved, self.values)
                 if changed:
                     self._require_unchanged(self.folder, changed)
                     edit_description(self.folder, changed, self.check)
                     self._stated = read_description(self.folder)
                 self.saved |= changed
             except (ValueError, OSError) as error:
-                self.status.content = f"**not saved**: {error}"
+                self.status.content = f"**not saved**: {plain(error)}"
                 return False
         self.status.content = f"saved {', '.join(changed)}" if changed else "nothing to save"
         return True
@@ -107,11 +125,10 @@ class Placing:
                 f"{SCENE_FILE} has been changed in the meantime ({', '.join(others)}); start splatrl-view again"
             )
 
-    def _follow(self, key: str) -> None:
-        """Update the input field, the lines and the status for a value that has changed."""
+    def _follow(self, name: str) -> None:
+        """Update the lines and the status for a handle that has moved."""
+        key = name.partition(" ")[0]
         value = self.values[key]
-        if key in self.fields:
-            setattr(self.fields[key], "value", tuple(value))  # noqa: B010 - typed as read-only
         if key == "bounds" and all(low < high for low, high in zip(*value, strict=True)):
             self.page.move_bounds(value)
         solid = key == "goal" and bool(self.world.checker.collides(self._goal_pose())[0])
@@ -143,32 +160,38 @@ class Placing:
         with self.page.turn:
             return self.world.drawing.renderer.pixels(cameras)[0].cpu().numpy()
 
-    def _field(self, key: str, label: str) -> None:
-        field = self.page.server.gui.add_vector3(label, tuple(self.values[key]), step=0.05)
-        self.fields[key] = field
+    def _field(self, name: str, visible: bool = True) -> None:
+        """Add an input field for the numbers of a handle.
+
+        It takes text, since the number fields of viser 1.1.1 drop the minus sign of -0.5 while it is being typed.
+        """
+        label, text = f"{name}: {NUMBERS[name.partition(' ')[0]]}", listed(numbers_of(self.values, name))
+        field = self.page.server.gui.add_text(label, text, visible=visible)
+        self.fields[name] = field
 
         @field.on_update
-        def typed(event: Any) -> None:
-            if event.client is None:  # set by the server, to follow a handle
-                return
-            x, y, last = (float(value) for value in field.value)
-            yaw = math.radians(last) if key == "goal" else 0.0
-            handle = Handle(key, (x, y, self.height if key == "goal" else last), yaw)
-            control = self.controls[key]
-            control.position, control.wxyz = handle.position, _quat(handle.yaw)
-            self.drag(handle)
-            if key == "goal":
-                self.look()
+        async def changed(event: Any) -> None:  # one after the other, as the keys are pressed
+            if event.client is not None:  # otherwise set by the server, to follow a handle
+                self.enter(name, field.value)
+
+        if name == "goal":
+
+            @field.on_update
+            def seen(event: Any) -> None:
+                if event.client is not None:
+                    self.look()
 
     def _switch(self, key: str) -> None:
         """Add a checkbox that shows the handles of ``walk`` or ``bounds``, hidden at first since they cover a lot."""
         box = self.page.server.gui.add_checkbox(f"move {key}", False)
+        names = [name for name in self.controls if name.startswith(f"{key} ")]
+        for name in names:
+            self._field(name, visible=False)
 
         @box.on_update
         def toggle(_: object) -> None:
-            for name, control in self.controls.items():
-                if name.startswith(key):
-                    control.visible = box.value
+            for name in names:
+                self.controls[name].visible = self.fields[name].visible = box.value
 
     def _control(self, handle: Handle) -> None:
         key = handle.name.partition(" ")[0]

@@ -28,7 +28,7 @@ WIDER = 8
 """Pixels by which the renders of parts are wider than the page. viser 1.1.1 projects splats as if depth were not
 reversed, so that they hide everything in front of them, until it is asked for a render of another shape."""
 LARGEST = 6e4
-"""Largest covariance that fits in half precision, square metres."""
+"""Largest variance that fits in half precision, square metres."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,9 @@ def parts_of(gaussians: Gaussians, eyes: Tensor | None = None, first: int = FIRS
     area = g.scales.prod(1) / g.scales.amin(1)
     order = (g.opacities * area).argsort(descending=True, stable=True)
     rotations = quats_to_rotations(g.quats) * g.scales.unsqueeze(1)
-    covariances = (rotations @ rotations.mT).clamp(-LARGEST, LARGEST)
+    covariances = rotations @ rotations.mT
+    widest = covariances.diagonal(dim1=1, dim2=2).amax(1)
+    covariances *= (LARGEST / widest).clamp(max=1)[:, None, None]  # smaller, but of the same shape
     colors = (255 * _colors(g, eyes).clamp(0, 1)).round().to(torch.uint8)
     opacities = (255 * g.opacities.unsqueeze(1)).round().to(torch.uint8)
     ends = [min(first * (2**number - 1), len(g)) for number in range(1, 64)]

@@ -18,6 +18,7 @@ from splatrl.configuration.command_line import with_key
 from splatrl.datasets import read_demonstrations
 from splatrl.scenes import write_gaussians
 from splatrl.viewer.driver import Driver
+from splatrl.viewer.markdown import plain
 from splatrl.viewer.page import Page
 from tests.commands.test_train import SETTINGS, command, finish
 from tests.preloaded import Process
@@ -74,7 +75,8 @@ def test_a_goal_outside_the_walkable_area_is_refused_with_a_message(place: Path)
     visitor.find("GuiUpdateMessage", lambda m: "not saved yet: goal" in str(m["updates"]))
     visitor.click("save to scene.yaml")
     told = visitor.find("GuiUpdateMessage", lambda m: "**not saved**" in str(m["updates"]))
-    assert "task.goal: expected a point in the walkable area, x from -1 to 1" in str(told["updates"])
+    expected = "task.goal: expected a point in the walkable area, x from -1 to 1"
+    assert plain(expected) in told["updates"]["_markdown"]
     assert (place / "scene.yaml").read_text() == SCENE
     visitor.close()
     stop()
@@ -89,7 +91,8 @@ def test_a_bare_splat_is_shown_without_a_robot_to_drive(tmp_path: Path) -> None:
     visitor = Visitor(page.address)
     visitor.find("GaussianSplatsMessage")
     visitor.field("solid")
-    assert any("robot.height: expected a value, got none" in str(message) for message in visitor.messages)
+    found = [message["props"]["_markdown"] for message in visitor.messages if message["type"] == "GuiMarkdownMessage"]
+    assert any(plain("robot.height: expected a value, got none") in text for text in found), found
     visitor.close()
     page.close()
 
@@ -107,7 +110,8 @@ def test_the_page_opens_even_for_a_robot_that_keys_cannot_drive(
     furnish(page, cfg)()
     visitor = Visitor(page.address)
     visitor.field("save to scene.yaml")
-    assert any(f"Driving is not available: {told}" in str(message) for message in visitor.messages)
+    found = [message["props"]["_markdown"] for message in visitor.messages if message["type"] == "GuiMarkdownMessage"]
+    assert f"Driving is not available: {plain(told)}" in found
     visitor.close()
     page.close()
 
@@ -141,6 +145,7 @@ def test_a_word_without_a_key_is_a_scene_or_a_run(tmp_path: Path) -> None:
         (["nowhere.ply"], "splatrl-view: scene: expected .* an existing path, got nowhere.ply"),
         (["kitchen"], "splatrl-view: scene.path: expected a value, got none"),
         (["run=nowhere"], "splatrl-view: run: expected a run folder with config.yaml, got nowhere"),
+        (["run=mine", "port=0", "scene=yard:3"], "splatrl-view: run=mine: .* allow_targets with it, got scene=yard:3$"),
         (["backyard", "port=70000"], "splatrl-view: port: expected a whole number from 0 to 65535"),
         (["backyard", "host=192.0.2.1"], "splatrl-view: host: expected an address of this machine"),
         (["backyard", "prot=1"], "splatrl-view: prot: no such key, did you mean port"),

@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from splatrl.envs.world import World
+from splatrl.scenes import Scene
+from splatrl.scenes.description import read_description
 from splatrl.viewer.driving import Driving
+from splatrl.viewer.markdown import plain
 from splatrl.viewer.page import Page
 from splatrl.viewer.placing import Placing
 from tests.viewer.test_page import VALUES
@@ -112,6 +115,45 @@ def test_a_key_an_arrow_and_a_button_move_the_robot(tab: "Tab", page: Page, worl
     wait(tab, lambda: driving.driver.steps == steps + 2, "a step by an arrow")
     assert driving.driver.done or driving.driver.state.tolist() != before.tolist()
     assert [client.camera.position.tolist() for client in camera.values()] == places  # arrows move only the robot
+
+
+def test_numbers_typed_key_by_key_are_saved(tab: "Tab", page: Page, world: World, folder: Path) -> None:
+    placing = Placing(page, world, VALUES, folder)
+    tab.goto(page.address)
+    tab.get_by_label("move bounds", exact=True).check()
+    tab.get_by_text("bounds 0: x, y, z (m)").wait_for()
+    texts = tab.locator("input.mantine-TextInput-input:visible")
+    for name, typed in (("goal", "-0.5, 0.005, -.25"), ("bounds 0", "-1.05, -0.5, 0")):
+        field = texts.nth([name for name, field in placing.fields.items() if field.visible].index(name))
+        field.press("Control+a")
+        field.press_sequentially(typed, delay=50)
+        field.press("Tab")
+        wait(tab, lambda: placing.fields[name].value == typed, "the text")  # noqa: B023
+        assert field.input_value() == typed
+    tab.get_by_role("button", name="save to scene.yaml").click()
+    tab.get_by_text("saved goal, bounds").wait_for()
+    stated = read_description(folder)
+    assert stated["goal"] == [-0.5, 0.005, -0.25] and stated["bounds"][0] == [-1.05, -0.5, 0.0]
+
+
+def test_a_message_is_shown_with_its_angle_brackets(tab: "Tab", page: Page) -> None:
+    told = "a_b *c*: expected [x](y), type scene=<folder> or <img src='http://127.0.0.1:9/x.png'> & `k` \\ {1+1} #"
+    requests: list[str] = []
+    tab.on("request", lambda request: requests.append(request.url))
+    page.server.gui.add_markdown(plain(told))
+    tab.goto(page.address)
+    tab.get_by_text(told, exact=True).wait_for()
+    assert not [url for url in requests if "x.png" in url]
+
+
+def test_splats_farther_than_a_kilometre_are_drawn(tab: "Tab", world: World) -> None:
+    gaussians = world.scene.gaussians.clone()
+    gaussians.means, gaussians.scales = 1000 * gaussians.means, 1000 * gaussians.scales.clamp(max=0.2)
+    lower, upper = (tuple(1000 * at for at in corner) for corner in world.scene.bounds)
+    page = Page(Scene("room", gaussians, (lower, upper)), port=0)
+    tab.goto(page.address)
+    drawn(tab)
+    page.close()
 
 
 def test_a_drag_with_the_pointer_changes_the_yaml(tab: "Tab", page: Page, world: World, folder: Path) -> None:

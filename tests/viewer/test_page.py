@@ -11,13 +11,16 @@ import torch
 from splatrl.collision.point_clouds import write_points
 from splatrl.envs.tasks.base import Outcome
 from splatrl.envs.world import World
+from splatrl.scenes import Scene
 from splatrl.scenes.description import read_description
 from splatrl.viewer.driver import Takes
 from splatrl.viewer.driving import Driving
+from splatrl.viewer.markdown import plain
 from splatrl.viewer.page import Page
 from splatrl.viewer.placing import Placing
 from splatrl.viewer.robot import BLUE, tone
 from splatrl.viewer.splats import BYTES, WIDER, Splats, parts_of
+from tests.tiny import tiny_gaussians
 from tests.viewer.visitor import Visitor, until
 
 Visit = Callable[[], Visitor]
@@ -41,6 +44,26 @@ def test_each_visitor_is_sent_the_splats(page: Page, visit: Visit) -> None:
 def test_a_wider_render_is_requested_so_that_splats_hide_only_what_is_behind_them(visit: Visit) -> None:
     asked = visit().find("GetRenderRequestMessage")
     assert (asked["height"], asked["width"]) == (300, 400 + WIDER)
+
+
+@pytest.mark.parametrize(
+    ("size", "sky", "near", "far"),
+    [
+        (0.01, 1.0, 4.4e-5, 1000.0),
+        (1.0, 1.0, 4.4e-3, 1000.0),
+        (1000.0, 1.0, 0.01, 13200.0),
+        (1.0, 2500.0, 4.4e-3, 7500),
+    ],
+)
+def test_the_camera_sees_all_of_small_and_large_scenes(size: float, sky: float, near: float, far: float) -> None:
+    gaussians = tiny_gaussians()
+    gaussians.means *= size
+    gaussians.means[0] = torch.tensor([0.0, 0.6, 0.8]) * sky
+    (x, y, z), (far_x, far_y, far_z) = ((size * at for at in corner) for corner in VALUES["bounds"])
+    page = Page(Scene("room", gaussians, ((x, y, z), (far_x, far_y, far_z))), port=0)
+    camera = page.server.initial_camera
+    assert (camera.near, camera.far) == pytest.approx((near, far), rel=1e-3)
+    page.close()
 
 
 def test_large_scenes_are_sent_in_parts(world: World, visit: Visit, page: Page) -> None:
@@ -177,9 +200,43 @@ def test_a_dragged_goal_is_saved(page: Page, world: World, visit: Visit, folder:
 
 def test_a_typed_goal_moves_its_handle(page: Page, world: World, visit: Visit, folder: Path) -> None:
     placing = Placing(page, world, VALUES, folder)
-    visit().click("goal: x, y (m), yaw (°)", (0.25, 0.5, 180.0))
-    until(lambda: placing.values["goal"] == [0.25, 0.5, 180.0], "the goal")
-    assert placing.controls["goal"].position.tolist() == [0.25, 0.5, 0.5]
+    seen = placing.view.image.copy()
+    visit().click("goal: x, y (m), yaw (°)", "-0.25, 0.5, 180")
+    until(lambda: placing.values["goal"] == [-0.25, 0.5, 180.0], "the goal")
+    assert placing.controls["goal"].position.tolist() == [-0.25, 0.5, 0.5]
+    until(lambda: not np.array_equal(placing.view.image, seen), "what is seen there")
+
+
+def test_corners_are_typed_beside_their_handles(page: Page, world: World, visit: Visit, folder: Path) -> None:
+    placing, visitor = Placing(page, world, VALUES, folder), visit()
+    assert not placing.fields["bounds 0"].visible
+    visitor.click("move bounds")
+    until(lambda: placing.fields["bounds 0"].visible and placing.controls["bounds 0"].visible, "the handle")
+    assert not placing.fields["walk 0"].visible
+    visitor.click("bounds 0: x, y, z (m)", "-0.5 -2.2 -0.1")
+    until(lambda: placing.values["bounds"][0] == [-0.5, -2.2, -0.1], "the corner")
+    assert placing.controls["bounds 0"].position.tolist() == [-0.5, -2.2, -0.1]
+    assert page._bounds.points[..., 0].min() == -0.5
+
+
+def test_a_dragged_handle_is_followed_by_its_field(page: Page, world: World, visit: Visit, folder: Path) -> None:
+    placing = Placing(page, world, VALUES, folder)
+    visit().drag("/place/goal", (-0.5, 1.25, 0.5), (0.7071068, 0.0, 0.0, 0.7071068))
+    until(lambda: placing.fields["goal"].value == "-0.5, 1.25, 90", "the field")
+
+
+def test_a_text_that_cannot_be_read_stays_while_it_is_typed_and_is_not_saved(
+    page: Page, world: World, visit: Visit, folder: Path
+) -> None:
+    placing, visitor = Placing(page, world, VALUES, folder), visit()
+    before = (folder / "scene.yaml").read_text()
+    visitor.click("goal: x, y (m), yaw (°)", "-0,5")  # as 0.5 is written in many countries
+    until(lambda: placing.values["goal"] != VALUES["goal"] or "expected" in placing.status.content, "an answer")
+    assert placing.status.content == plain("goal: expected 3 numbers such as -0.5, 1.25, 90, got -0,5")
+    assert placing.fields["goal"].value == "-0,5"
+    assert not placing.save()
+    assert placing.status.content.startswith(f"**not saved**: {plain('goal: expected 3 numbers')}")
+    assert (folder / "scene.yaml").read_text() == before
 
 
 def test_invalid_values_are_reported_and_not_saved(page: Page, world: World, folder: Path) -> None:
@@ -193,7 +250,7 @@ def test_invalid_values_are_reported_and_not_saved(page: Page, world: World, fol
     placing.drag(Handle("goal", (0.0, 0.0, 0.5)))
     assert "a robot would collide at the goal" in placing.status.content
     assert not placing.save()
-    assert placing.status.content == "**not saved**: task.goal: expected a point in the walkable area"
+    assert placing.status.content == f"**not saved**: {plain('task.goal: expected a point in the walkable area')}"
     placing.drag(Handle("bounds 1", (-5.0, 2.0, 1.0)))
     assert not placing.save() and "expected lower below upper along x" in placing.status.content
     assert (folder / "scene.yaml").read_text() == before
@@ -209,10 +266,8 @@ def test_changes_by_others_in_the_meantime_are_not_overwritten(page: Page, world
     placing.drag(Handle("goal", (0.0, 1.0, 0.5)))
     path.write_text(path.read_text().replace("[0.25, 1.0, 0.0]", "[-0.5, 1.0, 0.0]"))
     assert not placing.save()
-    assert (
-        "scene.yaml has been changed in the meantime (goal: [-0.5, 1.0, 0.0]); start splatrl-view"
-        in placing.status.content
-    )
+    told = "scene.yaml has been changed in the meantime (goal: [-0.5, 1.0, 0.0]); start splatrl-view"
+    assert plain(told) in placing.status.content
     assert read_description(folder)["goal"] == [-0.5, 1.0, 0.0]
 
 

@@ -43,10 +43,14 @@ def test_covariances_and_colours_are_those_of_the_gaussians() -> None:
     assert part.opacities.tolist() == [[230]]
 
 
-def test_the_covariances_of_huge_gaussians_are_finite_in_half_precision() -> None:
-    gaussians = tiny_gaussians()[:1].clone()
-    gaussians.scales = torch.tensor([[900.0, 900.0, 1.0]])
-    assert np.isfinite(parts_of(gaussians)[0].covariances).all()
+def test_huge_gaussians_keep_their_shape_in_half_precision() -> None:
+    gaussians = tiny_gaussians()[:2].clone()
+    gaussians.quats = torch.nn.functional.normalize(torch.tensor([[0.9, 0.1, -0.3, 0.3], [1.0, 0.0, 0.0, 0.0]]))
+    gaussians.scales = torch.tensor([[900.0, 900.0, 90.0], [200.0, 1.0, 1.0]])
+    gaussians.opacities = torch.tensor([0.9, 0.8])
+    huge, large = parts_of(gaussians)[0].covariances.astype(np.float64)
+    assert np.linalg.eigvalsh(huge) / np.linalg.eigvalsh(huge)[2] == pytest.approx([0.01, 1, 1], abs=2e-3)
+    assert large == pytest.approx(np.diag([4e4, 1.0, 1.0]))  # fits, and is unchanged
 
 
 def test_the_colour_of_a_gaussian_is_the_mean_over_the_viewpoints() -> None:
