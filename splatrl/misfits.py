@@ -35,16 +35,22 @@ def check_goal(task: Task, reached: Tensor) -> None:
         reached: [S] bool, whether the states of its motion are at the goal.
 
     Raises:
-        ValueError: names the goal's key, the region where robots walk, and what was given.
+        ValueError: names the goal's key, what was given, and, if it lies outside, the region where robots walk.
     """
     if reached.any():
         return
     places = task.motion.planar(task.motion.states())[:, :2]
-    x, y = (f"{low:.3g} to {high:.3g}" for low, high in zip(places.amin(0), places.amax(0), strict=True))
+    low, high = places.amin(0), places.amax(0)
+    x, y = (f"{least:.3g} to {most:.3g}" for least, most in zip(low, high, strict=True))
     for name, landmark in (("goal", "landmarks.goal"), ("place", "landmarks.object")):
         value = getattr(task, name, None)
         if isinstance(value, Tensor):
             got = [round(number, 3) for number in value[:2].tolist()]
+            if bool(((value[:2] >= low) & (value[:2] <= high)).all()):
+                raise ValueError(
+                    f"task.{name}: expected a pose that robots can reach, got {got}; "
+                    f"type another {landmark}, or another motion@task.motion"
+                )
             raise ValueError(
                 f"task.{name}: expected a point in the walkable area, x from {x} and y from {y} m, got {got}; "
                 f"type another {landmark}, or wider task.motion.lower and upper"

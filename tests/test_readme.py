@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from splatrl.commands.entries import PARSERS
-from splatrl.configuration import command_line, load_config
+from splatrl.configuration import command_line, load_config, save_config
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -75,7 +75,7 @@ def test_a_command_in_the_readme_or_documentation_is_valid(
     (tmp_path / "city" / "blocks.yaml").write_text("blocks: [{splat: a.ply}]\n")
     run = tmp_path / "outputs" / "2026-01-31" / "12-00-00"
     run.mkdir(parents=True)
-    (run / "config.yaml").touch()
+    save_config(load_config(), run)
     name, arguments = words[0].removeprefix("splatrl-"), [word for word in words[1:] if word not in ("-m", "--help")]
     if name in PARSERS:
         PARSERS[name](arguments)

@@ -81,7 +81,7 @@ def _make_transforms(nodes: DictConfig, memory: int) -> list[Transform]:
     """Make new transforms for an env, from the innermost outwards.
 
     Raises:
-        ValueError: for an order that names an unknown transform, or omits one.
+        ValueError: for an order that names an unknown transform, repeats one, or omits one.
     """
     order, names = list(nodes.order), [str(name) for name in nodes if name != "order"]
     unknown = [name for name in order if name not in names]
@@ -89,6 +89,8 @@ def _make_transforms(nodes: DictConfig, memory: int) -> list[Transform]:
         raise ValueError(
             f"transforms.order: expected only names from {', '.join(names)}, got {', '.join(map(str, unknown))}"
         )
+    if repeated := [name for name in names if order.count(name) > 1]:
+        raise ValueError(f"transforms.order: expected each name once, got {', '.join(repeated)} more than once")
     left_out = [name for name in names if nodes[name] and name not in order]
     if left_out:
         raise ValueError(f"transforms.order: expected an entry for {', '.join(left_out)}, got {order}")

@@ -3,6 +3,8 @@
 Only then is the command itself imported, with PyTorch, TorchRL and matplotlib, which takes seconds.
 """
 
+import codecs
+import io
 import sys
 from collections.abc import Sequence
 from functools import partial
@@ -23,6 +25,9 @@ def start(name: str, arguments: Sequence[str] | None = None) -> None:
         name: name of the command's module, and of its root config if it has one.
         arguments: the command's arguments; None takes them from the command line.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and codecs.lookup(stream.encoding).name != "utf-8":
+            stream.reconfigure(errors="replace")  # pages and messages hold signs that not every encoding has
     try:
         _start(name, sys.argv[1:] if arguments is None else arguments)
     except KeyboardInterrupt:  # resumable commands catch it themselves and say so

@@ -3,7 +3,7 @@
 import difflib
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -11,14 +11,14 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
 from splatrl.configuration.elsewhere import words_of_place
 from splatrl.configuration.grammar import bare, quoted, readable
 from splatrl.configuration.key_help import help_page
-from splatrl.configuration.run_configs import RUN_CONFIG
+from splatrl.configuration.kinds import check_kind, value_of
+from splatrl.configuration.run_configs import RUN_CONFIG, run_config, typed_targets
 from splatrl.configuration.scene_choice import SEEDED, SWEEP, load_config, with_scene_paths
-from splatrl.configuration.search_path import choice_keys, composed, is_group, options
+from splatrl.configuration.search_path import choice_keys, composed, group_choices, is_group, options
 
 OWN_CONFIG = ("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp")
 """Hydra options that select a config other than ours."""
@@ -38,6 +38,10 @@ MAIN_KEYS = {
 """The key, per command, that a bare word without ``=`` was probably meant for."""
 OF_A_RUN = ("run", "evaluation.checkpoint", "host", "port", "device", "allow_targets")
 """Of ``splatrl-view``, the only keys that may be typed together with ``run``, since a run brings its own settings."""
+LAUNCHERS = {"ray": "hydra-ray-launcher", "submitit_slurm": "hydra-submitit-launcher"}
+"""The packages with the launchers of our presets."""
+INSTALL = "pip install 'splatrl[cluster]', and for Ray pip install --no-deps hydra-ray-launcher"
+"""How to install them."""
 MOST_NEAR = 3  # similar keys to suggest, at most
 
 
@@ -68,15 +72,16 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
         overrides = [_parsed(word, sweeps) for word in result if _is_plain(word)]
         for word in result:
             if "=" in word and word.startswith(("+", "~", "hydra")):
-                _parsed(word, sweeps=True)
+                _check_launcher(_parsed(word, sweeps=True))
         _check_overrides(name, overrides)
+        passed = _forced if _resumed(overrides) else str
         if any(argument in HELP for argument in arguments):
-            single = [str(override.input_line) for override in overrides if not override.is_sweep_override()]
+            single = [passed(str(override.input_line)) for override in overrides if not override.is_sweep_override()]
             _print_page(help_page(name, single))
             sys.exit()
     except ValueError as error:
         sys.exit(f"splatrl-{name}: {error}")
-    return result
+    return list(map(passed, result))
 
 
 def _options_first(words: Sequence[str]) -> list[str]:
@@ -171,9 +176,13 @@ def _check_overrides(name: str, overrides: Sequence[Override]) -> None:
         for choice in _choices(override):
             for one in choice.strip("[]").split(","):  # sensors takes a list
                 _check_choice(override.key_or_group, one.strip())
+    for override in overrides:
+        if override.key_or_group in ("resume", "run"):
+            _check_run(override)
     chosen = [f"{str(override.input_line).partition('=')[0]}={_choices(override)[0]}" for override in groups]
+    folder = _resumed(overrides)
     try:
-        known = composed(chosen, name)
+        known = run_config(folder, typed_targets(overrides)) if folder else composed(chosen, name)
     except HydraException:
         _check_places(name, chosen)
         return  # Hydra will report what is wrong
@@ -181,10 +190,29 @@ def _check_overrides(name: str, overrides: Sequence[Override]) -> None:
         if override not in groups:
             _check_key(override.key_or_group, known)
             for value in _values(override):
-                check_kind(override.key_or_group, _select(known, override.key_or_group), value)
-    for override in overrides:
-        if override.key_or_group in ("resume", "run"):
-            _check_run(override)
+                check_kind(override.key_or_group, value_of(known, override.key_or_group), value)
+
+
+def _resumed(overrides: Sequence[Override]) -> Path | None:
+    """Return the folder of the run to resume, in a sweep the first; None for a new run."""
+    typed = [value for override in overrides if override.key_or_group == "resume" for value in _values(override)]
+    return Path(typed[0]) if typed and isinstance(typed[0], str) else None
+
+
+def _forced(word: str) -> str:
+    """Let Hydra take a key that only a run has: it composes the usual config, which the run's then replaces."""
+    key, equals, _ = word.lstrip("+").partition("=")
+    plain = equals and not word.startswith(("-", "~", "hydra", "resume=")) and not is_group(key)
+    return f"++{word.lstrip('+')}" if plain else word
+
+
+def _check_launcher(override: Override) -> None:
+    """Refuse a launcher whose plugin for Hydra is not installed."""
+    for choice in _choices(override) if override.key_or_group == "launcher" else ():
+        _check_choice("launcher", choice)
+        for group, option in group_choices("launcher", choice).items():
+            if option not in options(group):
+                raise UserError(f"+launcher={choice}: {LAUNCHERS.get(choice, 'its plugin')} is missing; {INSTALL}")
 
 
 def _check_places(name: str, chosen: Sequence[str]) -> None:
@@ -199,9 +227,9 @@ def _check_places(name: str, chosen: Sequence[str]) -> None:
 
 def _check_run(override: Override) -> None:
     """Refuse a path that is not a run folder, because Hydra would create a folder of that name."""
-    folder = override.value()
-    if isinstance(folder, str) and not (Path(folder) / RUN_CONFIG).is_file():
-        raise UserError(f"{override.key_or_group}: expected a run folder with {RUN_CONFIG}, got {folder}")
+    for folder in _values(override):
+        if isinstance(folder, str) and not (Path(folder) / RUN_CONFIG).is_file():
+            raise UserError(f"{override.key_or_group}: expected a run folder with {RUN_CONFIG}, got {folder}")
 
 
 def _values(override: Override) -> list[object]:
@@ -231,7 +259,7 @@ def _check_choice(key: str, choice: str) -> None:
 
 def _check_key(key: str, known: DictConfig) -> None:
     *parents, leaf = key.split(".")
-    node = _select(known, ".".join(parents)) if parents else known
+    node = value_of(known, ".".join(parents)) if parents else known
     keys = list(node) if isinstance(node, DictConfig) else []
     if leaf in keys:
         return
@@ -266,46 +294,3 @@ def _leaves(node: object, place: str) -> Iterator[str]:
     for key, value in node.items():
         if not str(key).startswith("_"):
             yield from _leaves(value, f"{place}.{key}" if place else str(key))
-
-
-def _select(cfg: DictConfig, key: str) -> object:
-    """Return the value of a key; None if it has no value, or refers to a key without one."""
-    try:
-        return OmegaConf.select(cfg, key, throw_on_missing=False)
-    except OmegaConfBaseException:
-        return None
-
-
-def check_kind(key: str, usual: object, given: object) -> None:
-    """Refuse a value whose kind differs from that of the key's default; null and interpolations always pass.
-
-    Args:
-        key: the key, for the message.
-        usual: the default in the configs; None accepts any value, and a string any word or number.
-        given: the value that was typed, as plain Python values.
-
-    Raises:
-        UserError: names the key, what was expected and what was given.
-    """
-    if usual is None or given is None or (isinstance(given, str) and "${" in given):
-        return
-    if isinstance(usual, bool):
-        fits, expected = isinstance(given, bool), "true or false"
-    elif isinstance(usual, int | float):
-        fits, expected = _is_number(given), f"a number such as {usual}"
-    elif isinstance(usual, Sequence) and not isinstance(usual, str):
-        numbers = len(usual) > 0 and all(map(_is_number, usual))
-        fits = isinstance(given, list) and (not numbers or all(map(_is_number, given)))
-        expected = f"a list such as [{','.join(map(str, usual))}]" if len(usual) else "a list in brackets"
-    elif isinstance(usual, Mapping):
-        names = [f"{key}.{name}=..." for name in usual if not str(name).startswith("_")]
-        fits, expected = isinstance(given, dict), f"keys and values, such as {(*names, key + '={}')[0]}"
-    else:
-        fits, expected = not isinstance(given, list | dict), "a single value"
-    if not fits:
-        shown = f"[{','.join(map(str, given))}]" if isinstance(given, list) else given
-        raise UserError(f"{key}: expected {expected}, got {'nothing' if shown == '' else shown}")
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)

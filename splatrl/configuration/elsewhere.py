@@ -8,7 +8,8 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
 from splatrl.configuration.checking import check_constructors
-from splatrl.configuration.grammar import quoted
+from splatrl.configuration.grammar import quoted, written
+from splatrl.configuration.places import place_configs
 from splatrl.configuration.run_configs import PATHS, run_config, with_absolute_paths
 from splatrl.configuration.scene_choice import has_key, load_config, without_proposals
 from splatrl.configuration.search_path import composed
@@ -55,6 +56,8 @@ def config_elsewhere(folder: Path, words: Sequence[str], allow_targets: Sequence
         raise ValueError(f"{path}: expected a list of overrides without ${{...}} references, got {typed!r:.80}")
     given = {key: OmegaConf.select(own, key) for key in PATHS}
     paths = {key: f"{key}={quoted(value)}" for key, value in given.items() if isinstance(value, str)}  # absolute
+    if scenes := _scene_paths(own):
+        paths["scene.paths"] = f"scene.paths={written(scenes)}"
     typed = [paths.get(_key(word), word) for word in typed]
     changed = _changed_later(own, typed)
     elsewhere = any(word.startswith("scene=") for word in words)
@@ -70,6 +73,13 @@ def config_elsewhere(folder: Path, words: Sequence[str], allow_targets: Sequence
     there.allow_targets = list(allow_targets)
     check_constructors(there)
     return placed(own, there)
+
+
+def _scene_paths(own: DictConfig) -> list[str]:
+    """Return what was typed for the scenes of a run with several, with absolute paths; empty for one with one scene."""
+    names = OmegaConf.select(own, "scene.paths") or []
+    places = place_configs(own) if names else []
+    return [str(OmegaConf.select(place, "scene.path") or name) for place, name in zip(places, names, strict=True)]
 
 
 def _changed_later(own: DictConfig, typed: Sequence[str]) -> dict[str, Any]:

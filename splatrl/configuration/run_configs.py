@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import NoReturn
 
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from splatrl.configuration.checking import check_constructors
-from splatrl.configuration.scene_choice import load_config
+from splatrl.configuration.scene_choice import has_key, load_config
 from splatrl.configuration.search_path import is_group
 from splatrl.documents import read_config
 from splatrl.files import expanded, replacing, require_room
@@ -36,9 +38,16 @@ def _new_folder(path: str) -> str:
     raise AssertionError
 
 
-def _refuse(folder: Path, error: OSError, key: str) -> NoReturn:
-    """Exit with one line: Hydra makes folders before the command itself runs, and would print a traceback."""
-    told = f"{folder}: cannot write: {os.strerror(error.errno or 0)}; choose another folder with {key}="
+def _refuse(folder: Path, error: OSError, key: str | None) -> NoReturn:
+    """Exit with one line: Hydra makes folders before the command itself runs, and would print a traceback.
+
+    Args:
+        folder: the folder that cannot be written to.
+        error: why it cannot.
+        key: the key that chooses another folder; None for a resumed run, which stays in its own.
+    """
+    told = f"{folder}: cannot write: {os.strerror(error.errno or 0)}"
+    told += f"; choose another folder with {key}=" if key else ""
     sys.exit(f"splatrl-{HydraConfig.get().job.name}: {told}")
 
 
@@ -68,7 +77,7 @@ class WritableFolder(Callback):
         except ValueError as error:
             sys.exit(f"splatrl-{config.hydra.job.name}: {error}")
         except OSError as error:
-            _refuse(folder, error, f"hydra.{kind}.dir")
+            _refuse(folder, error, None if kind == "run" and config.get("resume") else f"hydra.{kind}.dir")
         finally:
             hydra.cfg = before
 
@@ -184,6 +193,10 @@ def _check_sections(cfg: DictConfig, usual: DictConfig, place: str = "") -> None
             raise ValueError(f"{where}: expected a value, found no such key")
 
 
+WHERE = ("resume", "launcher")
+"""What may be typed for a resumption besides its changes: where the run is, and where a sweep's jobs run."""
+
+
 def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
     """Return the config of a run folder with the changes from the command line applied.
 
@@ -192,16 +205,27 @@ def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
         overrides: overrides of the command line, including ``resume``.
 
     Raises:
-        ValueError: for an override that chooses a config group, which would make it a different run.
+        ValueError: for an override that chooses a config group, which would make it a different run, that deletes a
+            key, or whose key the run does not have.
     """
-    changes = [o for o in overrides if not o.startswith("resume=")]
-    cfg = run_config(folder, OmegaConf.from_dotlist(changes).get("allow_targets", ()))
-    groups = [o for o in changes if is_group(o.split("=")[0])]
+    typed = OverridesParser.create().parse_overrides(list(overrides))
+    changes = [one for one in typed if one.key_or_group not in WHERE]
+    cfg = run_config(folder, typed_targets(changes))
+    groups = [str(one.input_line) for one in changes if is_group(one.key_or_group)]
     if groups:
         raise ValueError(
             f"resume={folder}: expected overrides of single keys, not of config groups, got {', '.join(groups)}"
         )
     cfg.resume_changed = cfg.view = False  # each resumption has to ask for these itself
-    merged = OmegaConf.merge(cfg, OmegaConf.from_dotlist(changes))
-    assert isinstance(merged, DictConfig), type(merged)
-    return merged
+    for change in changes:
+        if change.is_delete() or not has_key(cfg, change.key_or_group):
+            got = str(change.input_line).lstrip("+")
+            raise ValueError(f"resume={folder}: expected values for keys of the run, got {got}")
+        OmegaConf.update(cfg, change.key_or_group, change.value())
+    return cfg
+
+
+def typed_targets(overrides: Sequence[Override]) -> list[str]:
+    """Return the packages that were typed for ``allow_targets``."""
+    given = [one.value() for one in overrides if one.key_or_group == "allow_targets" and not one.is_sweep_override()]
+    return [str(package) for package in given[-1]] if given and isinstance(given[-1], list) else []

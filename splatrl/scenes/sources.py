@@ -81,6 +81,10 @@ def read_scene(
             ``scene.yaml`` if that states them.
     """
     splat = expanded(path)
+    if not splat.exists():
+        raise FileNotFoundError(
+            f"{splat}: expected a splat file or a scene's folder, found none; if it has moved, type scene.path=..."
+        )
     if is_in_blocks(splat):
         if _says_something(world_from_splat):
             raise ValueError(

@@ -1,5 +1,7 @@
 """Whatever a user types wrong, a command answers in one line that names it and says what to type."""
 
+import errno
+import io
 import shlex
 import sys
 import warnings
@@ -15,8 +17,8 @@ from omegaconf import OmegaConf
 
 from splatrl.commands import capture, clips, entries, evaluate, experiment, faults, scene, train
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import command_line, load_config
-from splatrl.configuration.command_line import UserError, check_kind
+from splatrl.configuration import command_line, load_config, run_configs, save_config
+from splatrl.configuration.kinds import check_kind
 from splatrl.scenes import write_gaussians
 from tests.tiny import tiny_gaussians
 
@@ -74,6 +76,11 @@ ERRORS = [
     ("train task.goal=abc", "task.goal: expected a list such as [0.6,0.4,0.0], got abc"),
     ("train network.channels=3", "network.channels: expected a list such as [16,32], got 3"),
     ("train logger.video=3", "logger.video: expected true or false, got 3"),
+    (
+        "train task=push 'task.motion.things={ball: ball, box: b.xml}'",
+        "task.motion.things.box: no such key; to add one, type +task.motion.things.box='b.xml'",
+    ),
+    ("train -m seed=0,1 +launcher=lsf", "launcher: expected one of ray, submitit_slurm, got lsf"),
     ("train robot.body=3", "robot.body: expected keys and values, such as robot.body.size=..., got 3"),
     ("train network._target_=my.net", "network._target_: expected a constructor that appears in conf/"),
     ("train network._target_=", "network._target_: expected a constructor that appears in conf/"),
@@ -81,6 +88,7 @@ ERRORS = [
     ("train logger.backend=foo", "logger.backend: expected one of csv, tensorboard, wandb, got foo"),
     ("train device=tpu", "device: expected auto, cpu, cuda or cuda:<number>, got tpu"),
     ("train resume=nowhere", "resume: expected a run folder with config.yaml, got nowhere"),
+    ("train -m resume=nowhere,empty", "resume: expected a run folder with config.yaml, got nowhere"),
     ("train task", "task: expected key=value; did you mean task=...?"),
     ("train resume", "resume: expected key=value; did you mean resume=...?"),
     (
@@ -110,7 +118,15 @@ ERRORS = [
     ),
     (f"train {ROOM} curriculum.stride=0", "curriculum.stride: expected a whole number of at least 1"),
     ("train task=gates +task.course.gate=3", "task.course.gate: no such key in TrackSettings"),
-    ("train task=gates motion@task.motion=drive", "task.motion.things: no such key in DriveMotion"),
+    ("train task=gates motion@task.motion=drive", "task.motion.things: no such key in DriveMotion; type motion@task"),
+    (
+        "train task=circle motion@task.motion=lattice",
+        "task.motion.distance: no such key in LatticeMotion; type motion@task.motion=orbit",
+    ),
+    (
+        "train task=polar_plane motion@task.motion=drive",
+        "task.motion: expected a motion around an object, got DriveMotion; type motion@task.motion=orbit",
+    ),
     (
         "train task=route task.later_rgb=[1,2,3]",
         "task.later_rgb: expected red, green and blue in [0, 1], got [1, 2, 3]",
@@ -241,6 +257,37 @@ def test_a_run_folder_that_cannot_be_written_is_reported_in_one_line(
     assert not capsys.readouterr().err
 
 
+def test_a_run_that_cannot_be_written_is_resumed_nowhere_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(folder: Path, needed: int) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    save_config(load_config(), tmp_path)
+    monkeypatch.setattr(run_configs, "require_room", refused)
+    monkeypatch.setattr(sys, "argv", ["splatrl-train", f"resume={tmp_path}"])
+    with pytest.raises(SystemExit) as ended:
+        MAINS["train"]()
+    assert ended.value.code == f"splatrl-train: {tmp_path}: cannot write: Permission denied"
+
+
+def test_a_launcher_that_is_not_installed_is_reported_with_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = {"launcher": ("ray",), "hydra/launcher": ("basic",)}
+    monkeypatch.setattr(
+        sys.modules["splatrl.configuration.command_line"], "options", lambda group: found.get(group, ())
+    )
+    with pytest.raises(SystemExit) as ended:
+        command_line("train", ["-m", "seed=0,1", "+launcher=ray"])
+    assert str(ended.value.code).startswith("splatrl-train: +launcher=ray: hydra-ray-launcher is missing; pip install")
+
+
+def test_help_is_printed_whatever_the_encoding_of_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    printed = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(printed, encoding="ascii"))
+    with pytest.raises(SystemExit) as ended:
+        entries.start("train", ["--help"])
+    sys.stdout.flush()
+    assert not ended.value.code and b"0.4 ? 0.4" in printed.getvalue()
+
+
 def test_the_list_of_errors_is_long_and_varied() -> None:
     assert len(ERRORS) >= 40 and len({said for _, said in ERRORS}) > 35
 
@@ -312,7 +359,7 @@ def test_an_interrupt_prints_one_line_and_no_traceback(
     ("usual", "given"),
     [
         *((0.5, 1), (1, 0.5), (0.5, None), (0.5, "${robot.height}"), (True, False), ("auto", 3), ("auto", False)),
-        *(([1, 2], [3]), ([], [[[0, 0, 0], [1, 1, 1]]]), (None, [1]), ({"a": 1}, {"b": 2}), ({"a": 1}, None)),
+        *(([1, 2], [3]), ([], [[[0, 0, 0], [1, 1, 1]]]), (None, [1]), ({"a": 1}, {"a": 2}), ({"a": 1}, None)),
     ],
 )
 def test_values_of_the_usual_type_null_and_references_are_accepted(usual: object, given: object) -> None:
@@ -322,9 +369,19 @@ def test_values_of_the_usual_type_null_and_references_are_accepted(usual: object
 
 @pytest.mark.parametrize(
     ("usual", "given"),
-    [(0.5, True), (0.5, "a"), (0.5, [1]), (True, 1), ([1, 2], ["a"]), ([1], 1), ({"a": 1}, 1), ("a", [1])],
+    [
+        (0.5, True),
+        (0.5, "a"),
+        (0.5, [1]),
+        (True, 1),
+        ([1, 2], ["a"]),
+        ([1], 1),
+        ({"a": 1}, 1),
+        ("a", [1]),
+        ({"a": 1}, {"a": "b"}),
+    ],
 )
 def test_values_of_another_type_are_refused(usual: object, given: object) -> None:
     cfg = OmegaConf.create({"key": usual})
-    with pytest.raises(UserError, match="key: expected"):
+    with pytest.raises(ValueError, match=r"key(\.a)?: expected"):
         check_kind("key", cfg.key, given)

@@ -1,5 +1,6 @@
 """Configs compose, build what they describe, and explain what is wrong with them."""
 
+import re
 from itertools import zip_longest
 from pathlib import Path
 from typing import NoReturn
@@ -28,7 +29,7 @@ from splatrl.configuration import (
     save_config,
     with_scene_paths,
 )
-from splatrl.configuration.search_path import group_node
+from splatrl.configuration.search_path import composed, group_node
 from splatrl.envs.nesting import layers
 from splatrl.envs.tasks.base import Anywhere, Outcome, Step, Verdict
 from splatrl.envs.tasks.module import TaskModule
@@ -68,7 +69,8 @@ TASK_OF |= {
     )
 }
 TASK_OF |= {option: "push" for option in ("motion/physics", "robot/mjcf", "rewards/push", "sensors/ego_motion")}
-TASK_OF |= {"motion/strides": "strides", "rewards/strides": "strides", "motion/walk": "walk"}
+TASK_OF |= {"motion/strides": "strides", "rewards/strides": "strides"}
+TASK_OF |= {"motion/walk": "walk", "rewards/course": "walk"}
 TASK_OF |= {f"sensors/{name}": "walk" for name in ("felt", "feet", "imu", "joints", "velocity")}
 """The task for each option that does not work with grid."""
 COARSE = ["task.motion.time_step=0.4", "task.motion.spacing=0.25", "task.motion.headings=8"]
@@ -225,6 +227,8 @@ def test_an_order_with_an_unknown_or_a_missing_transform_is_refused(tmp_path: Pa
         make_env([*overrides, "transforms.order=[pose_noise,stak]"])
     with pytest.raises(ValueError, match=r"transforms\.order: expected an entry for mine, got \['pose_noise', .*\]"):
         make_env([*overrides, *MINE])
+    with pytest.raises(ValueError, match=r"transforms\.order: expected each name once, got stack more than once"):
+        make_env([*overrides, "memory=stack", "transforms.order=[pose_noise,stack,stack]"])
     with pytest.raises(ValueError, match=r"transforms\.order: expected an entry for stack, got \[\]"):
         make_env([*overrides, "memory=stack", "transforms.order=[]"])
 
@@ -495,6 +499,34 @@ def test_a_resumed_config_is_the_saved_one_with_single_keys_changed(tmp_path: Pa
     assert (cfg.loss.gamma, cfg.collector.total_frames) == (0.9, 7)
     with pytest.raises(ValueError, match=r"expected overrides of single keys, .*, got scene=kitchen"):
         resumed_config(tmp_path, ["scene=kitchen"])
+
+
+def test_a_resumption_changes_the_keys_of_the_runs_own_task_and_scene(tmp_path: Path) -> None:
+    save_config(load_config(["task=apple", "scene=file", f"scene.path={tmp_path}/garden.ply"]), tmp_path)
+    changes = ["scene.path=moved.ply", "task.red_share=0.2", "+loss.gamma=0.9", "++task.motion.step=0.2"]
+    words = command_line("train", [f"resume={tmp_path}", *changes])
+    assert composed(words, "train").resume == str(tmp_path)  # as Hydra does before the command begins
+    cfg = resumed_config(tmp_path, words)
+    assert (cfg.scene.path, cfg.task.red_share, cfg.loss.gamma, cfg.task.motion.step) == ("moved.ply", 0.2, 0.9, 0.2)
+    assert set(cfg) == set(load_config())
+    with pytest.raises(SystemExit, match=r"task\.red_shares: no such key, did you mean task\.red_share\?"):
+        command_line("train", [f"resume={tmp_path}", "task.red_shares=0.2"])
+    with pytest.raises(SystemExit, match=r"task\.red_share: expected a number such as 0\.3, got x"):
+        command_line("train", [f"resume={tmp_path}", "task.red_share=x"])
+
+
+@pytest.mark.parametrize(
+    "word", ["~loss.gamma", "+loss.gamme=0.9", "++task.red_share=0.2", "+transforms/latency=varied"]
+)
+def test_a_resumption_neither_adds_nor_deletes_keys(word: str, tmp_path: Path) -> None:
+    save_config(load_config(), tmp_path)
+    with pytest.raises(ValueError, match=rf"^resume=.*: expected .*, got \+*{re.escape(word.lstrip('+'))}$"):
+        resumed_config(tmp_path, [f"resume={tmp_path}", word])
+
+
+def test_a_sweep_of_resumptions_may_run_on_a_cluster(tmp_path: Path) -> None:
+    save_config(load_config(), tmp_path)
+    assert resumed_config(tmp_path, [f"resume={tmp_path}", "+launcher=ray"]) == resumed_config(tmp_path, [])
 
 
 def test_a_saved_config_finds_its_scene_from_any_working_directory(

@@ -48,6 +48,19 @@ def test_a_run_is_moved_from_any_working_directory(tmp_path: Path, monkeypatch: 
     assert config_elsewhere(run, ["scene=backyard"]).robot.height == load_config(["scene=backyard"]).robot.height
 
 
+def test_a_run_in_several_scenes_keeps_them_in_any_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = trained(tmp_path / "run", ["scene=many", "scene.paths=[garden/,backyard]"])
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    garden, backyard = config_elsewhere(run, ["robot.fov_deg=80"]).scene.places
+    assert garden.scene.path == str(tmp_path / "garden") and garden.robot.height == 0.7 and "path" not in backyard.scene
+    assert (
+        "robot" not in config_elsewhere(run, ["robot.height=0.3"]).scene.places[0]
+    )  # what is typed holds in all scenes
+    assert config_elsewhere(run, ["scene=backyard"]).scene == load_config(["scene=backyard"]).scene
+
+
 def test_a_run_keeps_the_path_of_its_sprite_but_not_the_name_of_a_built_in_one(tmp_path: Path) -> None:
     (tmp_path / "duck.png").touch()
     words = ["scene=garden/", "task=apple"]

@@ -177,8 +177,8 @@ def test_a_frame_with_unknown_keys_is_refused(folder: Path, splat: Path) -> None
 
 
 def test_missing_files_are_named_in_the_error(tmp_path: Path, folder: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"none\.ply: no such splat file"):
-        read_scene(tmp_path / "none.ply")
+    with pytest.raises(FileNotFoundError, match=r"none: expected a splat file or a scene's folder, found none"):
+        read_scene(tmp_path / "none")
     with pytest.raises(FileNotFoundError, match=r"yard: expected a scene folder with scene\.yaml"):
         read_scene(folder)
     (folder / "scene.yaml").write_text("splat: none.spz")

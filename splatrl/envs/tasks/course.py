@@ -11,6 +11,7 @@ from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdict
+from splatrl.envs.tasks.fitting import require_part
 from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.tasks.rewards import FiniteRewards
 from splatrl.motions.physics import PhysicsMotion
@@ -66,7 +67,7 @@ class Course(TaskModule):
         max_steps: an episode is truncated after this many steps.
 
     Raises:
-        ValueError: for a motion without physics, or a number out of range.
+        ValueError: for a motion without physics, rewards of another kind, or a number out of range.
     """
 
     name: ClassVar[str]
@@ -87,13 +88,13 @@ class Course(TaskModule):
         seed: int,
         max_steps: int,
     ):
-        if not isinstance(motion, PhysicsMotion):
-            raise ValueError(f"task.motion: expected a motion with physics, got {type(motion).__name__}")
+        require_part("motion", motion, PhysicsMotion, "a motion with physics", "physics")
         super().__init__(motion, max_steps)
         for key, count in (("courses", courses), ("test_courses", test_courses)):
             require_number(f"task.{key}", count, 1, 4096, whole=True)
         require_number("task.seed", seed, 0, 2**63 - 1, whole=True)
         self.course, self.rewards = course, rewards or CourseRewards()
+        require_part("rewards", self.rewards, CourseRewards, "the rewards of a course", "course")
         self.courses, self.test_courses, self.seed = courses, test_courses, seed
         self.goals_for_success = course.length
         self.register_buffer("places", torch.zeros(0, 0, 4, dtype=torch.float64), persistent=False)

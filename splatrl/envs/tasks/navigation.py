@@ -12,6 +12,7 @@ from torchrl.data import Bounded, TensorSpec, Unbounded
 from splatrl.collision.base import Checker
 from splatrl.curriculum.geodesics import Geodesics, ground
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdict
+from splatrl.envs.tasks.fitting import require_part
 from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.tasks.navigation_teacher import lead
 from splatrl.envs.tasks.rewards import FiniteRewards
@@ -74,7 +75,8 @@ class NavigationTask(TaskModule):
         max_steps: an episode is truncated after this many steps.
 
     Raises:
-        ValueError: for a motion without a stop action or off the plane, or a number out of range.
+        ValueError: for a motion without a stop action or off the plane, rewards of another kind, or a number out of
+            range.
     """
 
     chooses_episodes = True
@@ -94,11 +96,7 @@ class NavigationTask(TaskModule):
         seed: int = 0,
         max_steps: int = 500,
     ):
-        if not isinstance(motion, StoppingMotion):
-            raise ValueError(
-                f"task.motion: expected a motion that can stop (navigate or drive), got {type(motion).__name__}; "
-                "type motion@task.motion=navigate"
-            )
+        require_part("motion", motion, StoppingMotion, "a motion that can stop", "navigate", "drive")
         super().__init__(motion, max_steps)
         require_number("task.success_distance", success_distance, high=1e6, above=0.0)
         require_number("task.nearest", nearest, 0.0, 1e6)
@@ -108,6 +106,7 @@ class NavigationTask(TaskModule):
         require_number("task.cell", cell, 1e-3, 1e3)
         require_number("task.seed", seed, 0, 2**63 - 1, whole=True)
         self.rewards = rewards or NavigationRewards()
+        require_part("rewards", self.rewards, NavigationRewards, "the rewards of navigation", "navigation")
         self.success_distance, self.nearest, self.farthest = success_distance, nearest, farthest
         self.goal_counts, self.cell, self.seed = (goals, test_goals), cell, seed
         self.geodesics: Geodesics

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from splatrl.envs.tasks.base import Mark, Memory
+from splatrl.envs.tasks.fitting import require_part
 from splatrl.envs.tasks.pose_goal import SLACK
 from splatrl.envs.tasks.rewards import OutcomeTask, Rewards
 from splatrl.motions import OrbitMotion
@@ -44,6 +45,9 @@ class Orbit(OutcomeTask):
         elevation_deg: elevation of the goal, degrees.
         rewards: reward of each outcome; out of bounds means outside the range of distances or elevations.
         max_steps: an episode is truncated after this many steps.
+
+    Raises:
+        ValueError: for any other kind of motion or rewards, or a goal that is not finite.
     """
 
     motion: OrbitMotion
@@ -61,6 +65,7 @@ class Orbit(OutcomeTask):
         rewards: Rewards = UNIT,
         max_steps: int = 200,
     ):
+        require_part("motion", motion, OrbitMotion, "a motion around an object", "orbit")
         super().__init__(motion, rewards, max_steps)
         values: Sequence[float] = (math.radians(azimuth_deg), distance, math.radians(elevation_deg))
         sphere = torch.tensor(values, dtype=torch.float64)

@@ -9,6 +9,7 @@ from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdict
+from splatrl.envs.tasks.fitting import require_part
 from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.tasks.push_places import PushPlaces, first_of
 from splatrl.envs.tasks.push_teacher import pushing
@@ -99,7 +100,7 @@ class Push(TaskModule):
         max_steps: an episode is truncated after this many steps.
 
     Raises:
-        ValueError: for a motion without physics or without the ball, or a number out of range.
+        ValueError: for a motion without physics or without the ball, rewards of another kind, or a number out of range.
     """
 
     chooses_episodes = True
@@ -123,8 +124,7 @@ class Push(TaskModule):
         leeway: float = 0.5,
         max_steps: int = 150,
     ):
-        if not isinstance(motion, PhysicsMotion):
-            raise ValueError(f"task.motion: expected a motion with physics, got {type(motion).__name__}")
+        require_part("motion", motion, PhysicsMotion, "a motion with physics", "physics")
         super().__init__(motion, max_steps)
         numbers = {"success_distance": success_distance, "mark_radius": mark_radius, "farthest": farthest}
         for name, value in numbers.items():
@@ -140,6 +140,7 @@ class Push(TaskModule):
                 f"{farthest}"
             )
         self.ball, self.rewards = motion.thing(ball), rewards or PushRewards()
+        require_part("rewards", self.rewards, PushRewards, "the rewards of pushing", "push")
         self.success_distance, self.nearest, self.farthest = success_distance, nearest, farthest
         self.apart, self.ahead = apart, math.radians(ahead_deg)
         self.turn = math.cos(math.radians(turn_deg)) - 1e-9

@@ -1,12 +1,13 @@
 """Base class of tasks with one reward for each outcome of a step."""
 
 from abc import abstractmethod
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
 
 from splatrl.envs.tasks.base import Anywhere, Outcome, Step, Verdict
+from splatrl.envs.tasks.fitting import require_part
 from splatrl.envs.tasks.module import TaskModule
 from splatrl.motions.base import PlannedMotion
 from splatrl.values import require_number
@@ -58,13 +59,18 @@ class OutcomeTask(TaskModule):
         motion: how the robots move.
         rewards: reward of each outcome.
         max_steps: an episode is truncated after this many steps.
+
+    Raises:
+        ValueError: for rewards of another kind, or ``max_steps`` below 1.
     """
 
     outcome_rewards: Tensor  # [4] float32, indexed by Outcome
 
     def __init__(self, motion: PlannedMotion, rewards: Rewards, max_steps: int):
         super().__init__(motion, max_steps)
-        self.register_buffer("outcome_rewards", torch.tensor(astuple(rewards), dtype=torch.float32), persistent=False)
+        require_part("rewards", rewards, Rewards, "a reward for each outcome", "published", "unit")
+        values = [rewards.step, rewards.goal, rewards.collision, rewards.out_of_bounds]
+        self.register_buffer("outcome_rewards", torch.tensor(values, dtype=torch.float32), persistent=False)
 
     @abstractmethod
     def reached(self, state: Tensor) -> Tensor | None:

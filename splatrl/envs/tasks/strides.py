@@ -9,6 +9,7 @@ from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 
 from splatrl.envs.tasks.base import Anywhere, Memory, Outcome, Step, Verdict
+from splatrl.envs.tasks.fitting import require_part
 from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.tasks.rewards import FiniteRewards
 from splatrl.motions.legs import JOINTS, STRIDE, StridesMotion
@@ -74,7 +75,7 @@ class Strides(TaskModule):
             second.
 
     Raises:
-        ValueError: for any other kind of motion, or a number out of range.
+        ValueError: for any other kind of motion or rewards, or a number out of range.
     """
 
     chooses_episodes = True
@@ -88,9 +89,7 @@ class Strides(TaskModule):
         shaken: float = 0.1,
         forward: Sequence[float] | None = None,
     ):
-        if not isinstance(motion, StridesMotion):
-            got = type(motion).__name__
-            raise ValueError(f"task.motion: expected a StridesMotion (legs controlled joint by joint), got {got}")
+        require_part("motion", motion, StridesMotion, "legs controlled joint by joint", "strides")
         super().__init__(motion, round(motion.commands * motion.span / STRIDE))
         require_number("task.allowed", allowed, 0.0, 10.0)
         require_number("task.shaken", shaken, 0.0, 1.0)
@@ -98,6 +97,7 @@ class Strides(TaskModule):
         if not -2.0 <= low <= high <= 2.0:
             raise ValueError(f"task.forward: expected -2 ≤ lowest ≤ highest ≤ 2 m/s, got {[low, high]}")
         self.rewards, self.allowed, self.shaken = rewards or StridesRewards(), allowed, shaken
+        require_part("rewards", self.rewards, StridesRewards, "the rewards of strides", "strides")
         self.lowest, self.highest = (low, -motion.turn_limit), (high, motion.turn_limit)
 
     @property

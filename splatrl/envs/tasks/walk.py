@@ -8,6 +8,7 @@ from torch import Tensor
 
 from splatrl.envs.tasks.base import Memory
 from splatrl.envs.tasks.course import CourseRewards
+from splatrl.envs.tasks.fitting import require_part
 from splatrl.envs.tasks.route import Route
 from splatrl.geometry import azimuths, wrapped
 from splatrl.motions.legs import WalkMotion
@@ -76,9 +77,7 @@ class Walk(Route):
         leeway: float = 0.3,
         max_steps: int = 100,
     ):
-        if not isinstance(motion, WalkMotion):
-            got = type(motion).__name__
-            raise ValueError(f"task.motion: expected a WalkMotion (a legged robot that walks), got {got}")
+        require_part("motion", motion, WalkMotion, "a legged robot that walks", "walk")
         require_number("task.ahead_deg", ahead_deg, 0.0, 180.0)
         course = course or RouteSettings(distance=(1.0, 2.5), clearance=0.4, waypoints=1)
         super().__init__(

@@ -96,7 +96,10 @@ def test_commands_follow_one_another_in_time() -> None:
 
 
 def test_other_motions_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"task\.motion: expected a StridesMotion .*, got WalkMotion"):
+    with pytest.raises(
+        ValueError,
+        match=r"task\.motion: expected legs controlled joint by joint, got WalkMotion; type motion@task.motion=strides",
+    ):
         Strides(WalkMotion(path="quadruped", camera="eye", gait=None, threads=1))  # type: ignore[arg-type]
 
 

@@ -100,7 +100,7 @@ def test_robots_begin_on_courses_facing_at_most_the_requested_angle_off_their_ma
 
 
 def test_other_motions_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"task\.motion: expected a WalkMotion .*, got StridesMotion"):
+    with pytest.raises(ValueError, match=r"task\.motion: expected a legged robot that walks, got StridesMotion"):
         Walk(StridesMotion(path="quadruped", camera="eye", threads=1))  # type: ignore[arg-type]
 
 
