@@ -177,7 +177,7 @@ def _check_overrides(name: str, overrides: Sequence[Override]) -> None:
             for one in choice.strip("[]").split(","):  # sensors takes a list
                 _check_choice(override.key_or_group, one.strip())
     for override in overrides:
-        if override.key_or_group in ("resume", "run"):
+        if override.key_or_group == "resume":  # its config says which keys there are
             _check_run(override)
     chosen = [f"{str(override.input_line).partition('=')[0]}={_choices(override)[0]}" for override in groups]
     folder = _resumed(overrides)
@@ -191,6 +191,9 @@ def _check_overrides(name: str, overrides: Sequence[Override]) -> None:
             _check_key(override.key_or_group, known)
             for value in _values(override):
                 check_kind(override.key_or_group, value_of(known, override.key_or_group), value)
+    for override in overrides:
+        if override.key_or_group == "run":
+            _check_run(override)
 
 
 def _resumed(overrides: Sequence[Override]) -> Path | None:
