@@ -3,14 +3,18 @@
     python benchmarks/terrain.py                  # a minute, with the backyard and, if it is found, the kitchen
     python benchmarks/terrain.py --rounds 3 --json
 
-Times are microseconds of one core, for the robot ``wheels`` driving around with a ball ahead of it. Plane and terrain
-are stepped in turns, so their ratio is reliable. Penetration is measured after robots have driven straight ahead for
-five seconds, into whatever wall they meet.
+A second table compares tasks with the same tasks without the boxes that only ``task.leeway`` makes necessary.
+
+Times are microseconds of one core, in the first table for the robot ``wheels`` driving around with a ball ahead of it.
+Plane and terrain are stepped in turns, so their ratio is reliable. Penetration is measured after robots have driven
+straight ahead for five seconds, into whatever wall they meet.
 """
 
 import argparse
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from statistics import median
 from time import perf_counter, process_time
 from typing import Any
@@ -22,7 +26,9 @@ from machine import measured_machine
 from record import print_markdown, write_json
 from scenes import SCENES
 
+import splatrl
 from splatrl.collision import Occupancy
+from splatrl.envs.nesting import layers
 from splatrl.motions import PhysicsMotion
 from splatrl.physics import Terrain
 from splatrl.physics.boxes import merged_boxes, solid_above
@@ -147,6 +153,29 @@ def measure(name: str, scene: Scene, seeds: list[list[float]], rounds: int) -> l
     return result
 
 
+def with_leeway(task: str, rounds: int) -> list[str]:
+    """Compare a task in the backyard with the same task without leeway: numbers of boxes, physics, whole steps."""
+    counts, moves, steps = [], [], []
+    for words in ([], ["task.leeway=0"]):
+        env = splatrl.make_env(["device=cpu", f"task={task}", "task.motion.threads=1", *words], batch_size=[ROBOTS])
+        base = layers(env)[0]
+        torch.manual_seed(0)
+        td = env.rand_action(env.reset())
+        counts.append(len(base.task.motion.terrain.boxes))
+        moves.append(partial(base.task.motion.move, td["state"], td["action"], base.checker))
+        steps.append(partial(env.step, td))
+    ratios = [[seconds(whole) / seconds(less) for _ in range(rounds)] for whole, less in (moves, steps)]
+    return [task, *map(str, counts), *(f"{median(each):.2f}" for each in ratios)]
+
+
+def seconds(call: Callable[[], object]) -> float:
+    """Measure the CPU time of some calls."""
+    begin = process_time()
+    for _ in range(STEPS):
+        call()
+    return process_time() - begin
+
+
 def row(r: Result) -> list[str]:
     """Format a result as the cells of a table."""
     cost = [f"{r.micros:.1f}", f"{r.plane:.1f}", f"{r.ratio:.2f}"]
@@ -167,6 +196,8 @@ def main() -> None:
         print(f"{name}: ground within {first.height_mm:.1f} mm and {first.tilt_deg:.2f}° of the truth")
     header = ["scene", "boxes", "number", "built, s", "µs per substep", "plane alone", "ratio", "into a wall, mm"]
     print_markdown(header, [row(result) for result in results])
+    header = ["task", "boxes", "without leeway", "physics of a step, ratio", "whole step, ratio"]
+    print_markdown(header, [with_leeway(task, options.rounds) for task in ("walk", "route")])
     if options.json:
         print(f"written to {write_json('terrain', machine, results)}")
 

@@ -260,8 +260,8 @@ def _together(seeds: list[int | None]) -> int | None:
 def _begin(
     env: EnvBase, seed: int | None, options: dict[str, Any] | None, seeds: list[int | None] | None = None
 ) -> TensorDictBase:
-    specs = env.observation_spec
-    expected = {key: specs[key] for key in ("state", "scene") if key in specs.keys()}  # noqa: SIM118, a spec is no dict
+    specs = dict(env.observation_spec.items())
+    expected = {key: specs[key] for key in ("state", "scene") if key in specs}
     if options and options.keys() != expected.keys():
         raise ValueError(f"options: expected {' and '.join(map(repr, expected))}, got {sorted(options)}")
     if seed is not None:
@@ -334,8 +334,8 @@ def _column(td: TensorDictBase, key: str) -> npt.NDArray[Any]:
 
 
 def _infos(td: TensorDictBase) -> Infos:
-    keys = ("outcome", "goals", "success", *(["scene"] if "scene" in td.keys() else []))  # noqa: SIM118, a TensorDict is no dict
-    columns = {key: _column(td, key) for key in keys}
+    held = set(td.keys())
+    columns = {key: _column(td, key) for key in ("outcome", "goals", "success", "scene") if key in held}
     return {**columns, "state": td["state"].cpu().numpy().copy()}  # clients may edit it
 
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from splatrl.geometry import azimuths, wrapped
+from splatrl.geometry import along_heading, azimuths, wrapped
 
 BACK = 0.45
 """Distance from the ball at which the robot begins to push, metres."""
@@ -57,8 +57,7 @@ def pushing(robot: Tensor, ball: Tensor, mark: Tensor, room: Room) -> Tensor:
     facing = torch.stack([yaw.cos(), yaw.sin()], 1)
     away = place - ball
     far = away.norm(dim=1)
-    ahead = -(away * facing).sum(1)
-    aside = -(facing[:, 0] * away[:, 1] - facing[:, 1] * away[:, 0])
+    ahead, aside = along_heading(-away, yaw).unbind(1)
     along = torch.nn.functional.normalize(mark - ball, dim=1)
     off = wrapped(azimuths(along) - yaw)  # angle from the heading to the ball-to-mark direction
     held = (ahead > HELD[0]) & (ahead < HELD[1]) & (aside.abs() < HELD[2])
