@@ -116,6 +116,7 @@ def test_a_time_lapse_with_an_image_a_second_has_times(tmp_path: Path) -> None:
     assert job_of(photos_of(tmp_path / "photos", images)).seconds is None
 
 
+@pytest.mark.slow
 def test_low_contrast_images_are_posed(tmp_path: Path) -> None:
     truth = walk(24)[::2]
     images = [room_image(pose) for pose in truth]
@@ -125,7 +126,7 @@ def test_low_contrast_images_are_posed(tmp_path: Path) -> None:
     assert found.missing == 0 and _similar(found.camera_to_world.numpy(), truth)[0] < 0.05
 
 
-@pytest.mark.parametrize("fixed", [False, True])
+@pytest.mark.parametrize("fixed", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_global_mapping_poses_images_where_incremental_mapping_finds_no_initial_pair(
     fixed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -113,7 +113,14 @@ def test_a_replay_detects_changed_frames(
 
 
 @pytest.mark.parametrize(
-    ("task", "more"), [("drive", []), ("fps", []), ("apple", []), ("grid", SHAKEN), ("grid", SENSING)]
+    ("task", "more"),
+    [
+        ("drive", []),
+        pytest.param("fps", [], marks=pytest.mark.slow),
+        ("apple", []),
+        ("grid", SHAKEN),
+        ("grid", SENSING),
+    ],
 )
 def test_other_tasks_are_recorded_and_replayed(task: str, more: list[str], tmp_path: Path) -> None:
     coarse = ["task.motion.spacing=0.5"] if task != "grid" else []

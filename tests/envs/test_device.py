@@ -48,6 +48,9 @@ WORLDS = {
     "stacking grid": ["grid", "memory=stack"],
     "skipping grid": ["grid", "transforms/pose_noise=unsteady", "transforms/skip=four"],
 }
+SIMILAR = ("fps", "circle", "hemisphere", "apple", "poster", "stacking grid")
+"""Worlds of which every part also occurs in another one; they are tested with ``-m slow``."""
+NAMES = [pytest.param(name, marks=[pytest.mark.slow] if name in SIMILAR else []) for name in WORLDS]
 
 
 @cache
@@ -88,7 +91,7 @@ def steps(env: EnvBase, count: int, seed: int = 0) -> Iterator[TensorDictBase]:
         now = restart(env, stepped["next"])
 
 
-@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize("name", NAMES)
 def test_steps_and_resets_leave_nothing_on_the_cpu_and_fetch_nothing_from_it(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -105,7 +108,7 @@ def test_steps_and_resets_leave_nothing_on_the_cpu_and_fetch_nothing_from_it(
 
 
 @pytest.mark.usefixtures("whole_overlay")
-@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize("name", NAMES)
 def test_an_automatic_reset_equals_torchrls_without_host_reads(name: str) -> None:
     mine, theirs = made(name), made(name)
     torch.manual_seed(0)

@@ -7,14 +7,14 @@ from torchrl.envs.utils import step_mdp
 
 from splatrl.envs.restart import with_rows
 from splatrl.renderers.base import among_zeros
-from tests.envs.test_device import WORLDS, made, whole_overlay
+from tests.envs.test_device import NAMES, made, whole_overlay
 from tests.tiny import CountingRenderer, tiny_env, tiny_renderer
 
 __all__ = ["whole_overlay"]
 
 
 @pytest.mark.usefixtures("whole_overlay")
-@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize("name", NAMES)
 def test_rows_that_are_done_begin_as_in_torchrl_and_the_others_go_on(name: str) -> None:
     ends = []
     for reset in (lambda env, td: env.maybe_reset(td), EnvBase.maybe_reset):

@@ -156,6 +156,7 @@ def test_stable_baselines_trains_a_single_driving_robot() -> None:
     assert env.action_space.contains(action) and model.num_timesteps == 64
 
 
+@pytest.mark.slow
 def test_stable_baselines_learns_with_a_single_robot() -> None:
     torch.manual_seed(0)
     env = Monitor(GymnasiumEnv(tiny_env([1], max_steps=12, first=1)))

@@ -34,7 +34,11 @@ CHOSEN = {
 of each macro, and every combination of any two switches; for the fit, the degree that needs most registers occurs with
 all architectures. For the renderer and the collision checker, the sm_90 variants are those that a dry run of
 benchmarks/gpu.py compiles."""
-COMPILED = [(name, SOURCES[name][i], arch) for name, variants in CHOSEN.items() for arch, i in variants]
+COMPILED = [
+    pytest.param(name, SOURCES[name][i], arch, marks=[] if arch == "sm_90" else [pytest.mark.slow])
+    for name, variants in CHOSEN.items()
+    for arch, i in variants
+]
 
 pytest.importorskip("cuda.core", reason="needs the extra cuda")
 
@@ -72,13 +76,14 @@ def test_every_kernel_compiles_for_every_architecture(source: str, defines: dict
     assert f"for '{arch}" in log and "registers" in log
 
 
-@pytest.mark.parametrize(("defines", "arch"), [(defines, arch) for name, defines, arch in COMPILED if name == "fit"])
-def test_the_kernels_of_the_fit_spill_no_registers(defines: dict[str, int], arch: str) -> None:
-    _, log = kept("fit", arch, defines)
+@pytest.mark.parametrize(("source", "defines", "arch"), [one for one in COMPILED if one.values[0] == "fit"])
+def test_the_kernels_of_the_fit_spill_no_registers(source: str, defines: dict[str, int], arch: str) -> None:
+    _, log = kept(source, arch, defines)
     spilled = re.findall(r"(\d+) bytes stack frame, (\d+) bytes spill stores", log)
     assert spilled == [("0", "0")] * 8
 
 
+@pytest.mark.slow
 def test_the_renderer_spills_no_registers_on_a_gpu_with_little_shared_memory() -> None:
     _, log = kept("render", "sm_120", SOURCES["render"][4])
     assert re.findall(r"(\d+) bytes stack frame, (\d+) bytes spill stores", log) == [("0", "0")] * 2

@@ -52,7 +52,15 @@ def assert_like_native(renderer: CudaRenderer, native: NativeRenderer, cameras: 
     assert torch.equal(pixels, (255 * image.rgb + 0.5).floor().to(torch.uint8))
 
 
-@pytest.mark.parametrize(("antialiased", "degree"), [(True, 0), (False, 1), (True, 2), (False, 3)])
+@pytest.mark.parametrize(
+    ("antialiased", "degree"),
+    [
+        pytest.param(True, 0, marks=pytest.mark.slow),
+        (False, 1),
+        pytest.param(True, 2, marks=pytest.mark.slow),
+        (False, 3),
+    ],
+)
 def test_any_scene_and_camera_look_the_same_as_on_the_cpu(make: Make, antialiased: bool, degree: int) -> None:
     for seed, size in ((degree, (37, 22)), (10 + degree, (31, 65)), (20 + degree, (1, 3))):
         scene, cameras = random_gaussians(seed, 700, degree), random_cameras(seed + 1, 2, *size)
@@ -62,7 +70,15 @@ def test_any_scene_and_camera_look_the_same_as_on_the_cpu(make: Make, antialiase
         )
 
 
-@pytest.mark.parametrize(("tolerance", "antialiased"), [(0.0, True), (0.5, True), (0.5, False), (2.0, False)])
+@pytest.mark.parametrize(
+    ("tolerance", "antialiased"),
+    [
+        pytest.param(0.0, True, marks=pytest.mark.slow),
+        (0.5, True),
+        pytest.param(0.5, False, marks=pytest.mark.slow),
+        (2.0, False),
+    ],
+)
 def test_a_yard_looks_the_same_as_on_the_cpu_at_every_level_of_detail(
     make: Make, tolerance: float, antialiased: bool
 ) -> None:

@@ -73,7 +73,13 @@ def test_parts_look_like_their_gaussians_moved_to_the_world(
 
 
 @pytest.mark.parametrize(
-    ("degree", "tolerance", "antialiased"), [(2, 0.0, True), (3, 0.0, False), (1, 1.0, True), (2, 1.0, False)]
+    ("degree", "tolerance", "antialiased"),
+    [
+        pytest.param(2, 0.0, True, marks=pytest.mark.slow),
+        (3, 0.0, False),
+        (1, 1.0, True),
+        pytest.param(2, 1.0, False, marks=pytest.mark.slow),
+    ],
 )
 def test_one_part_that_is_not_moved_has_the_same_bytes_as_the_scene_itself(
     make: Make, degree: int, tolerance: float, antialiased: bool

@@ -303,7 +303,7 @@ def test_wrong_settings_are_refused_by_name() -> None:
         NativeRenderer(scene)
 
 
-@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("antialiased", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_views_of_a_real_kitchen_look_like_the_reference(kitchen: Gaussians, antialiased: bool) -> None:
     positions = torch.tensor([[0.0, 0.0, 1.05], [0.7, -0.3, 1.05], [-0.6, 0.4, 0.9]])
     targets = positions + torch.tensor([[1.0, 0.2, 0.0], [-0.5, 1.0, -0.1], [0.1, -1.0, -0.4]])

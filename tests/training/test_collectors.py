@@ -20,7 +20,7 @@ from splatrl.training.cuda_graph import CudaGraph
 from splatrl.training.memory import STATE, Memory
 from tests.envs.contract import assert_same, base_env
 from tests.envs.devices import NoHostReads, NoTransfers, Painter, pretend_device
-from tests.envs.test_device import WORLDS, made, whole_overlay
+from tests.envs.test_device import NAMES, made, whole_overlay
 from tests.tiny import tiny_env
 from tests.training.tape import Taped
 from tests.training.test_ppo import LOSS, OPTIM, parameters
@@ -96,7 +96,7 @@ def two_batches(
 
 
 @pytest.mark.usefixtures("whole_overlay")
-@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_rollout_equals_torchrls_without_host_reads_and_can_be_replayed(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -113,7 +113,7 @@ def test_a_rollout_equals_torchrls_without_host_reads_and_can_be_replayed(
     assert torch.equal(drawn, drawn_again)
 
 
-@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_rollout_fetches_nothing_from_the_cpu(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     _, model = pair(name)
     pretend_device(monkeypatch)

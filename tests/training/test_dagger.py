@@ -21,7 +21,10 @@ LOSS = LossSettings(0.97, 0.9, 0.2, 1, 64, 0.5, 0.01, True, 0.1)
 OPTIM = OptimSettings(1e-3, 1e-5, 0.5, True)
 
 
-@pytest.fixture(scope="module", params=["none", "gru", "stack"])
+@pytest.fixture(
+    scope="module",
+    params=["gru", pytest.param("none", marks=pytest.mark.slow), pytest.param("stack", marks=pytest.mark.slow)],
+)
 def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[DictConfig, World]:
     cfg = load_config([*tiny_overrides(tmp_path_factory.mktemp("room")), f"memory={request.param}"])
     return cfg, build_world(cfg)

@@ -137,6 +137,7 @@ def test_the_memory_transforms_match_those_that_the_module_asks_for() -> None:
     assert memory_transforms(0) == []
 
 
+@pytest.mark.slow
 def test_a_policy_learns_to_recall_with_memory_and_cannot_without() -> None:
     change = {"mini_batch_size": 128, "ppo_epochs": 6, "reward_scale": 1.0, "entropy_coeff": 0.0, "lr": 3e-3}
     success = {}

@@ -20,7 +20,16 @@ def drive(driver: Driver, world: World, most: int = 60) -> None:
             return
 
 
-@pytest.mark.parametrize("task", ["grid", "fps", "drive", "apple", "polar_plane"])
+@pytest.mark.parametrize(
+    "task",
+    [
+        "grid",
+        pytest.param("fps", marks=pytest.mark.slow),
+        "drive",
+        "apple",
+        pytest.param("polar_plane", marks=pytest.mark.slow),
+    ],
+)
 def test_episodes_driven_to_the_goal_are_replayed_byte_for_byte(make_world: Callable[..., World], task: str) -> None:
     world = make_world(task)
     takes = Takes(world)
