@@ -22,7 +22,7 @@ from splatrl.capture.look import look
 from splatrl.capture.mapping import ENOUGH
 from splatrl.capture.marker import MARKER_SIDE
 from splatrl.capture.moving import find_moving
-from splatrl.capture.poses import find_poses
+from splatrl.capture.poses import check_libraries, find_poses
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.recordings import is_recording, read_recording
 from splatrl.capture.resolution import Resolution
@@ -104,6 +104,7 @@ def capture(
         )
     if folder.is_file():
         raise CaptureError(f"{folder}: expected a folder for the scene, got a file; choose another one with --out")
+    check_libraries()
     stages = folder / STAGES
     for name in (SCENE_FILE,) if stages.exists() else (SCENE_FILE, SPLAT, SMALL_SPLAT):  # not those of a capture
         check_absent(folder / name, settings.force)

@@ -48,8 +48,7 @@ def find_poses(
         ImportError: without the extra ``capture``.
         ValueError: for known poses, or an exact camera, without K.
     """
-    require("pycolmap", "capture")
-    require("cv2", "capture")
+    check_libraries()
     exact_camera = exact_camera or photos.camera_to_world is not None
     if exact_camera and photos.K is None:
         raise ValueError("photos.K: expected intrinsics, as poses are known or the camera is exact, got none")
@@ -65,6 +64,12 @@ def find_poses(
         model = read_arrays(work / structure.MODEL)
     _check_share(photos, model["images"], least)
     return _reconstruction(photos, model, stages, exact_camera, progress)
+
+
+def check_libraries() -> None:
+    """Raise an ImportError that says how to install the extra ``capture`` if it is missing, before any work is done."""
+    require("pycolmap", "capture")
+    require("cv2", "capture")
 
 
 def job_of(photos: Photos, seed: int = 0, exact_camera: bool = False) -> Job:

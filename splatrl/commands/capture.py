@@ -14,7 +14,7 @@ from splatrl.capture.fit import FitSettings
 from splatrl.capture.marker import MARKER_SIDE, write_marker_page
 from splatrl.capture.pipeline import CaptureSettings, capture
 from splatrl.capture.resolution import Resolution
-from splatrl.commands.entries import INTERRUPTED
+from splatrl.commands.entries import INTERRUPTED, USERS
 from splatrl.commands.entries import capture as main
 from splatrl.device import chosen_device, device_line
 from splatrl.envs.robot import Robot
@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> None:
         print(device_line(device))
         with Bars() as bars:
             capture(source, folder, _settings(options, side, splat, str(device)), bars, bars.say)
-    except (ImportError, OSError, ValueError) as error:
+    except USERS as error:
         sys.exit(f"splatrl-capture: {error}")
     except KeyboardInterrupt:
         print("\nstopped; finished work is kept; run the same command again to continue", file=sys.stderr)
@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> None:
 
 def _interrupt_on_sigterm() -> None:
     """Let SIGTERM end a capture as Ctrl-C does; pycolmap's handler, which its import installs, prints a stack trace."""
-    with suppress(ImportError):  # without the extra, the capture itself says so
+    with suppress(ImportError):  # the capture says how to install the extra
         import_module("pycolmap")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
 

@@ -14,6 +14,8 @@ from splatrl.commands import parsers
 
 INTERRUPTED = 130
 """Exit code of a command interrupted by Ctrl-C."""
+USERS = (ImportError, OSError, ValueError)
+"""Errors that a user can fix; commands end with one line for them."""
 PARSERS = {"capture": parsers.capture, "scene": parsers.scene, "gait": parsers.gait}
 """Parsers of the commands that take options; all other commands have a config."""
 

@@ -14,9 +14,10 @@ from hydra.errors import CompactHydraException, HydraException, InstantiationExc
 from hydra.types import RunMode
 from omegaconf.errors import OmegaConfBaseException
 
+from splatrl.commands.entries import USERS
 from splatrl.configuration.search_path import group_node, options
 
-USERS = (ValueError, OSError, ImportError, HydraException, OmegaConfBaseException)
+CONFIGURED = (*USERS, HydraException, OmegaConfBaseException)
 FULL = "HYDRA_FULL_ERROR"
 """Environment variable that, when set, shows the full traceback of an error."""
 
@@ -45,7 +46,7 @@ def in_one_line(command: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
             try:
                 with _warnings_in_one_line(command):
                     return function(*args, **kwargs)
-            except USERS as error:
+            except CONFIGURED as error:
                 if os.environ.get(FULL):
                     raise
                 text = f"{command}: {line(error)}"

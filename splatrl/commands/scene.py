@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from splatrl.capture import inspection
+from splatrl.commands.entries import USERS
 from splatrl.commands.entries import scene as main
 from splatrl.files import expanded
 from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks
@@ -38,7 +39,7 @@ def run(options: argparse.Namespace) -> None:
         warnings.showwarning = lambda message, *_: print(f"note        {message}", file=sys.stderr)
         try:
             look(options)
-        except (OSError, ValueError) as error:
+        except USERS as error:
             sys.exit(f"splatrl-scene: {error}")
 
 

@@ -23,6 +23,7 @@ from splatrl.capture.base import CaptureError
 from splatrl.capture.check import Quality, colour_corrected, psnr
 from splatrl.capture.folder import FREE, SPLAT
 from splatrl.capture.pipeline import CaptureSettings, build_scene, reconstruct
+from splatrl.capture.poses import check_libraries
 from splatrl.capture.progress import Progress
 from splatrl.capture.truth import Deviation, deviation, read_truth
 from splatrl.collision import Occupancy
@@ -86,11 +87,13 @@ def recapture(folder: Path, scenes: Mapping[str, Sequence[str]], original: str =
 
     Raises:
         CaptureError: if the film cannot be captured.
+        ImportError: without the extra ``capture``.
         ValueError: if the original leaves no room for the walk.
     """
     target = folder / RECAPTURED
     if (target / SCENE_FILE).is_file() and (folder / FIGURES).is_file():
         return target
+    check_libraries()
     folder.mkdir(parents=True, exist_ok=True)
     cfg = load_config([*scenes[original], TASK])
     world = build_one_world(cfg)

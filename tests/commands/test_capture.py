@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -532,6 +533,14 @@ def test_a_page_with_a_marker_is_written_without_a_capture(tmp_path: Path) -> No
         with pytest.raises(SystemExit, match=f"^splatrl-capture: .*{message}"):
             capture.main(["--marker", str(path)])
     assert [path.name for path in tmp_path.iterdir()] == ["marker.pdf"]
+
+
+def test_a_missing_extra_is_named_before_the_video_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    (tmp_path / "walk.mp4").write_bytes(b"not read")
+    with pytest.raises(SystemExit, match=r"^splatrl-capture: cv2 is missing: pip install 'splatrl\[capture\]'$"):
+        capture.main([str(tmp_path / "walk.mp4"), "--out", str(tmp_path / "place")])
+    assert [path.name for path in tmp_path.iterdir()] == ["walk.mp4"]
 
 
 def test_a_missing_source_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,5 +1,6 @@
 import gzip
 import re
+import sys
 import warnings
 from pathlib import Path
 
@@ -280,6 +281,15 @@ def test_missing_or_damaged_files_are_refused_in_one_line(tmp_path: Path) -> Non
     with pytest.raises(SystemExit, match="expected a scene folder"):
         main([str(tmp_path)])
     assert [path.name for path in tmp_path.iterdir()] == ["damaged.ply"]
+
+
+def test_a_format_that_needs_an_extra_is_refused_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gsply.sog_reader", None)
+    (tmp_path / "a.sog").write_bytes(b"PK")
+    with pytest.raises(
+        SystemExit, match=r"^splatrl-scene: .*a\.sog: this format needs the extra gsply: pip [^\n]*$"
+    ):
+        main([str(tmp_path / "a.sog")])
 
 
 def test_a_scene_far_from_the_origin_keeps_its_bounds(tmp_path: Path, ungrounded: None) -> None:
