@@ -12,7 +12,9 @@ namespace splatrl {
 
 namespace {
 
-constexpr size_t BUCKET = 64;       // neighbours among which each item's merge partner is searched for
+constexpr size_t BUCKET = 64;          // neighbours among which each item's merge partner is searched for
+constexpr double LARGEST_AREA = 1e30;  // square metres: sums of masses do not overflow
+constexpr float LARGEST_COST = 1e38f;  // less than NEVER, so that any pair can be merged
 constexpr float LEAST_CONTRAST = 0.2f;  // merging equal colours also has a cost, because it moves edges
 
 // A Gaussian, or several merged into one that has their total mass, mean and covariance.
@@ -38,7 +40,7 @@ float area_of(const float* axes) {
             const double minor = double(a[j]) * b[k] - double(a[k]) * b[j];
             sum += minor * minor;
         }
-    return float(std::sqrt(sum / 3.0));
+    return float(std::fmin(std::sqrt(sum / 3.0), LARGEST_AREA));
 }
 
 Item item_of(const GaussianArrays& gaussians, uint32_t index) {
@@ -67,7 +69,8 @@ float squared_distance(const float* a, const float* b) {
 float cost_of(const Item& a, const Item& b) {
     const float contrast = SH_C0 * SH_C0 * squared_distance(a.sh.data(), b.sh.data());
     const float mass = a.mass + b.mass, moved = mass > 0.0f ? a.mass * b.mass / mass : 0.0f;
-    return moved * squared_distance(a.mean, b.mean) * (LEAST_CONTRAST * LEAST_CONTRAST + contrast);
+    const float cost = moved * squared_distance(a.mean, b.mean) * (LEAST_CONTRAST * LEAST_CONTRAST + contrast);
+    return cost < LARGEST_COST ? cost : LARGEST_COST;
 }
 
 // Merge `b` into `a`, which gets the mass, mean and covariance of the whole, and the mass-weighted mean colour.
@@ -250,11 +253,14 @@ private:
         levels.sums.push_back(item.sum);
     }
 
-    // The mass-weighted root mean square displacement of the members; never 0, which marks a leaf.
+    // The mass-weighted root mean square displacement of the members, infinite if it overflows; never 0, which marks a
+    // leaf.
     static float error_of(const std::vector<Item>& items) {
         double sum = 0.0, mass = 0.0;
         for (const Item& item : items) sum += double(item.mass) * item.spread, mass += item.mass;
-        return std::max(mass > 0.0 ? float(std::sqrt(sum / mass)) : 0.0f, std::numeric_limits<float>::min());
+        const float error = mass > 0.0 ? float(std::sqrt(sum / mass)) : 0.0f;
+        return std::isnan(error) ? std::numeric_limits<float>::infinity()
+                                 : std::max(error, std::numeric_limits<float>::min());
     }
 
     const GaussianArrays& gaussians_;
