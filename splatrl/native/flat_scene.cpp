@@ -22,10 +22,10 @@ namespace splatrl {
 
 namespace {
 
-// Round a value up to a half float, at most LARGEST_HALF, and return its bits.
+// Round a value up to a half float, which is infinite beyond LARGEST_HALF, and return its bits.
 uint16_t half_above(float value) {
     const uint16_t half = to_half(value);
-    return from_half(half) < value && half < to_half(LARGEST_HALF) ? half + 1 : half;
+    return from_half(half) < value ? half + 1 : half;
 }
 
 struct FlatScene {

@@ -12,7 +12,9 @@ namespace splatrl {
 
 namespace {
 
-constexpr size_t BUCKET = 64;       // neighbours among which each item's merge partner is searched for
+constexpr size_t BUCKET = 64;          // neighbours among which each item's merge partner is searched for
+constexpr double LARGEST_AREA = 1e30;  // square metres: sums of masses do not overflow
+constexpr float LARGEST_COST = 1e38f;  // less than NEVER, so that any pair can be merged
 constexpr float LEAST_CONTRAST = 0.2f;  // merging equal colours also has a cost, because it moves edges
 
 // A Gaussian, or several merged into one that has their total mass, mean and covariance.
@@ -26,12 +28,19 @@ struct Item {
     std::vector<float> sh;
 };
 
-// The area, divided by π, of the ellipse that a covariance projects to, as a root mean square over all directions:
-// sqrt(tr(adj Σ) / 3).
-float area_of(const float* c) {
-    const double minors = double(c[0]) * c[3] - double(c[1]) * c[1] + double(c[0]) * c[5] - double(c[2]) * c[2] +
-                          double(c[3]) * c[5] - double(c[4]) * c[4];
-    return float(std::sqrt(std::max(minors, 1e-30) / 3.0));
+// The area, divided by π, of the ellipse that a Gaussian projects to, as a root mean square over all directions, from a
+// factor A of its covariance: sqrt(tr(adj A Aᵀ) / 3), the sum of the squared 2×2 minors of A (Cauchy–Binet), which are
+// exact however thin the Gaussian.
+float area_of(const float* axes) {
+    double sum = 0.0;
+    for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 3; ++j) {
+            const float *a = axes + 3 * i, *b = axes + 3 * ((i + 1) % 3);
+            const int k = (j + 1) % 3;
+            const double minor = double(a[j]) * b[k] - double(a[k]) * b[j];
+            sum += minor * minor;
+        }
+    return float(std::fmin(std::sqrt(sum / 3.0), LARGEST_AREA));
 }
 
 Item item_of(const GaussianArrays& gaussians, uint32_t index) {
@@ -43,7 +52,7 @@ Item item_of(const GaussianArrays& gaussians, uint32_t index) {
         for (int column = row; column < 3; ++column, ++covariance)
             for (int axis = 0; axis < 3; ++axis) *covariance += axes[3 * row + axis] * axes[3 * column + axis];
     item.sum = gaussians.opacities[index];
-    item.mass = item.sum * area_of(item.covariance);
+    item.mass = item.sum * area_of(axes);
     item.squares = item.mass * item.mass;
     const float* sh = gaussians.sh + gaussians.colors() * index;
     item.sh.assign(sh, sh + gaussians.colors());
@@ -60,7 +69,8 @@ float squared_distance(const float* a, const float* b) {
 float cost_of(const Item& a, const Item& b) {
     const float contrast = SH_C0 * SH_C0 * squared_distance(a.sh.data(), b.sh.data());
     const float mass = a.mass + b.mass, moved = mass > 0.0f ? a.mass * b.mass / mass : 0.0f;
-    return moved * squared_distance(a.mean, b.mean) * (LEAST_CONTRAST * LEAST_CONTRAST + contrast);
+    const float cost = moved * squared_distance(a.mean, b.mean) * (LEAST_CONTRAST * LEAST_CONTRAST + contrast);
+    return cost < LARGEST_COST ? cost : LARGEST_COST;
 }
 
 // Merge `b` into `a`, which gets the mass, mean and covariance of the whole, and the mass-weighted mean colour.
@@ -237,17 +247,20 @@ private:
         factor_of(item.covariance, axes);
         levels.means.insert(levels.means.end(), item.mean, item.mean + 3);
         levels.axes.insert(levels.axes.end(), axes, axes + 9);
-        levels.opacities.push_back(item.mass / area_of(item.covariance));
+        levels.opacities.push_back(item.mass / area_of(axes));
         levels.sh.insert(levels.sh.end(), item.sh.begin(), item.sh.end());
         levels.members.push_back(item.squares > 0.0f ? item.mass * item.mass / item.squares : 1.0f);
         levels.sums.push_back(item.sum);
     }
 
-    // The mass-weighted root mean square displacement of the members; never 0, which marks a leaf.
+    // The mass-weighted root mean square displacement of the members, infinite if it overflows; never 0, which marks a
+    // leaf.
     static float error_of(const std::vector<Item>& items) {
         double sum = 0.0, mass = 0.0;
         for (const Item& item : items) sum += double(item.mass) * item.spread, mass += item.mass;
-        return std::max(mass > 0.0 ? float(std::sqrt(sum / mass)) : 0.0f, std::numeric_limits<float>::min());
+        const float error = mass > 0.0 ? float(std::sqrt(sum / mass)) : 0.0f;
+        return std::isnan(error) ? std::numeric_limits<float>::infinity()
+                                 : std::max(error, std::numeric_limits<float>::min());
     }
 
     const GaussianArrays& gaussians_;

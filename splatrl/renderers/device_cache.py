@@ -99,7 +99,7 @@ class DeviceLatticeRenderer(ViewCache[DeviceAlbum]):
             require_parts_of(parts, cameras)
         wanted = None if only is None else checked_only(only, cameras)
         keys = _words(cameras, parts)
-        kind = cameras.width, cameras.height, keys.shape[1]
+        kind = cameras.width, cameras.height, keys.shape[1], parts is None  # no parts draw model 0, empty ones nothing
         if kind not in self._albums:
             one = keys.new_empty(cameras.height, cameras.width, 3, dtype=torch.uint8)
             self._albums[kind] = DeviceAlbum(keys.shape[1], one, self.max_bytes)

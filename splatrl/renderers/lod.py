@@ -22,7 +22,7 @@ from splatrl.scenes.cache import Arrays
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
 
-LEVELS_VERSION = 3
+LEVELS_VERSION = 4
 """Version of the levels. Increment it when the tree or the merging changes: cached levels are then rebuilt."""
 
 

@@ -18,15 +18,12 @@ from splatrl.renderers.base import (
     to_pixels,
 )
 from splatrl.renderers.parts import ABSENT, Parts, camera_to_models, checked_parts
-from splatrl.scenes.gaussians import INVISIBLE, Gaussians
+from splatrl.scenes.gaussians import GREY_LEVEL, INVISIBLE, Gaussians
 from splatrl.scenes.scene import Scene
 from splatrl.spherical_harmonics import sh_colors
 
 NEAR = 0.01
 """Near plane, metres: a Gaussian whose mean is nearer along the optical axis is not drawn."""
-FAINT = INVISIBLE / 4
-"""Opacity below which nothing is visible in an antialiased image. Distant surfaces consist of many Gaussians that are
-each fainter than a grey level: without them, tables vanish from small images."""
 DILATION = 0.3
 """Square pixels added to every projected covariance, so that a Gaussian covers at least about one pixel."""
 MAX_ALPHA = 0.999
@@ -88,7 +85,7 @@ class ReferenceRenderer:
         self.models = models if device is None else [model.to(device) for model in models]
         self.antialiased = antialiased
         self.background = checked_background(background)
-        self.invisible = FAINT if antialiased else INVISIBLE
+        self.invisible = INVISIBLE if antialiased else GREY_LEVEL
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         """Render colour, depth and alpha for each camera, on the device and in the float type of the Gaussians.

@@ -11,13 +11,14 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
 from splatrl.documents import read_yaml
 from splatrl.files import checked_name, replacing
-from splatrl.scenes.description import SCENE_FILE
+from splatrl.scenes.description import SCENE_FILE, decimals_of
 from splatrl.scenes.formats import read_gaussians
 from splatrl.scenes.formats.limits import MAX_INFLATION
 from splatrl.scenes.frame import stated_similarity
@@ -29,6 +30,8 @@ BLOCKS_FILE = "blocks.yaml"
 MOST_BLOCKS = 1024
 MAX_BYTES = 256 * MOST_BLOCKS
 """Maximum size of a ``blocks.yaml`` in bytes; each block takes a line of about 100."""
+LEAST_SIDE, LEAST_SHARE = 1e-3, 1e-6
+"""Shortest side of bounds that are written, metres, and relative to its distance from the origin, for float32."""
 BLOCK_KEYS = ("splat", "bounds", "world_from_splat")
 BLOCKS_KEYS = ("name", "bounds", "blocks", *PROPOSALS)
 
@@ -213,19 +216,20 @@ def write_blocks(
     Args:
         folder: the folder that holds the files, or will.
         name: name of the scene.
-        blocks: bounds of each block, by the name of its file.
-        bounds: bounds of the whole scene; None means the box around all blocks.
+        blocks: bounds of each block, by the name of its file; a side shorter than a millimetre, or than a millionth of
+            its distance from the origin, is enlarged to that.
+        bounds: bounds of the whole scene, enlarged likewise; None means the box around all blocks.
         proposals: training settings that the scene proposes; see ``PROPOSALS``.
     """
     lines = [f"name: {json.dumps(name, ensure_ascii=False)}  # for captions and file names"]
     if bounds is not None:
-        lines.append(f"bounds: {_rounded(bounds)}  # lower and upper corner of the scene, world frame, metres")
+        lines.append(f"bounds: {_written(bounds)}  # lower and upper corner of the scene, world frame, metres")
     lines += [f"{key}: {json.dumps(value)}" for key, value in (proposals or {}).items()]
     lines.append(
         "blocks:  # splat files in this folder, the bounds of each, and world_from_splat as in scene.yaml if needed"
     )
     lines += [
-        f"  - {{splat: {json.dumps(splat, ensure_ascii=False)}, bounds: {_rounded(corners)}}}"
+        f"  - {{splat: {json.dumps(splat, ensure_ascii=False)}, bounds: {_written(corners)}}}"
         for splat, corners in blocks.items()
     ]
     with replacing(folder / BLOCKS_FILE) as stream:
@@ -262,8 +266,11 @@ def _require_keys(where: str, content: Mapping[Any, Any], known: Sequence[str]) 
         raise ValueError(f"{where}: expected the keys {', '.join(known)}, got {', '.join(unknown):.80}")
 
 
-def _rounded(bounds: Bounds) -> str:
-    return json.dumps([[float(f"{value:.7g}") for value in corner] for corner in bounds])
+def _written(bounds: Bounds) -> str:
+    """Return bounds as text, rounded to a ten-thousandth of their shortest side; a side of no length gets one."""
+    lower, upper = np.array(bounds)
+    upper = np.maximum(upper, lower + np.maximum(LEAST_SIDE, LEAST_SHARE * np.abs(lower)))
+    return json.dumps(np.round([lower, upper], decimals_of(float((upper - lower).min()))).tolist())
 
 
 def _around(blocks: Sequence[Block]) -> Bounds:

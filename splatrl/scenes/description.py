@@ -99,7 +99,8 @@ def write_description(
         ("world_from_splat:", "from the file to the world, which is z-up and in metres"),
         *((f"  {key}: {json.dumps(value)}", COMMENTS[key]) for key, value in frame.items()),
     ]
-    corners = np.round(bounds, _decimals(bounds)).tolist()
+    longest = max(high - low for low, high in zip(*bounds, strict=True))
+    corners = np.round(bounds, decimals_of(longest)).tolist()
     if (np.array(corners[1]) > np.array(corners[0])).all():
         lines.append((f"bounds: {json.dumps(corners)}", "lower and upper corner of the scene, world frame, metres"))
     else:
@@ -114,10 +115,9 @@ def write_description(
     return path
 
 
-def _decimals(bounds: Bounds) -> int:
-    """Return how many decimals resolve a ten-thousandth of the longest side, wherever the scene lies."""
-    longest = max(high - low for low, high in zip(*bounds, strict=True))
-    return 4 - math.floor(math.log10(longest)) if longest > 0.0 else 0
+def decimals_of(side: float) -> int:
+    """Return how many decimals resolve a ten-thousandth of a side, wherever it lies."""
+    return 4 - math.floor(math.log10(side)) if side > 0.0 else 0
 
 
 def scene_folder(out: Path) -> tuple[Path, str]:

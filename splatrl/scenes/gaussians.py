@@ -9,8 +9,11 @@ from torch import Tensor
 from splatrl.geometry import multiply_quats, quats_to_rotations, rotations_to_quats
 from splatrl.spherical_harmonics import rotate_sh, sh_degree
 
-INVISIBLE = 1.0 / 255.0
-"""Minimum visible opacity: renderers skip every alpha below it, so fainter Gaussians cannot change an image."""
+GREY_LEVEL = 1.0 / 255.0
+"""Minimum visible opacity in a classic image."""
+INVISIBLE = GREY_LEVEL / 4
+"""Minimum visible opacity in an exact antialiased image, so fainter Gaussians cannot change any image. Distant surfaces
+consist of many Gaussians that are each fainter than a grey level: without them, tables vanish from small images."""
 LARGEST = 1e15
 """Largest coordinate and scale of a usable Gaussian: their squares, times a squared focal length, fit float32."""
 BLOCK = 1 << 16
@@ -77,7 +80,7 @@ def checked_gaussians(
     """Build Gaussians from external values: check shapes, normalise quaternions and drop unusable rows.
 
     Rows with a non-finite value, a zero quaternion, a scale that is not positive, a coordinate or scale beyond
-    ``LARGEST`` or an opacity below 1/255 (which no renderer shows) are left out, with one warning that counts them.
+    ``LARGEST`` or an opacity below ``INVISIBLE`` are left out, with one warning that counts them.
 
     Args:
         source: origin of the values, for error messages.

@@ -73,6 +73,6 @@ def write_split(
 
 
 def _box(means: np.ndarray[Any, Any]) -> Bounds:
-    """Return the bounding box of points, enlarged by a millimetre so that it is not empty."""
+    """Return the bounding box of points."""
     low, high = means.min(0).tolist(), means.max(0).tolist()
-    return (low[0], low[1], low[2]), (high[0] + 1e-3, high[1] + 1e-3, high[2] + 1e-3)
+    return (low[0], low[1], low[2]), (high[0], high[1], high[2])

@@ -16,8 +16,8 @@ from splatrl.capture.fit_model import share
 from splatrl.capture.stereo import IGNORED
 from splatrl.native import _core
 from splatrl.renderers import NativeRenderer, ReferenceRenderer
-from splatrl.renderers.reference import FAINT, blend
-from splatrl.scenes.gaussians import Gaussians
+from splatrl.renderers.reference import blend
+from splatrl.scenes.gaussians import INVISIBLE, Gaussians
 from tests.renderers.cases import LIKENESS, random_cameras, random_gaussians
 
 COUNT, STRIDE, WIDTH, HEIGHT = 203, 208, 37, 22
@@ -59,8 +59,8 @@ def reference_images(gaussians: Gaussians, cameras: Cameras) -> Tensor:
     for row in range(len(cameras)):
         seen = reference.project(gaussians, cameras, row)
         agreeing = seen._replace(depths=(1 - (seen.depths * INVERSE_DEPTH[row] - 1).abs()).clamp_min(0))
-        left = blend(agreeing, 0, 0, SEAM, cameras.height, FAINT)
-        right = blend(seen._replace(depths=0 * seen.depths), SEAM, 0, cameras.width, cameras.height, FAINT)
+        left = blend(agreeing, 0, 0, SEAM, cameras.height, INVISIBLE)
+        right = blend(seen._replace(depths=0 * seen.depths), SEAM, 0, cameras.width, cameras.height, INVISIBLE)
         images.append(torch.cat([left, right], 1))
     return torch.stack(images)
 

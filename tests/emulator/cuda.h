@@ -336,7 +336,7 @@ static inline int __float_as_int(float value) { return int(emulator::to_bits(val
 
 namespace splatrl {
 
-static inline float half_to_float(uint16_t half) { return from_half(half); }
+static inline float half_to_float(uint16_t half) { return half == 0x7c00 ? INFINITY : from_half(half); }
 static inline uint32_t halves_of(float low, float high) { return to_half(low) | uint32_t(to_half(high)) << 16; }
 static inline uint64_t bits_of(double value) { return emulator::to_bits(value); }
 static inline void prefetch_to_shared_cache(const void* at) { (void)*static_cast<const volatile char*>(at); }

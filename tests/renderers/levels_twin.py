@@ -25,13 +25,13 @@ Group = NDArray[np.int64]  # indices of the Gaussians that a merged one represen
 
 def tree_of(means: Numbers, axes: Numbers, opacities: Numbers, sh: Numbers) -> Arrays:
     """Build the tree; see ``splatrl.renderers.lod.build_levels`` for arguments and result."""
-    return _Twin(means, axes @ axes.swapaxes(1, 2), opacities, sh).arrays()
+    return _Twin(means, axes, opacities, sh).arrays()
 
 
 class _Twin:
-    def __init__(self, means: Numbers, covariances: Numbers, opacities: Numbers, sh: Numbers) -> None:
-        self.means, self.covariances, self.opacities, self.sh = means, covariances, opacities, sh
-        self.masses = opacities * projected_area(covariances)
+    def __init__(self, means: Numbers, axes: Numbers, opacities: Numbers, sh: Numbers) -> None:
+        self.means, self.covariances, self.opacities, self.sh = means, axes @ axes.swapaxes(1, 2), opacities, sh
+        self.masses = opacities * projected_area(axes)
         self.order: list[int] = []
         self.nodes: list[list[int]] = []
         self.errors: list[float] = []
@@ -114,24 +114,28 @@ class _Twin:
 
     def arrays(self) -> Arrays:
         covariances = np.array([self.covariance(group) for group in self.merged]).reshape(-1, 3, 3)
+        axes = np.linalg.cholesky(covariances)
         masses = np.array([self.masses[group].sum() for group in self.merged])
         return {
             "order": np.array(self.order),
             "nodes": np.array(self.nodes),
             "errors": np.array(self.errors),
             "means": self.centers(self.merged),
-            "axes": np.linalg.cholesky(covariances),
-            "opacities": masses / projected_area(covariances),
+            "axes": axes,
+            "opacities": masses / projected_area(axes),
             "sh": np.array([self.mean(self.sh, group) for group in self.merged]),
             "members": masses**2 / np.array([(self.masses[group] ** 2).sum() for group in self.merged]),
             "sums": np.array([self.opacities[group].sum() for group in self.merged]),
         }
 
 
-def projected_area(covariances: Numbers) -> Numbers:
-    """Return the area over π of the ellipses that covariances project to: root mean square over all directions."""
-    minors = np.linalg.det(covariances) * np.trace(np.linalg.inv(covariances), axis1=1, axis2=2)
-    return np.sqrt(minors / 3.0)
+def projected_area(axes: Numbers) -> Numbers:
+    """Return the area over π of the ellipses that Gaussians project to: root mean square over all directions.
+
+    ``axes`` [N, 3, 3] are factors of the covariances. The cross products of their columns are the minors.
+    """
+    minors = np.cross(axes, np.roll(axes, 1, axis=2), axis=1)
+    return np.sqrt((minors**2).sum((1, 2)) / 3.0)
 
 
 def split(points: Numbers, multiple: int) -> tuple[Group, Group]:

@@ -115,6 +115,14 @@ def test_a_captured_room_looks_the_same_as_on_the_cpu(make: Make, kitchen: Gauss
     assert_like_native(make(kitchen), NativeRenderer(kitchen), cameras)
 
 
+def test_a_sky_of_gaussians_of_a_hundred_kilometres_looks_the_same_as_on_the_cpu(make: Make) -> None:
+    sky = random_gaussians(9, 60)
+    sky.means *= 3e5
+    sky.scales.fill_(1e5)
+    scene, cameras = torch.cat([random_gaussians(0, 200), sky]), random_cameras(1, 2, 33, 17)
+    assert_like_native(make(scene), NativeRenderer(scene), cameras)
+
+
 def test_a_frame_has_the_same_bytes_alone_and_in_any_batch_and_order(make: Make) -> None:
     scene = random_gaussians(3, 1500, 2)
     renderer = make(scene, memory=1)  # a single thread block draws everything

@@ -70,7 +70,7 @@ def test_another_lens_image_size_or_pose_of_a_part_is_another_view() -> None:
     longer = Cameras(cameras.camera_to_world, cameras.K * torch.tensor([[1.1], [1.1], [1.0]]), 16, 12)
     shown = [(one, None) for one in (cameras, wider, longer)]
     shown += [(cameras, placed(2, (0, at(0.0)), (1, at(x)))) for x in (0.2, 0.3)]
-    shown += [(cameras, placed(2, (0, at(0.0)))), (cameras, placed(2, (0, at(0.0)), (0, at(0.2))))]
+    shown += [(cameras, placed(2, *((0, at(x)) for x in xs))) for xs in ((), (0.0,), (0.0, 0.2))]
     for number, (view, parts) in enumerate([*shown, *shown]):
         assert torch.equal(lattice.pixels(view, parts), inner.renderer.pixels(view, parts))
         assert inner.rendered == 2 * min(number + 1, len(shown))

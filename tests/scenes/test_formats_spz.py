@@ -205,11 +205,12 @@ def test_values_that_are_not_finite_are_not_written(tmp_path: Path, name: str) -
     assert not list(tmp_path.iterdir())
 
 
-def test_values_beyond_the_range_of_a_byte_are_clamped(tmp_path: Path) -> None:
+def test_values_beyond_the_range_of_a_byte_are_clamped_with_a_warning_about_sizes(tmp_path: Path) -> None:
     gaussians = sample_gaussians(2, 1)
-    gaussians.scales = torch.tensor([[1e-9, 1.0, 1e9], [1, 1, 1]])
+    gaussians.scales = torch.tensor([[1e-9, 1.0, 1e9], [1, 390, 1]])
     gaussians.sh[0] = torch.tensor([[9.0, -9, 0], [5, -5, 0], [0, 0, 0], [0, 0, 0]])
-    write_gaussians(tmp_path / "a.spz", gaussians)
+    with pytest.warns(UserWarning, match=r"a\.spz: 1 of 2 Gaussians are shrunk to 379 units, .*; write a PLY"):
+        write_gaussians(tmp_path / "a.spz", gaussians)
     read = read_gaussians(tmp_path / "a.spz")
     torch.testing.assert_close(read.scales[0].log(), torch.tensor([-10.0, 0, 95 / 16 + 0]), atol=1e-4, rtol=0)
     torch.testing.assert_close(read.sh[0, :2, :2], torch.tensor([[1 / 0.3, -1 / 0.3], [127 / 128, -1]]))

@@ -88,7 +88,8 @@ def test_a_row_that_cannot_be_drawn_is_dropped_and_counted(name: str, row: int, 
 
 def test_transparent_rows_are_dropped_and_counted_separately() -> None:
     values = fields()
-    values["opacities"][:2] = torch.tensor([0.0, 0.9 / 255])
+    values["opacities"][:2] = torch.tensor([0.0, 0.24 / 255])
+    values["opacities"][2] = 0.26 / 255  # which exact antialiased images show
     values["means"][4] = math.nan
     with pytest.warns(UserWarning, match="dropped 1 non-finite or degenerate and 2 fully transparent of 5"):
         assert len(checked_gaussians("here", **values)) == 2

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from splatrl.envs.drawing.base import HAZE
 from splatrl.envs.drawing.sprite import TAPS, Sprite
 
 ALPHA_STEPS = 65536
@@ -36,7 +37,7 @@ def overlay(
     size: float,
     near: float = 0.05,
     only: Tensor | None = None,
-) -> tuple[Tensor, Tensor]:
+) -> tuple[Tensor, Tensor, Tensor]:
     """Draw a sprite at a position in the world, occluded by anything nearer.
 
     The sprite is a billboard parallel to the image plane and upright in the image, so all of it lies at the depth of
@@ -46,7 +47,7 @@ def overlay(
 
     Args:
         pixels: [..., H, W, 3] uint8, the rendered images.
-        depth: [..., H, W] float32, depth of the images along the optical axis, metres; 0 means infinitely far.
+        depth: [..., H, W] float32, depth of the images along the optical axis, metres, infinite where nothing is seen.
         camera_to_world: [..., 4, 4] float32, metres, OpenCV camera axes.
         K: [3, 3] float32 intrinsics in pixels.
         target: [..., 3] or [3] float32, centre of the sprite, world, metres.
@@ -56,8 +57,9 @@ def overlay(
         only: [...] bool, which images to draw over; None draws over all.
 
     Returns:
-        The images [..., H, W, 3] uint8, and the fraction of each that the sprite covers [..., 1] float32: the mean of
-        its alpha over the pixels.
+        The images [..., H, W, 3] uint8; the fraction of each that the sprite covers [..., 1] float32, which is the mean
+        of its alpha over the pixels; and their depth [..., H, W] float32, which is the sprite's where its alpha is at
+        least ``HAZE``.
     """
     *batch, height, width, _ = pixels.shape
     count = prod(batch)
@@ -75,7 +77,7 @@ def overlay(
     points = _points(inside)
     image, place = points // (height * width), points % (height * width)
     behind, ahead = depth.flatten().index_select(0, points), distance.index_select(0, image)
-    visible = inside.index_select(0, points) & ((behind == 0) | (behind >= ahead))
+    visible = inside.index_select(0, points) & (behind >= ahead)
     color = _sample(sprite, level, image, down, place // width, across, place % width) * visible.unsqueeze(1)
     drawn = pixels.reshape(-1, 3).clone()
     under = drawn.index_select(0, points)
@@ -83,7 +85,9 @@ def overlay(
     cover = torch.zeros(len(inside), dtype=torch.int64, device=pixels.device)
     cover[points] = (color[:, 3] * ALPHA_STEPS).round().long()
     share = cover.view(count, height * width).sum(1).double() / (ALPHA_STEPS * height * width)
-    return drawn.view(pixels.shape), share.float().view(*batch, 1)
+    solid = depth.flatten().clone()
+    solid[points] = torch.where(color[:, 3] >= HAZE, ahead, behind)
+    return drawn.view(pixels.shape), share.float().view(*batch, 1), solid.view(depth.shape)
 
 
 def _points(inside: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ class DepthDrawing:
     """Wraps another drawing and adds the depth of each image to its observations.
 
     The added observation is ``view_depth`` [B, H, W] float32: metres along the optical axis, infinite where nothing is
-    seen. A sprite has the depth of what is behind it.
+    seen.
 
     Args:
         drawing: the wrapped drawing.

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
-from splatrl.envs.drawing.base import HAZE, Shot, View, solid_depth
+from splatrl.envs.drawing.base import Shot, View, solid_depth
 from splatrl.envs.drawing.billboard import overlay
 from splatrl.envs.drawing.sprite import Sprite, load_sprite
 from splatrl.renderers.base import Renderer, to_pixels
@@ -67,10 +67,9 @@ class SpriteDrawing:
         target = shot.memory.get("target") if position is None else position
         if target is None:
             raise ValueError("drawing.position: expected x, y and z in metres for a task without a target, got None")
-        solid = metres.masked_fill(alpha < HAZE, 0.0)
-        view = (to_pixels(rgb), solid, shot.cameras.camera_to_world, shot.cameras.K[0])
-        pixels, share = overlay(*view, target, sprite, self.size, self.near, shot.only)
-        return View(pixels, {"sprite_share": share}, solid_depth(metres, alpha) if shot.depth else None)
+        view = (to_pixels(rgb), solid_depth(metres, alpha), shot.cameras.camera_to_world, shot.cameras.K[0])
+        pixels, share, depth = overlay(*view, target, sprite, self.size, self.near, shot.only)
+        return View(pixels, {"sprite_share": share}, depth if shot.depth else None)
 
     def _on(self, device: torch.device) -> tuple[Sprite, Tensor | None]:
         """Return sprite and position on a device; the copies are cached, since a captured graph keeps reading them."""

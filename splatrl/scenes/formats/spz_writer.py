@@ -18,6 +18,8 @@ VERSION = 3
 FRACTIONAL_BITS = 12  # fractional bits of a position, as in other writers: a quarter of a millimetre
 ANTIALIASED = 0x1  # flag: trained with antialiasing, and to be rendered with it
 LARGEST = 2**23 - 1  # largest position in 24-bit signed fixed point
+LOG_SCALE_STEPS, LEAST_LOG_SCALE = 16.0, -10.0
+MOST_LOG_SCALE = 255 / LOG_SCALE_STEPS + LEAST_LOG_SCALE
 COARSE = 0.25
 """Largest step of positions per longest standard deviation of the median Gaussian: rounding then moves a mean by at
 most an eighth of it along each axis, which is too little to see."""
@@ -34,7 +36,8 @@ def write_spz(path: Path, gaussians: Gaussians, antialiased: bool = True) -> Non
 
     The file is written atomically, and the same Gaussians give the same bytes. Positions are rounded to 1/4096
     (coarser beyond 2 km), log scales to 1/16, opacities and colours to 1/255 of their range, harmonics to 1/128, and
-    rotations to 0.3°. Harmonics above degree 0 are clamped to ±1, and scales to the range from e^-10 to e^6.
+    rotations to 0.3°. Harmonics above degree 0 are clamped to ±1, and scales to the range from e^-10 to 379 units, with
+    a warning that counts the Gaussians that are shrunk.
 
     The farthest Gaussian sets the step of all positions. If that is too coarse for the sizes of the others, a few stray
     ones are left out, with a warning that counts them; if the scene itself is that large, a warning states the step.
@@ -65,6 +68,7 @@ def write_spz(path: Path, gaussians: Gaussians, antialiased: bool = True) -> Non
             "of all would have been rounded more coarsely than their sizes allow",
             stacklevel=3,
         )
+    _warn_of_size(path, values["scales"])
     count, bits = len(values["means"]), _fractional_bits(path, values["means"], sizes)
     header = Header(b"NGSP", VERSION, count, gaussians.sh_degree, bits, ANTIALIASED if antialiased else 0, 0)
     fixed = (values["means"] * 2.0**bits).round().to(torch.int32).numpy().astype("<i4")
@@ -72,7 +76,7 @@ def write_spz(path: Path, gaussians: Gaussians, antialiased: bool = True) -> Non
         fixed.view(np.uint8).reshape(-1, 4)[:, :3],  # the lower 24 bits of each
         _bytes(255.0 * values["opacities"]),
         _bytes(255.0 * (COLOR_SCALE * values["sh"][:, 0] + 0.5)),
-        _bytes(16.0 * (values["scales"] + 10.0)),
+        _bytes(LOG_SCALE_STEPS * (values["scales"] - LEAST_LOG_SCALE)),
         _smallest_three(values["quats"]),
         _bytes(128.0 * values["sh"][:, 1:] + 128.0),
     ]
@@ -82,6 +86,17 @@ def write_spz(path: Path, gaussians: Gaussians, antialiased: bool = True) -> Non
             content = np.ascontiguousarray(part).reshape(-1)
             for first in range(0, len(content), PIECE):  # Ctrl-C takes effect between pieces
                 packed.write(content[first : first + PIECE].data)
+
+
+def _warn_of_size(path: Path, log_scales: Tensor) -> None:
+    """Warn if Gaussians are larger than the format can store, beyond rounding."""
+    shrunk = int((log_scales.amax(1) > MOST_LOG_SCALE + 0.5 / LOG_SCALE_STEPS).sum())
+    if shrunk:
+        warnings.warn(
+            f"{path}: {shrunk} of {len(log_scales)} Gaussians are shrunk to {math.exp(MOST_LOG_SCALE):.0f} units, the "
+            "largest size that SPZ stores; write a PLY",
+            stacklevel=4,
+        )
 
 
 def _fractional_bits(path: Path, means: Tensor, sizes: Tensor) -> int:

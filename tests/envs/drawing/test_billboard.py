@@ -19,8 +19,8 @@ APPLE = load_sprite("apple")
 
 
 def blank(count: int = 1, height: int = HEIGHT, width: int = WIDTH) -> tuple[Tensor, Tensor]:
-    """Return grey images with depth 0, which stands for infinity."""
-    return torch.full((count, height, width, 3), 100, dtype=torch.uint8), torch.zeros(count, height, width)
+    """Return grey images of nothing, which is infinitely far away."""
+    return torch.full((count, height, width, 3), 100, dtype=torch.uint8), torch.full((count, height, width), torch.inf)
 
 
 def ahead(*places: tuple[float, float, float]) -> tuple[Tensor, Tensor]:
@@ -38,7 +38,7 @@ def chequered(side: int = 16) -> Sprite:
 def test_a_square_is_where_the_pinhole_projection_puts_it() -> None:
     images, depth = blank()
     pose, place = ahead((0.5, -0.2, 2.0))
-    drawn, share = overlay(images, depth, pose, K, place, plain_sprite(), size=0.8)
+    drawn, share, _ = overlay(images, depth, pose, K, place, plain_sprite(), size=0.8)
     # centre 30 · 0.25 + 17 = 24.5, 20 · −0.1 + 14 = 12; width 30 · 0.4 = 12, height 20 · 0.4 = 8
     columns, rows = slice(19, 30), slice(8, 16)  # 18.5 to 30.5: half of columns 18 and 30
     assert (drawn[0, rows, columns] == torch.tensor([0, 255, 0])).all()
@@ -55,7 +55,7 @@ def test_any_camera_sees_the_sprite_at_the_projection_of_its_position() -> None:
     place = torch.tensor([2.5, 0.3, 0.4])
     poses = look_at(eyes, place + 0.3 * torch.randn(20, 3, generator=generator))
     images, depth = blank(20)
-    drawn, _ = overlay(images, depth, poses, K, place, plain_sprite(), size=0.3)
+    drawn, *_ = overlay(images, depth, poses, K, place, plain_sprite(), size=0.3)
     cover = (drawn[..., 1].double() - 100) / 155
     camera = torch.linalg.solve(poses.double(), torch.cat([place.double(), torch.ones(1)])).T[:3]
     column, row, _ = (K.double() @ camera) / camera[2]
@@ -78,7 +78,7 @@ def test_the_sprite_is_upright_and_not_mirrored() -> None:
     corners[:16, :16, 0], corners[:16, 16:, 1], corners[16:, :16, 2] = 255, 255, 255  # red, green above blue, black
     pose, place = ahead((0.0, 0.0, 1.0))
     images, depth = blank()
-    drawn, _ = overlay(images, depth, pose, K, place, Sprite.of(corners), size=0.8)
+    drawn, *_ = overlay(images, depth, pose, K, place, Sprite.of(corners), size=0.8)
     for (row, column), color in {
         (9, 8): [255, 0, 0],
         (9, 25): [0, 255, 0],
@@ -88,29 +88,33 @@ def test_the_sprite_is_upright_and_not_mirrored() -> None:
         assert drawn[0, row, column].tolist() == color, (row, column)
 
 
-def test_a_sprite_is_half_hidden_by_an_edge_of_the_scene() -> None:
+@pytest.mark.parametrize("far", [5.0, math.inf])
+def test_a_sprite_is_half_hidden_by_an_edge_of_the_scene(far: float) -> None:
     images, depth = blank()
     depth[0, :, :24] = 1.0  # something near, to the left
-    depth[0, :, 24:] = 5.0  # something far, to the right
+    depth[0, :, 24:] = far  # something far, or nothing, to the right
     pose, place = ahead((0.7, 0.0, 3.0))  # 24 ± 6
-    drawn, share = overlay(images, depth, pose, K, place, plain_sprite(), size=1.2)
+    drawn, share, solid = overlay(images, depth, pose, K, place, plain_sprite(), size=1.2)
+    expected = depth.clone()
+    expected[0, 10:18, 24:30] = 3.0
+    assert torch.equal(solid, expected)
     assert torch.equal(drawn[0, :, :24], images[0, :, :24])
     assert (drawn[0, 10:18, 24:30] == torch.tensor([0, 255, 0])).all()
     assert share.item() == pytest.approx(6 * 8 / (WIDTH * HEIGHT), abs=1e-6)
 
 
-@pytest.mark.parametrize(("scene", "shown"), [(0.0, True), (2.0, True), (2.001, True), (1.999, False)])
+@pytest.mark.parametrize(("scene", "shown"), [(math.inf, True), (2.0, True), (2.001, True), (1.999, False)])
 def test_depth_along_the_optical_axis_decides_what_is_nearer(scene: float, shown: bool) -> None:
     images, depth = blank()
     pose, place = ahead((1.0, 0.3, 2.0))  # farther than 2 m from the camera, but 2 m along the axis
-    _, share = overlay(images, depth + scene, pose, K, place, plain_sprite(), size=0.3)
+    _, share, _ = overlay(images, torch.full_like(depth, scene), pose, K, place, plain_sprite(), size=0.3)
     assert (share > 0).item() == shown
 
 
 def test_a_sprite_that_fills_the_image_has_a_share_of_1() -> None:
     images, depth = blank()
     pose, place = ahead((0.0, 0.0, 0.1))
-    drawn, share = overlay(images, depth, pose, K, place, plain_sprite(), size=0.5)
+    drawn, share, _ = overlay(images, depth, pose, K, place, plain_sprite(), size=0.5)
     assert share.item() == 1.0
     assert (drawn == torch.tensor([0, 255, 0])).all()
 
@@ -118,7 +122,7 @@ def test_a_sprite_that_fills_the_image_has_a_share_of_1() -> None:
 @pytest.mark.parametrize("z", [0.0499, 0.0, -0.001, -2.0])
 def test_a_sprite_too_near_or_behind_the_camera_is_not_drawn(z: float) -> None:
     images, depth = blank()
-    drawn, share = overlay(images, depth, *_with_k(ahead((0.0, 0.0, z))), plain_sprite(), size=0.5, near=0.05)
+    drawn, share, _ = overlay(images, depth, *_with_k(ahead((0.0, 0.0, z))), plain_sprite(), size=0.5, near=0.05)
     assert share.item() == 0.0 and torch.equal(drawn, images)
 
 
@@ -133,7 +137,7 @@ def test_a_small_sprite_keeps_its_share_of_the_image_wherever_it_stands(sprite: 
     places = torch.rand(50, 3, generator=generator) * torch.tensor([0.1, 0.1, 0.0]) * distance
     places[:, 2] = distance
     images, depth = blank(50)
-    _, share = overlay(images, depth, torch.eye(4).expand(50, 4, 4), K, places, sprite, size=0.5)
+    _, share, _ = overlay(images, depth, torch.eye(4).expand(50, 4, 4), K, places, sprite, size=0.5)
     mean = sprite.texels[-9, 3].item()  # alpha of the last level, which is one texel padded with eight
     expected = mean * 30 * 20 * (0.5 / distance) ** 2 / (WIDTH * HEIGHT)
     steps = 1 / billboard.ALPHA_STEPS / (WIDTH * HEIGHT) * 20
@@ -144,7 +148,7 @@ def test_a_sprite_that_moves_by_part_of_a_pixel_changes_smoothly() -> None:
     places = torch.zeros(200, 3)
     places[:, 0], places[:, 2] = torch.linspace(-0.5, 0.5, 200), 10.0  # sprites of 1.5 pixels, 0.015 pixels apart
     images, depth = blank(200)
-    drawn, _ = overlay(images, depth, torch.eye(4).expand(200, 4, 4), K, places, chequered(), size=0.5)
+    drawn, *_ = overlay(images, depth, torch.eye(4).expand(200, 4, 4), K, places, chequered(), size=0.5)
     assert (drawn[1:].int() - drawn[:-1].int()).abs().max() <= 3
     assert (drawn[0] != drawn[-1]).any()
 
@@ -152,7 +156,7 @@ def test_a_sprite_that_moves_by_part_of_a_pixel_changes_smoothly() -> None:
 def test_fine_detail_is_averaged_instead_of_sampled() -> None:
     images, depth = blank()
     pose, place = ahead((0.0, 0.0, 1.0))  # 9 × 6 pixels show 64 × 64 texels
-    drawn, _ = overlay(images, depth, pose, K, place, chequered(64), size=0.3)
+    drawn, *_ = overlay(images, depth, pose, K, place, chequered(64), size=0.3)
     inner = drawn[0, 12:16, 14:20].int()
     assert ((inner - 178).abs() <= 6).all()  # half white, half 100
 
@@ -163,7 +167,7 @@ def test_a_magnified_sprite_is_interpolated() -> None:
     step[:, 1, :3] = 255
     images, depth = blank()
     pose, place = ahead((0.0, 0.0, 1.0))
-    drawn, _ = overlay(images, depth, pose, K, place, Sprite.of(step), size=1.0)  # texels of 15 pixels
+    drawn, *_ = overlay(images, depth, pose, K, place, Sprite.of(step), size=1.0)  # texels of 15 pixels
     ramp = drawn[0, 14, :, 0].float()
     expected = 255 * ((torch.arange(WIDTH) + 0.5 - 17) / 15 + 0.5).clamp(0, 1)
     torch.testing.assert_close(ramp[10:24], expected[10:24], atol=0.51, rtol=0)
@@ -179,7 +183,7 @@ def test_an_image_does_not_depend_on_the_others_of_its_batch() -> None:
     for row in range(9):
         one = slice(row, row + 1)
         alone = overlay(images[one], depth[one], poses[one], K, places[one], APPLE, size=0.4)
-        assert torch.equal(alone[0], together[0][one]) and torch.equal(alone[1], together[1][one])
+        assert all(torch.equal(mine, whole[one]) for mine, whole in zip(alone, together, strict=True))
 
 
 def test_drawing_all_pixels_as_a_gpu_does_gives_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -208,9 +212,9 @@ def test_batches_of_any_shape_are_drawn_alike() -> None:
     )  # fmt: skip
     single = overlay(images[4], depth[4], poses[4], K, places[4], plain_sprite(), size=0.2)
     empty = overlay(images[:0], depth[:0], poses[:0], K, places[:0], plain_sprite(), size=0.2)
-    assert torch.equal(nested[0].flatten(0, 1), flat[0]) and torch.equal(nested[1].flatten(0, 1), flat[1])
-    assert torch.equal(single[0], flat[0][4]) and torch.equal(single[1], flat[1][4])
-    assert empty[0].shape == (0, HEIGHT, WIDTH, 3) and empty[1].shape == (0, 1)
+    for one, rows, all_rows in zip(single, nested, flat, strict=True):
+        assert torch.equal(rows.flatten(0, 1), all_rows) and torch.equal(one, all_rows[4])
+    assert [part.shape for part in empty] == [(0, HEIGHT, WIDTH, 3), (0, 1), (0, HEIGHT, WIDTH)]
 
 
 @pytest.mark.gpu
@@ -231,5 +235,5 @@ def test_drawing_on_another_device_never_synchronises() -> None:
     images, depth = blank(3)
     poses, places = ahead((0.0, 0.0, 1.0), (0.1, 0.0, 1.2), (0.0, 0.0, -1.0))
     meta = [x.to("meta") for x in (images, depth, poses, K, places)]  # has shapes, but no values to read
-    drawn, share = overlay(*meta, APPLE.to("meta"), size=0.4)
+    drawn, share, _ = overlay(*meta, APPLE.to("meta"), size=0.4)
     assert drawn.shape == images.shape and share.shape == (3, 1)

@@ -5,9 +5,11 @@ import torch
 from hydra.utils import instantiate
 from tensordict import TensorDict
 
-from splatrl.cameras import Cameras
+from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.configuration import load_config
-from splatrl.envs.drawing import SceneDrawing, Shot, SpriteDrawing, overlay
+from splatrl.envs.drawing import DepthDrawing, SceneDrawing, Shot, SpriteDrawing, overlay
+from splatrl.envs.drawing.base import solid_depth
+from splatrl.envs.transforms.weather import CLEAR, Weather
 from splatrl.renderers.base import to_pixels
 from tests.envs.contract import EnvContract, seeded_rollout
 from tests.envs.transforms.views import PLACE, plain_drawing, plain_sprite, renderer, seeing_env
@@ -33,8 +35,8 @@ def test_an_episode_shows_the_sprite_over_the_rendered_scene() -> None:
     batch = seeded_rollout(seeing_env((6,), sprite=True), 12, 0).flatten()
     seen = tiny_robot().cameras(tiny_motion().body_to_world(batch["state"]))
     rgb, depth, alpha = renderer().render(seen)
-    view = to_pixels(rgb), depth.masked_fill(alpha < 0.5, 0.0), seen.camera_to_world, tiny_robot().K
-    pixels, share = overlay(*view, torch.tensor(PLACE), plain_sprite(), 0.3)
+    view = to_pixels(rgb), solid_depth(depth, alpha), seen.camera_to_world, tiny_robot().K
+    pixels, share, _ = overlay(*view, torch.tensor(PLACE), plain_sprite(), 0.3)
     assert torch.equal(batch["pixels"], pixels) and torch.equal(batch["sprite_share"], share)
     assert (share > 0).any() and (share == 0).any()
 
@@ -43,6 +45,23 @@ def test_the_block_in_the_middle_hides_the_sprite_behind_it() -> None:
     # looking along +x, from x = -1 through the block and from x = 0.5 beyond it
     share = plain_drawing().draw(Shot(cameras([0, 3, 0], [3, 3, 0]))).shown["sprite_share"].flatten()
     assert share[0] == 0 and share[1] > 0.1
+
+
+def test_the_sprite_has_its_own_depth_before_a_wall_and_before_nothing_and_fades_little_in_thin_fog() -> None:
+    eyes = torch.tensor([[-1.0, 0.0, 0.5], [0.5, 0.0, 0.5], [5.0, 0.0, 0.5]])  # behind the block, beyond it, outside
+    poses = look_at(eyes, eyes + torch.tensor([1.0, 0.0, 0.0]))
+    target = torch.tensor([[1.2, 0.0, 0.5], [1.2, 0.0, 0.5], [6.0, 0.0, 0.5]])
+    shot = Shot(Cameras(poses, intrinsics(1.5, 17, 11), 17, 11), {"target": target})
+    bare = DepthDrawing(SceneDrawing(renderer()), 11, 17).draw(shot).shown["view_depth"]
+    pixels, shown, _ = DepthDrawing(SpriteDrawing(renderer(), plain_sprite(), size=0.2), 11, 17).draw(shot)
+    depth = shown["view_depth"]
+    assert torch.equal(depth[0], bare[0]) and bare[1, 5, 8] > 0.9 and bare[2, 5, 8] == torch.inf
+    torch.testing.assert_close(depth[1:, 5, 8], torch.tensor([0.7, 1.0]))
+    assert torch.equal(depth[:, :, 0], bare[:, :, 0])
+    weather = torch.tensor([CLEAR] * 3)
+    weather[:, 0] = 0.001  # fog
+    foggy = Weather()(TensorDict({"pixels": pixels.clone(), "view_depth": depth, "weather": weather}, [3]))["pixels"]
+    torch.testing.assert_close(foggy[2, 5, 8], pixels[2, 5, 8], atol=1, rtol=0)
 
 
 def test_the_sprite_is_drawn_at_the_target_of_the_task() -> None:
