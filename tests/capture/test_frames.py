@@ -160,6 +160,20 @@ def test_a_single_photo_is_refused_with_the_advice_to_name_its_folder(name: str,
         read_photos(tmp_path / name, tmp_path / "out")
 
 
+def test_of_too_many_photos_the_sharpest_of_each_group_is_used_and_that_is_said(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    noise = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
+    for number in range(6):
+        image = Image.fromarray(noise)
+        (image if number in (1, 2, 4, 5) else image.filter(ImageFilter.GaussianBlur(3))).save(
+            tmp_path / "in" / f"{number}.png"
+        )
+    photos = read_photos(tmp_path / "in", tmp_path / "out", count=(2, 4))
+    assert photos.files == ("1.png", "2.png", "4.png", "5.png") and photos.cuts == ()
+    assert photos.remarks == ("4 of 6 photos are used, the sharpest of each group of neighbours.",)
+    assert read_photos(tmp_path / "in", tmp_path / "out", count=(2, 6)).remarks == ()
+
+
 def test_photos_are_upright_in_numeric_order_and_take_their_focal_length_from_exif(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     for number in (9, 10):
