@@ -190,6 +190,26 @@ def test_photos_are_upright_in_numeric_order_and_take_their_focal_length_from_ex
     assert photos.K[:2, 2].tolist() == [30, 40]
 
 
+def test_photos_are_in_the_order_of_the_times_that_all_of_them_state(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+
+    def write(name: str, taken: str | None, fraction: str | None = None) -> None:
+        exif = Image.Exif()
+        told = exif.get_ifd(0x8769)
+        told.update({0x9003: taken} if taken else {})
+        told.update({0x9291: fraction} if fraction else {})
+        Image.new("RGB", (80, 60)).save(tmp_path / "in" / name, exif=exif)
+
+    write("a.jpg", "2024:05:01 10:00:00", "5")
+    write("b.jpg", "2024:05:01 10:00:00", "25")
+    write("c10.jpg", "2024:05:01 09:59:59")
+    write("c9.jpg", "2024:05:01 09:59:59")
+    assert read_photos(tmp_path / "in", tmp_path / "out").files == ("c9.jpg", "c10.jpg", "b.jpg", "a.jpg")
+    for unknown in (None, "0000:00:00 00:00:00"):
+        write("b.jpg", unknown)
+        assert read_photos(tmp_path / "in", tmp_path / "out").files == ("a.jpg", "b.jpg", "c9.jpg", "c10.jpg")
+
+
 def test_photos_taken_through_several_lenses_are_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     for number, millimetres in enumerate((26, 27, None, 26, 13)):
