@@ -77,7 +77,7 @@ def against(truth: Truth, job: Job, model: Any) -> tuple[int, float, float, floa
         return len(images), 0.0, float("nan"), float("nan")
     seconds = np.array(job.seconds)[images]
     away = distances(torch.from_numpy(places), poses_at(torch.from_numpy(seconds), truth)[:, :3, 3])
-    return len(images), jerks(leaps(places, seconds)), float(away.square().mean().sqrt()), float(away.max())
+    return len(images), jerks(leaps(places, seconds, job.cuts)), float(away.square().mean().sqrt()), float(away.max())
 
 
 def mapped(name: str, film: Path, folder: Path, seed: int) -> list[Map]:

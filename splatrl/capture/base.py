@@ -34,6 +34,7 @@ class Photos:
             others; None where none was.
         remarks: what of the source was not used although it should have been, one sentence each.
         files: N names of the source's files, for messages; empty where the images are known by their ``seconds``.
+        cuts: times at which another take begins in a film that was put together from several, in those of ``seconds``.
     """
 
     paths: list[Path]
@@ -49,6 +50,7 @@ class Photos:
     turned: Tensor | None = None
     remarks: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
+    cuts: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,7 @@ class Reconstruction:
         seconds: [N] float64, time at which each image was taken, as in ``Photos``; None where unknown.
         gps: [N, 2] float64, as in ``Photos``.
         turned: [N] bool, as in ``Photos``.
+        cuts: times at which another take begins, as in ``Photos``.
     """
 
     paths: list[Path]
@@ -90,6 +93,7 @@ class Reconstruction:
     seconds: Tensor | None = None
     gps: Tensor | None = None
     turned: Tensor | None = None
+    cuts: tuple[float, ...] = ()
 
     def K_at(self, width: int, height: int) -> Tensor:
         """Return the intrinsics [3, 3] float64 for these images at another size."""

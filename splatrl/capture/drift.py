@@ -36,8 +36,8 @@ def leap(placed: Placed) -> str | None:
     when = float(seconds[most + 1])
     return (
         f"The camera seems to jump at {when:.0f} s, where its velocity changes {sudden[most]:.0f} times as much as "
-        "usual: the parts before and after may be joined wrongly. Film that part again, more slowly and with more in "
-        "view."
+        "usual: unless two takes were put together there, the parts before and after may be joined wrongly. Film that "
+        "part again, more slowly and with more in view."
     )
 
 

@@ -3,8 +3,8 @@
 import itertools
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -14,6 +14,7 @@ from PIL import Image
 
 from splatrl.capture import photo_files, videos
 from splatrl.capture.base import CaptureError, Photos
+from splatrl.capture.cuts import cuts, pattern
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.stages import Stages, fingerprint
 from splatrl.images import PHOTO_SUFFIXES
@@ -40,6 +41,14 @@ class _Taken:
     file: str | None = None
     gps: tuple[float, float] | None = None
     turned: bool = False
+
+
+@dataclass(frozen=True)
+class _Told:
+    """What is known of a source once all of its images were taken, as in ``Photos``."""
+
+    remarks: list[str] = field(default_factory=list)
+    cuts: list[float] = field(default_factory=list)
 
 
 def read_photos(
@@ -74,13 +83,8 @@ def read_photos(
         raise CaptureError(f"{source}: expected a video or a folder of photos, got a single photo; name its folder")
 
     def write(made: Path) -> None:
-        remarks: list[str] = []
-        taken = (
-            _from_folder(source, count, longest, progress)
-            if source.is_dir()
-            else _from_video(source, count, longest, progress, remarks.append)
-        )
-        _write(made, taken, source, remarks)
+        told, read = _Told(), _from_folder if source.is_dir() else _from_video
+        _write(made, read(source, count, longest, progress, told), source, told)
 
     key = fingerprint([count, longest], files=photo_files.photos_of(source) if source.is_dir() else [source])
     return _photos(Stages(folder).folder("frames", key, write))
@@ -124,16 +128,20 @@ def sharpest(graded: Iterable[tuple[int, Thing, float]]) -> Iterator[Thing]:
 
 
 def _from_video(
-    source: Path, count: tuple[int, int], longest: int, progress: Progress, remark: Callable[[str], object]
+    source: Path, count: tuple[int, int], longest: int, progress: Progress, told: _Told
 ) -> Iterator[_Taken]:
     times = videos.packet_times(source)
     ends, start, found = buckets(times, count), float(times[0]), False
     encoding = videos.encoding_of(source)
+    shown: list[float] = []
+    patterns: list[np.ndarray] = []
 
     def graded() -> Iterator[tuple[int, tuple[float, "VideoFrame"], float]]:
-        for number, (seconds, frame) in enumerate(videos.frames(source, remark)):
+        for number, (seconds, frame) in enumerate(videos.frames(source, told.remarks.append)):
             progress("frames", min(number, len(times)), len(times))
             grey = videos.grey(frame, SHARPNESS_WIDTH)
+            shown.append(seconds - start)
+            patterns.append(pattern(grey))
             if grey.mean() >= BLACK:
                 yield int(np.searchsorted(ends, seconds, side="right")), (seconds, frame), sharpness(grey)
 
@@ -142,13 +150,18 @@ def _from_video(
         yield _Taken(videos.upright(frame, longest, encoding), seconds - start)
     if not found:
         raise CaptureError(f"{source}: expected decodable frames that are not black, found none")
+    told.cuts.extend(cuts(shown, patterns))
     progress("frames", len(times), len(times))
 
 
-def _from_folder(source: Path, count: tuple[int, int], longest: int, progress: Progress) -> Iterator[_Taken]:
+def _from_folder(
+    source: Path, count: tuple[int, int], longest: int, progress: Progress, told: _Told
+) -> Iterator[_Taken]:
     paths = photo_files.photos_of(source)
     lying = photo_files.lying(paths, longest)
     groups = np.array_split(np.arange(len(paths)), min(len(paths), count[1]))
+    if len(groups) < len(paths):
+        told.remarks.append(f"{len(groups)} of {len(paths)} photos are used, the sharpest of each group of neighbours.")
 
     def graded() -> Iterator[tuple[int, _Taken, float]]:
         for bucket, group in enumerate(groups):
@@ -165,8 +178,8 @@ def _from_folder(source: Path, count: tuple[int, int], longest: int, progress: P
     progress("photos", len(paths), len(paths))
 
 
-def _write(made: Path, taken: Iterator[_Taken], source: Path, remarks: list[str]) -> None:
-    """Write the images and what is known of them; ``remarks`` are complete once all images were taken."""
+def _write(made: Path, taken: Iterator[_Taken], source: Path, told: _Told) -> None:
+    """Write the images and what is known of them; ``told`` is complete once all images were taken."""
     names, seconds, files, gps, turned = [], [], [], [], []
     rows: list[np.ndarray] = []
     columns: list[np.ndarray] = []
@@ -196,7 +209,8 @@ def _write(made: Path, taken: Iterator[_Taken], source: Path, remarks: list[str]
         "focal": focal,
         "gps": gps,
         "turned": turned,
-        "remarks": remarks,
+        "remarks": told.remarks,
+        "cuts": told.cuts,
     }
     (made / INDEX).write_text(json.dumps(index), "utf-8")
 
@@ -229,4 +243,5 @@ def _photos(kept: Path) -> Photos:
         turned=turned,
         remarks=tuple(index["remarks"]),
         files=tuple(index["files"]),
+        cuts=tuple(index["cuts"]),
     )

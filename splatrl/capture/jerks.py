@@ -1,5 +1,7 @@
 """How unevenly the camera of a film moved: where a part was joined wrongly to the rest, it seems to leap."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,30 +18,36 @@ FEWEST = 38
 """Minimum number of velocity changes, those of 40 images; with fewer, the 99th percentile says nothing."""
 
 
-def leaps(places: Floats, seconds: Floats) -> Floats:
+def leaps(places: Floats, seconds: Floats, cuts: Sequence[float] = ()) -> Floats:
     """Return the size of each change of a camera's velocity, relative to the median change while it moves.
+
+    From one take of a film to the next, the camera may be carried anywhere, which is no leap.
 
     Args:
         places: [N, 3] positions of the camera, in any unit.
         seconds: [N] times at which it was there, ascending.
+        cuts: times at which another take begins.
 
     Returns:
-        [N − 2], for the second position to the last but one.
+        [N − 2], for the second position to the last but one; 0 where the positions around it are of several takes.
     """
+    take = np.searchsorted(np.asarray(cuts, np.float64), seconds, side="right")
+    whole = take[2:] == take[:-2]
+    if not whole.any():
+        return np.zeros(len(whole))
     velocity = np.diff(places, axis=0) / np.maximum(np.diff(seconds), 1e-3)[:, None]
     changes: Floats = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
-    if not len(changes):
-        return changes
     speed = np.linalg.norm(velocity, axis=1)
-    moves = np.maximum(speed[1:], speed[:-1]) >= MOVING * np.quantile(speed, 0.9)
-    return changes / max(float(np.median(changes[moves])), 1e-12)
+    usual = np.quantile(speed[np.append(whole, False) | np.append(False, whole)], 0.9)
+    moves = whole & (np.maximum(speed[1:], speed[:-1]) >= MOVING * usual)
+    return np.where(whole, changes / max(float(np.median(changes[moves])), 1e-12), 0.0)
 
 
 def camera_leaps(found: Reconstruction) -> Floats:
     """Return the ``leaps`` of a film's camera; empty where the capture times are unknown."""
     if found.seconds is None:
         return np.zeros(0)
-    return leaps(found.camera_to_world[:, :3, 3].numpy(), found.seconds.numpy())
+    return leaps(found.camera_to_world[:, :3, 3].numpy(), found.seconds.numpy(), found.cuts)
 
 
 def jerks(sudden: Floats) -> float:

@@ -23,6 +23,7 @@ class Job:
         camera_to_world: [N][4][4] known poses, which are not changed; None where they are still to be found.
         seed: seed of every random sample.
         seconds: [N] time at which each image of a film was taken, ascending; None for photos.
+        cuts: times at which another take of the film begins.
     """
 
     images: str
@@ -34,6 +35,7 @@ class Job:
     camera_to_world: list[list[list[float]]] | None = None
     seed: int = 0
     seconds: list[float] | None = None
+    cuts: tuple[float, ...] = ()
 
 
 def write_job(folder: Path, job: Job) -> None:

@@ -1,5 +1,6 @@
 """Second stage: a quick look at the images, which tells in seconds that a capture cannot work, and why."""
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,8 +16,11 @@ GROUP = 6
 """Neighbours per group that is looked at in a long video: images a second apart may share little in a good film."""
 APART = 0.34
 """Maximum time between neighbours, seconds, where the video has enough images."""
+LATER = 3
+"""How many places later the image is with which each is compared, where neighbours are at most ``APART``; where the
+images of a longer film lie farther apart, it is as many as are in that time, but at least one."""
 FEW = 40
-"""Maximum number of photos of which all pairs are compared, since their order may mean nothing."""
+"""Maximum number of images of which all pairs are compared."""
 MIN_BRIGHTNESS = 25.0
 MIN_KEYPOINTS = 60
 """Minimum number of distinct points. A film of bare walls has 0; one that turns fast close to walls has 119, and 85 %
@@ -24,7 +28,8 @@ of its images find a pose."""
 BARE, MAX_BARE = 100, 0.4
 """Number of points, faint ones included, below which an image is bare and says nothing of the speed (fast films have
 hundreds); and the maximum fraction of bare images."""
-MIN_VERIFIED = 0.8
+MIN_VERIFIED, OTHERS = 0.8, 2
+"""Minimum fraction of images that must share points, and the number of others with which each photo must."""
 MAX_TURNED = 0.85
 """Maximum fraction of pairs that turning alone explains. Films that pan for seven seconds at each of four or five
 places, with some steps between, have 0.65 to 0.8 and are captured well; one that only turned has 0.97."""
@@ -40,14 +45,15 @@ class Look:
         images: number of images looked at.
         brightness: median over the images of their mean grey level, 0 to 255.
         keypoints: number of distinct points in the better images (75th percentile), at most 1,500.
-        verified: fraction of images in which enough points of the third next image are found again, counting pairs
-            without bare images only; for few photos, fraction that share points with at least two others.
-        turned: among pairs that share points and lie at least three images apart (for few photos, at any distance), the
-            fraction that a camera which only turned explains.
+        verified: fraction of images in which enough points of the image ``later`` places on are found again, counting
+            pairs without bare images only; for ``unordered`` images, fraction that share points with two others.
+        turned: among pairs that share points and lie at least ``later`` images apart (for at most ``FEW`` images, at
+            any distance), the fraction that a camera which only turned explains.
         shift: median displacement of a point between such images, as a fraction of the image's longer side.
         angle: angle under which the camera saw the same point from two places, radians, 90th percentile.
-        few: whether these are few photos, with all pairs compared.
+        unordered: whether the images are photos, whose order may mean nothing, or few.
         bare: fraction of images with fewer than ``BARE`` points.
+        apart: time from one of these images to the next in a film, seconds; 0 for photos.
     """
 
     images: int
@@ -57,8 +63,14 @@ class Look:
     turned: float
     shift: float
     angle: float
-    few: bool = False
+    unordered: bool = False
     bare: float = 0.0
+    apart: float = 0.0
+
+    @property
+    def later(self) -> int:
+        """How many places later the image is with which each is compared."""
+        return _later(self.apart)
 
     def cause(self) -> str | None:
         """Return why this capture cannot work, with figures and advice; None where it can work."""
@@ -102,14 +114,20 @@ class Look:
         if self.verified >= MIN_VERIFIED:
             return None
         images, needed = f"only {self.verified:.0%} of the images", f"but at least {MIN_VERIFIED:.0%} must"
-        if self.few:
+        if self.unordered:
             return (
                 f"photos too far apart: {images} share enough points with two others, {needed}. Take more photos, "
                 "each showing at least two thirds of the one before."
             )
+        if self.later < LATER:
+            return (
+                f"too long or too fast: {images} share enough points with the image {self.later * self.apart:.1f} s "
+                f"later, {needed}; so long a film gives images that lie {self.apart:.1f} s apart. Cut it to a minute, "
+                "capture its parts, or move and turn more slowly."
+            )
         return (
             f"moved too fast: {images} share enough points with the image three places later, {needed}. Move at a slow "
-            "walk, turn slowly, add light, or take more frames."
+            "walk, turn slowly, or add light."
         )
 
     def _motion(self) -> str | None:
@@ -146,43 +164,52 @@ def look(photos: Photos, progress: Progress = silent) -> Look:
     for number in chosen.tolist():
         progress("look", len(seen), 5 * len(chosen))
         seen.append(features(photos.paths[number]))
-    few = len(photos.paths) <= FEW
-    pairs = list(_pairs(len(seen), few, group))
-    found = {}
+    unordered = bool(photos.files) or len(seen) <= FEW
+    near = list(_pairs(len(seen), group))
+    pairs = [*near, *itertools.combinations(range(len(seen)), 2)] if unordered else near
+    found: dict[tuple[int, int], Pair] = {}
+    others = np.zeros(len(seen), int)  # with which each shares points
     for done, (first, second) in enumerate(pairs):
+        needless = done >= len(near) and len(seen) > FEW and min(others[first], others[second]) >= OTHERS
+        if (first, second) in found or needless:
+            continue
         progress("look", len(seen) + 4 * len(seen) * done // len(pairs), 5 * len(seen))
         found[first, second] = related(seen[first], seen[second])
+        others[[first, second]] += found[first, second].kind != "none"
     progress("look", 1, 1)
-    return summed(seen, found, few)
+    apart = 0.0 if photos.files or len(chosen) < 2 else float(np.median(np.diff(photos.seconds.numpy()[chosen])))
+    return summed(seen, found, unordered, apart)
 
 
-def summed(seen: list[Features], found: dict[tuple[int, int], Pair], few: bool) -> Look:
+def summed(seen: list[Features], found: dict[tuple[int, int], Pair], unordered: bool, apart: float = 0.0) -> Look:
     """Compute the figures of a look.
 
     Args:
         seen: features of the images.
         found: relations of pairs of images, by their two indices, the smaller one first.
-        few: whether these are few photos, with all pairs compared.
+        unordered: whether the images are photos, or few.
+        apart: time from one image to the next, seconds; 0 for photos.
     """
+    later = _later(apart)
     sharing = {pair: how for pair, how in found.items() if how.kind != "none"}
     bare = [len(image.points) < BARE for image in seen]
-    if few:
+    if unordered:
         others = [sum(number in pair for pair in sharing) for number in range(len(seen))]
-        verified = float(np.mean([count >= 2 for count in others])) if others else 0.0
+        joined = [count >= OTHERS for count in others]
     else:
-        third = [pair in sharing for pair in found if pair[1] - pair[0] == 3 and not any(bare[n] for n in pair)]
-        verified = float(np.mean(third)) if third else 0.0
-    apart = [how for pair, how in sharing.items() if few or pair[1] - pair[0] >= 3]
+        joined = [pair in sharing for pair in found if pair[1] - pair[0] == later and not any(bare[n] for n in pair)]
+    far = [how for pair, how in sharing.items() if len(seen) <= FEW or pair[1] - pair[0] >= later]
     return Look(
         images=len(seen),
         brightness=float(np.median([image.brightness for image in seen])),
         keypoints=float(np.percentile([image.distinct for image in seen], 75)),
-        verified=verified,
-        turned=float(np.mean([how.kind == "turned" for how in apart])) if apart else 0.0,
-        shift=float(np.median([how.shift for how in apart])) if apart else 0.0,
-        angle=float(np.percentile([how.angle for how in apart], 90)) if apart else 0.0,
-        few=few,
+        verified=float(np.mean(joined)) if joined else 0.0,
+        turned=float(np.mean([how.kind == "turned" for how in far])) if far else 0.0,
+        shift=float(np.median([how.shift for how in far])) if far else 0.0,
+        angle=float(np.percentile([how.angle for how in far], 90)) if far else 0.0,
+        unordered=unordered,
         bare=float(np.mean(bare)),
+        apart=apart,
     )
 
 
@@ -198,10 +225,11 @@ def _chosen(seconds: np.ndarray) -> tuple[np.ndarray, int]:
     return (starts[:, None] + step * np.arange(GROUP)).reshape(-1), GROUP
 
 
-def _pairs(count: int, few: bool, group: int) -> Iterator[tuple[int, int]]:
-    if few:
-        yield from ((first, second) for first in range(count) for second in range(first + 1, count))
-        return
-    for offset in (1, 2, 3):
+def _later(apart: float) -> int:
+    return min(LATER, max(1, int(LATER * APART / apart))) if apart > 0 else LATER
+
+
+def _pairs(count: int, group: int) -> Iterator[tuple[int, int]]:
+    for offset in range(1, LATER + 1):
         yield from ((first, first + offset) for first in range(count - offset) if first % group + offset < group)
     yield from ((first, second) for first in range(0, count, 5) for second in range(first + 5, count, 5))

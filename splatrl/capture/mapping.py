@@ -133,7 +133,7 @@ def _jerks(model: Any, job: Job) -> float:
     if job.seconds is None:
         return 0.0
     images, places = camera_places(model, job)
-    return jerks(leaps(places, np.array(job.seconds)[images]))
+    return jerks(leaps(places, np.array(job.seconds)[images], job.cuts))
 
 
 def camera_places(model: Any, job: Job) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

@@ -13,13 +13,13 @@ from PIL import Image
 from splatrl import images
 from splatrl.capture.base import CaptureError
 from splatrl.capture.videos import shrunk_size
-from splatrl.files import natural
+from splatrl.files import natural, refusing
 from splatrl.images import PHOTO_FORMATS, PHOTO_SUFFIXES
 
 UNREAD = (".heic", ".heif", ".avif", ".dng", ".tif", ".tiff", ".jxl")
 FILMS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mts", ".mpg", ".3gp")
 """Suffixes of files that are named where a folder holds no photos."""
-EXIF_IFD, FOCAL_35MM, GPS_IFD = 0x8769, 0xA405, 0x8825
+EXIF_IFD, FOCAL_35MM, GPS_IFD, TAKEN, SUBSECOND = 0x8769, 0xA405, 0x8825, 0x9003, 0x9291
 NAMED = 5
 """Maximum number of photos that a message names."""
 ONE_LENS = 0.1
@@ -28,7 +28,10 @@ DIAGONAL_35MM = math.hypot(36, 24)
 
 
 def photos_of(folder: Path) -> list[Path]:
-    """Return the photos of a folder in the order of the numbers in their names.
+    """Return the photos of a folder in the order in which they were taken.
+
+    That is the order of the times in their EXIF where all of them state one, and otherwise that of the numbers in their
+    names, which also orders photos of the same time.
 
     Args:
         folder: the folder to look in; its sub-folders are not searched.
@@ -51,6 +54,9 @@ def photos_of(folder: Path) -> list[Path]:
         hint = f"; there are some in {deeper[0]}, so name that folder" if deeper else ""
         hint = f"; there is a film, {films[0]}, so name that" if films else hint
         raise CaptureError(f"{folder}: expected photos ({kinds}), found none{hint}")
+    times = [_time(path) for path in found]
+    if all(times):
+        return [path for _, path in sorted(zip(times, found, strict=True), key=lambda timed: timed[0])]
     return found
 
 
@@ -120,7 +126,7 @@ def focal_length(folder: Path, size: tuple[int, int]) -> float | None:
     """
     told: dict[str, float] = {}
     for path in photos_of(folder):
-        with suppress(OSError, SyntaxError, ValueError):
+        with suppress(OSError, ValueError):
             millimetres = _exif(path, EXIF_IFD).get(FOCAL_35MM)
             if isinstance(millimetres, int | float) and millimetres > 0:
                 told[path.name] = float(millimetres)
@@ -148,7 +154,7 @@ def gps_place(path: Path) -> tuple[float, float] | None:
         told = _exif(path, GPS_IFD)
         latitude = _degrees(told[2]) * (-1 if told[1] == "S" else 1)
         longitude = _degrees(told[4]) * (-1 if told[3] == "W" else 1)
-    except (OSError, SyntaxError, ValueError, TypeError, KeyError, ZeroDivisionError):
+    except (OSError, ValueError, TypeError, KeyError, ZeroDivisionError):
         return None
     known = abs(latitude) <= 90 and abs(longitude) <= 180 and (latitude, longitude) != (0, 0)
     return (latitude, longitude) if known else None
@@ -167,9 +173,19 @@ def _named(names: list[str]) -> str:
 
 
 def _exif(path: Path, directory: int) -> dict[int, Any]:
-    """Return the tags of one directory in a photo's EXIF."""
-    with Image.open(path, formats=PHOTO_FORMATS) as image:
+    """Return the tags of one directory in a photo's EXIF; ValueError for what cannot be read."""
+    with refusing(path, "a photo with or without EXIF"), Image.open(path, formats=PHOTO_FORMATS) as image:
         return dict(image.getexif().get_ifd(directory))
+
+
+def _time(path: Path) -> str:
+    """Return when a photo was taken, as text that sorts by time; empty where EXIF does not state it."""
+    with suppress(OSError, ValueError):
+        told = _exif(path, EXIF_IFD)
+        taken = told.get(TAKEN)
+        if isinstance(taken, str) and any(digit in taken for digit in "123456789"):
+            return f"{taken.strip()}.{told.get(SUBSECOND, '')}"
+    return ""
 
 
 def _degrees(told: Iterable[float]) -> float:

@@ -87,6 +87,7 @@ def job_of(photos: Photos, seed: int = 0, exact_camera: bool = False) -> Job:
         camera_to_world=None if photos.camera_to_world is None else photos.camera_to_world.tolist(),
         seed=seed,
         seconds=None if photos.files else photos.seconds.tolist(),
+        cuts=photos.cuts,
     )
 
 
@@ -159,6 +160,7 @@ def _reconstruction(
         seconds=None if photos.files else photos.seconds[torch.tensor(images, dtype=torch.int64)],
         gps=None if photos.gps is None else photos.gps[torch.tensor(images, dtype=torch.int64)],
         turned=None if photos.turned is None else photos.turned[torch.tensor(images, dtype=torch.int64)],
+        cuts=photos.cuts,
     )
 
 

@@ -30,6 +30,8 @@ show bare walls and sky."""
 SPARSE = 40
 """Maximum number of images of which all pairs are matched, with features from the doubled image, as photos far from
 each other need."""
+ALIKE = 20
+"""Number of photos that look alike with which each is matched, since those next to it may show another place."""
 
 
 def pairs(count: int) -> list[tuple[int, int]]:
@@ -125,7 +127,9 @@ def _without_features(database: Path) -> list[str]:
 def _match(pycolmap: Any, folder: Path, job: Job) -> None:
     chosen = pairs(len(job.names))
     if len(job.names) > SPARSE:
-        chosen = sorted({*chosen, *loop_pairs(_descriptors(pycolmap, folder, job))})
+        unordered = job.seconds is None and job.camera_to_world is None
+        looks = {"partners": ALIKE, "apart": 1} if unordered else {}
+        chosen = sorted({*chosen, *loop_pairs(_descriptors(pycolmap, folder, job), **looks)})
     lines = [f"{job.names[first]} {job.names[second]}\n" for first, second in chosen]
     (folder / PAIRS).write_text("".join(lines), "utf-8")
     pairing = pycolmap.ImportedPairingOptions(block_size=50, match_list_path=str(folder / PAIRS))

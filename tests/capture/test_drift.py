@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from splatrl.capture.drift import leap, lost_scale
-from splatrl.capture.world import Placed, moved, place
+from splatrl.capture.world import SCALE_ERROR, Placed, moved, place
 from tests.capture.walks import CAMERAS, walk
 
 
@@ -36,7 +36,7 @@ def test_only_a_large_change_of_scale_half_way_counts_as_lost_scale(scale: float
 HALF, STILL = 40, 90
 
 
-def _film(jump: float, still: int = 0) -> Placed:
+def _film(jump: float, still: int = 0, cuts: tuple[float, ...] = ()) -> Placed:
     """Return a walk whose second half is shifted sideways by ``jump`` metres, after ``still`` images from one place."""
     first = walk()
     rows = torch.arange(still + 2 * HALF) % CAMERAS
@@ -47,7 +47,7 @@ def _film(jump: float, still: int = 0) -> Placed:
     poses[:still, 2, 3] = poses[still, 2, 3]
     poses[:, :3, 3] += 0.0002 * torch.randn(len(rows), 3, generator=torch.Generator().manual_seed(0))
     poses[still + HALF :, 1, 3] += jump
-    film = replace(first, paths=[first.paths[row] for row in rows], camera_to_world=poses, seconds=seconds)
+    film = replace(first, paths=[first.paths[row] for row in rows], camera_to_world=poses, seconds=seconds, cuts=cuts)
     return place(film, marker=None, camera_height=1.4)
 
 
@@ -62,6 +62,15 @@ def test_a_camera_that_jumps_is_reported_with_the_time_of_the_jump(scale: float)
 def test_a_film_that_stands_still_for_half_its_length_is_not_reported_as_jumping() -> None:
     assert leap(_film(0.0, still=STILL)) is None
     assert "jump at 32 s" in str(leap(_film(1.5, still=STILL)))
+
+
+def test_the_way_from_one_take_to_the_next_is_no_leap_and_a_leap_within_a_take_is_reported() -> None:
+    torn = _film(1.5)
+    assert torn.scale_error is None
+    takes = _film(1.5, cuts=(9.9,))
+    assert leap(takes) is None and takes.scale_error == SCALE_ERROR["camera_height"]
+    assert "jump at 10 s" in str(leap(_film(1.5, cuts=(5.1, 15.0))))
+    assert leap(_film(1.5, cuts=tuple(np.arange(0.1, 20.0, 0.5)))) is None, "all takes are of two images"
 
 
 def test_photos_without_times_are_never_reported_as_jumping() -> None:

@@ -160,6 +160,20 @@ def test_a_single_photo_is_refused_with_the_advice_to_name_its_folder(name: str,
         read_photos(tmp_path / name, tmp_path / "out")
 
 
+def test_of_too_many_photos_the_sharpest_of_each_group_is_used_and_that_is_said(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    noise = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
+    for number in range(6):
+        image = Image.fromarray(noise)
+        (image if number in (1, 2, 4, 5) else image.filter(ImageFilter.GaussianBlur(3))).save(
+            tmp_path / "in" / f"{number}.png"
+        )
+    photos = read_photos(tmp_path / "in", tmp_path / "out", count=(2, 4))
+    assert photos.files == ("1.png", "2.png", "4.png", "5.png") and photos.cuts == ()
+    assert photos.remarks == ("4 of 6 photos are used, the sharpest of each group of neighbours.",)
+    assert read_photos(tmp_path / "in", tmp_path / "out", count=(2, 6)).remarks == ()
+
+
 def test_photos_are_upright_in_numeric_order_and_take_their_focal_length_from_exif(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     for number in (9, 10):
@@ -174,6 +188,26 @@ def test_photos_are_upright_in_numeric_order_and_take_their_focal_length_from_ex
     assert photos.files == ("IMG9.jpg", "IMG10.jpg") and photos.K is not None
     torch.testing.assert_close(photos.K[0, 0].item(), 26 / np.hypot(36, 24) * 100)
     assert photos.K[:2, 2].tolist() == [30, 40]
+
+
+def test_photos_are_in_the_order_of_the_times_that_all_of_them_state(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+
+    def write(name: str, taken: str | None, fraction: str | None = None) -> None:
+        exif = Image.Exif()
+        told = exif.get_ifd(0x8769)
+        told.update({0x9003: taken} if taken else {})
+        told.update({0x9291: fraction} if fraction else {})
+        Image.new("RGB", (80, 60)).save(tmp_path / "in" / name, exif=exif)
+
+    write("a.jpg", "2024:05:01 10:00:00", "5")
+    write("b.jpg", "2024:05:01 10:00:00", "25")
+    write("c10.jpg", "2024:05:01 09:59:59")
+    write("c9.jpg", "2024:05:01 09:59:59")
+    assert read_photos(tmp_path / "in", tmp_path / "out").files == ("c9.jpg", "c10.jpg", "b.jpg", "a.jpg")
+    for unknown in (None, "0000:00:00 00:00:00"):
+        write("b.jpg", unknown)
+        assert read_photos(tmp_path / "in", tmp_path / "out").files == ("a.jpg", "b.jpg", "c9.jpg", "c10.jpg")
 
 
 def test_photos_taken_through_several_lenses_are_refused_by_name(tmp_path: Path) -> None:

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+from splatrl.capture import look as look_module
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.frames import read_photos
 from splatrl.capture.look import Look, _chosen, _pairs, look, summed
@@ -29,7 +31,8 @@ GOOD = Look(60, 120.0, 900.0, 0.98, 0.1, 0.2, math.radians(20))
         ),
         ({"bare": 0.5, "verified": 0.1}, "textureless: 50% of the images show fewer than 100 points"),
         ({"verified": 0.56}, "moved too fast: only 56% of the images share enough points"),
-        ({"verified": 0.56, "few": True}, "photos too far apart: only 56% of the images share enough points"),
+        ({"verified": 0.56, "apart": 0.5}, "too long or too fast: only 56% .* the image 1.0 s later.* lie 0.5 s apart"),
+        ({"verified": 0.56, "unordered": True}, "photos too far apart: only 56% of the images share enough points"),
         ({"turned": 0.99, "angle": 0.0}, "only turned on the spot: turning alone explains 99%"),
         ({"turned": 0.99, "angle": 0.0, "shift": 0.001}, "hardly moved"),
         ({"angle": math.radians(1.5)}, "hardly moved: .* only 1.5° apart"),
@@ -56,10 +59,37 @@ def test_the_figures_are_computed_from_the_images_and_their_pairs() -> None:
         (1, 4): Pair("moved", 0.2, 0.3),
         (0, 4): Pair("turned", 0, 0.1),
     }
-    figures = summed(seen, found, few=False)
+    figures = summed(seen, found, unordered=False)
     assert (figures.verified, figures.turned, figures.keypoints) == (0.5, 0.5, 400)
     assert figures.shift == pytest.approx(0.2) and figures.angle == pytest.approx(0.18)
-    assert summed(seen, found, few=True).verified == pytest.approx(1 / 5)
+    assert summed(seen, found, unordered=True).verified == pytest.approx(1 / 5)
+
+
+def test_images_of_a_long_film_are_compared_with_those_a_second_later() -> None:
+    seen = [Features(np.zeros((500, 2)), np.zeros((500, 128)), 500, 50.0, (64, 48))] * 50
+    found = {(n, n + by): Pair("moved" if by < 2 else "none", 0.2, 0.3) for by in (1, 2, 3) for n in range(50 - by)}
+    verified = [summed(seen, found, False, apart).verified for apart in (0.3, 0.5, 0.75, 1.5)]
+    assert verified == [0, 0, 1, 1]
+
+
+@pytest.mark.parametrize("photos_in_order", [True, False])
+def test_photos_in_any_order_pass_if_each_shares_points_with_two_others(
+    photos_in_order: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    count = 58
+    order = np.arange(count) if photos_in_order else np.random.default_rng(0).permutation(count)
+    seen = {Path(str(n)): Features(np.full((500, 2), n), np.zeros((500, 128)), 500, 90.0, (64, 48)) for n in order}
+    compared: list[int] = []
+
+    def related(a: Features, b: Features) -> Pair:
+        compared.append(abs(int(a.points[0, 0] - b.points[0, 0])))
+        return Pair("moved" if compared[-1] <= 2 else "none", 0.2, 0.3)
+
+    monkeypatch.setattr(look_module, "features", seen.__getitem__)
+    monkeypatch.setattr(look_module, "related", related)
+    photos = Photos([*seen], 64, 48, torch.arange(count).double(), files=tuple(map(str, order)))
+    figures = look(photos)
+    assert figures.unordered and figures.verified == 1.0 and len(compared) < (300 if photos_in_order else 1700)
 
 
 def test_bare_images_are_not_mistaken_for_fast_motion() -> None:
@@ -67,10 +97,10 @@ def test_bare_images_are_not_mistaken_for_fast_motion() -> None:
     seen = [Features(np.zeros((count, 2)), np.zeros((count, 128)), count, 50.0, (64, 48)) for count in points]
     moved, none = Pair("moved", 0.2, 0.3), Pair("none")
     found = {(0, 3): moved, (1, 4): moved, (2, 5): none, (3, 6): moved, (4, 7): moved, (5, 8): none, (6, 9): none}
-    figures = summed(seen, found, few=False)
+    figures = summed(seen, found, unordered=False)
     assert figures.verified == pytest.approx(4 / 5) and figures.bare == pytest.approx(2 / 10)
     found[5, 8] = moved
-    assert summed(seen, found, few=False) == figures, "what bare images share does not count either"
+    assert summed(seen, found, unordered=False) == figures, "what bare images share does not count either"
 
 
 def test_faint_points_connect_images_and_do_not_count_as_distinct(tmp_path: Path) -> None:
@@ -90,7 +120,7 @@ def test_a_long_video_is_sampled_in_groups_of_neighbours() -> None:
     assert group == 6 and (np.diff(groups, axis=1) == 1).all() and (groups[0, 0], groups[-1, -1]) == (0, 179)
     dense, _ = _chosen(np.arange(600) / 10)
     assert (np.diff(dense.reshape(-1, group), axis=1) == 3).all()
-    near = [pair for pair in _pairs(60, False, group) if pair[1] - pair[0] <= 3]
+    near = [pair for pair in _pairs(60, group) if pair[1] - pair[0] <= 3]
     assert len(near) == 10 * (5 + 4 + 3) and all(first // 6 == second // 6 for first, second in near)
 
 

@@ -10,8 +10,10 @@ import pytest
 from PIL import Image
 
 from splatrl.capture.base import CaptureError
+from splatrl.capture.cuts import cuts, pattern
 from splatrl.capture.frames import read_photos
-from tests.capture.ray_cast import QUARTER_TURN, damage_frame, room_image, walk, write_video
+from splatrl.capture.poses import job_of
+from tests.capture.ray_cast import QUARTER_TURN, damage_frame, room_image, turning, walk, write_video
 
 
 def _read(path: Path) -> np.ndarray:
@@ -100,6 +102,25 @@ def test_times_of_films_that_were_joined_do_not_go_back(tmp_path: Path) -> None:
     assert [int(2 * second + 1e-6) for second in seconds] == list(range(8)), "one image of each half second"
     for second, path in zip(seconds, photos.paths, strict=True):
         assert np.abs(_read(path) - images[round(10 * second) % 20]).mean() < 12
+    assert photos.cuts == pytest.approx([2.0]) and job_of(photos).cuts == photos.cuts
+
+
+def test_cuts_are_told_from_fast_turns_flashes_and_gaps() -> None:
+    walked = [image[..., 1] for image in map(room_image, walk(60)[:20])]
+    elsewhere = [image[..., 1] for image in map(room_image, walk(60)[40:50])]
+    turned = [image[..., 1] for image in map(room_image, turning(8))]
+    film = [*walked[:10], *elsewhere]
+
+    def found(images: list[np.ndarray], seconds: np.ndarray | None = None) -> list[float]:
+        times = np.arange(len(images)) / 10 if seconds is None else seconds
+        return cuts(times.tolist(), [pattern(image) for image in images])
+
+    assert found(film) == [1.0] and found(walked) == found(turned) == []
+    assert found(film, np.arange(20) / 10 + (np.arange(20) >= 10)) == [], "frames that a phone dropped"
+    flash = [np.full_like(image, 255) if number == 15 else image for number, image in enumerate(walked)]
+    darker = [image // 3 if number >= 15 else image for number, image in enumerate(walked)]
+    assert found(flash) == [] and found(darker) == []
+    assert found([walked[0], elsewhere[0], elsewhere[9]]) == [], "each frame shows something else"
 
 
 def test_one_field_of_interlaced_frames_is_used(tmp_path: Path) -> None:
