@@ -17,6 +17,7 @@ from splatrl.capture.recordings.base import (
     Lens,
     Recording,
     Shot,
+    depth_files,
     pictures_of,
     read_depth,
     read_json,
@@ -74,8 +75,7 @@ def _shot(number: int, path: Path, file: Path) -> Shot:
         width, height, fx, fy, cx, cy = (float(camera[name]) for name in ("width", "height", "fx", "fy", "cx", "cy"))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise CaptureError(f"{file}: expected a camera file of Polycam: {error!r}") from error
-    depth, confidence = (path.parents[1] / name / f"{path.stem}.png" for name in ("depth", "confidence"))
-    trust = confidence if confidence.is_file() else None
-    measured = partial(read_depth, depth, trust, MEDIUM) if depth.is_file() else None
+    measured = depth_files(*(path.parents[1] / name / f"{path.stem}.png" for name in ("depth", "confidence")))
+    depth = partial(read_depth, *measured, least=MEDIUM) if measured else None
     lens, name = Lens(width, height, fx, fy, cx, cy), f"{file.parent.name}/{file.name}"
-    return Shot(name, float(number), lens, pose @ OPENGL, path, measured)
+    return Shot(name, float(number), lens, pose @ OPENGL, path, depth, measured)
