@@ -158,7 +158,7 @@ def reconstruct(
     found = with_measured_points(find_poses(photos, stages, settings.seed, progress, least=least))
     lost = f"\n            missing: {', '.join(found.lost)}" if found.lost else ""
     say(f"poses       {len(found.paths)} of {len(photos.paths)} images, {len(found.points):,} points{lost}")
-    if photos.up is None and (rotated := why_not_upright(found)) is not None:
+    if photos.up is None and (rotated := why_not_upright(found, photos)) is not None:
         notes.append(_unless_forced(rotated, settings.force, "poses", say))
     placed = place(found, photos.up, photos.metric, settings.marker, settings.distance, settings.camera_height)
     if placed.up_from == "cameras" and (torn := leap(placed)) is not None:  # with force, the report says both

@@ -10,9 +10,10 @@ import pytest
 import torch
 
 from splatrl.capture import world
-from splatrl.capture.base import CaptureError
+from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.ground import Ground, cameras_up, find_ground, on_its_side, upside_down
 from splatrl.capture.scale import Click, Distance, clicked_point
+from splatrl.capture.upright_check import why_not_upright
 from splatrl.capture.world import SCALE_ERROR, Placed, place, wall_direction
 from splatrl.evaluation.phone_walk import camera_poses
 from tests.capture.walks import ABOVE, CAMERAS, K, strewn, walk, without_points
@@ -178,6 +179,28 @@ def test_a_film_on_its_side_is_told_from_an_upright_one(side: float) -> None:
     lying[:, :3, 0], lying[:, :3, 1] = side * upright[:, :3, 1], -side * upright[:, :3, 0]
     assert on_its_side(lying) and not on_its_side(upright)
     assert not on_its_side(lying[:1].repeat(9, 0)), "a camera that never turns leaves it undecided"
+
+
+@pytest.mark.parametrize(
+    ("posed", "files", "side", "over"),
+    [
+        (False, (), "ffmpeg -display_rotation 90 ", "ffmpeg -display_rotation 180 "),
+        (False, ("a.jpg",), "Rotate the photos by a quarter turn", "Rotate the photos by half a turn"),
+        (True, ("a.jpg",), "exiftool -n -Orientation=6 ", "exiftool -n -Orientation=3 "),
+        (True, (), "a version of the app that records", "a version of the app that records"),
+    ],
+)
+def test_the_advice_on_images_that_are_not_upright_depends_on_their_source(
+    posed: bool, files: tuple[str, ...], side: str, over: str
+) -> None:
+    lying, turned = (walk().camera_to_world.clone() for _ in range(2))
+    photos = Photos([], 320, 180, torch.zeros(0), camera_to_world=lying if posed else None, files=files)
+    assert why_not_upright(walk(), photos) is None
+    lying[:, :3, 0], lying[:, :3, 1] = walk().camera_to_world[:, :3, 1], -walk().camera_to_world[:, :3, 0]
+    turned[:, :3, :2] *= -1.0
+    for poses, what, advice in ((lying, "lie on their side", side), (turned, "are upside down", over)):
+        said = why_not_upright(replace(walk(), camera_to_world=poses), photos)
+        assert said is not None and what in said and advice in said
 
 
 def one_way(pitch_deg: float, seed: int) -> np.ndarray:

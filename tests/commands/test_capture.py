@@ -357,8 +357,8 @@ def test_a_capture_that_cannot_work_is_refused_with_its_cause(
 @pytest.mark.parametrize(
     ("judge", "message"),
     [
-        ("on_its_side", r"splatrl-capture: lies on its side: .* -display_rotation 90 .* --force"),
-        ("upside_down", r"splatrl-capture: is upside down: .* -display_rotation 180 .* --force"),
+        ("on_its_side", r"splatrl-capture: images lie on their side: .* --force"),
+        ("upside_down", r"splatrl-capture: images are upside down: .* --force"),
     ],
 )
 def test_a_video_that_is_not_upright_is_refused_before_the_fit(
