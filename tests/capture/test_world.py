@@ -280,7 +280,8 @@ def test_two_clicks_in_one_image_give_the_scale(image: int) -> None:
     points = two_points(image)
     (x0, y0), (x1, y1) = pixels(image, points).tolist()
     lying, transform = strewn(image % 5)
-    distance = Distance.between(Click(image, x0, y0), Click(image, x1, y1), float((points[0] - points[1]).norm()))
+    named, metres = f"{image:03}.png", float((points[0] - points[1]).norm())
+    distance = Distance.between(Click(image, x0, y0), Click(named, x1, y1), metres)
     placed = place(lying, marker=None, distance=distance, camera_height=9.0)
     assert placed.scale_from == "distance" and scale_error(placed, transform) < 0.05
 
@@ -344,6 +345,8 @@ def test_impossible_heights_distances_and_clicks_are_refused() -> None:
         Distance.between(Click(0, 0, 0), Click(0, 1, 1), 0.0)
     with pytest.raises(CaptureError, match="expected an image index from 0 to 39, got 99"):
         place(walk(), marker=None, distance=Distance.between(Click(99, 0, 0), Click(99, 1, 1), 1.0))
+    with pytest.raises(CaptureError, match=r"expected an image with a pose in \., such as 000\.png, got 99\.png"):
+        place(walk(), marker=None, distance=Distance.between(Click("99.png", 0, 0), Click(99, 1, 1), 1.0))
     with pytest.raises(CaptureError, match=r"at least 3 points .* around \(-900, 0\) in image 3, found \d"):
         place(walk(), marker=None, distance=Distance.between(Click(3, -900, 0), Click(3, 1, 1), 1.0))
     with pytest.raises(CaptureError, match="at least 2 cameras and 20 points"):

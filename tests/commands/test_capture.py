@@ -451,6 +451,8 @@ def test_a_termination_says_how_to_continue(
         (["3", "10", "20", "30.5", "40", "2.5"], ((3, 10, 20), (3, 30.5, 40))),
         (["3", "10", "20", "7", "30.5", "-4e1", "2.5"], ((3, 10, 20), (7, 30.5, -40))),
         (["3 10 20, 7 30.5 40, 2.5"], ((3, 10, 20), (7, 30.5, 40))),
+        (["IMG_3.JPG", "10", "20", "30.5", "40", "2.5"], (("IMG_3.JPG", 10, 20), ("IMG_3.JPG", 30.5, 40))),
+        (["a.png 10 20", "7 30.5 40 2.5"], (("a.png", 10, 20), (7, 30.5, 40))),
     ],
 )
 @pytest.mark.parametrize("source_last", [False, True])
@@ -458,7 +460,7 @@ def test_each_point_of_a_distance_may_be_in_its_own_image(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     words: list[str],
-    expected: tuple[tuple[float, ...], ...],
+    expected: tuple[tuple[Any, ...], ...],
     source_last: bool,
 ) -> None:
     given: list[object] = []
@@ -471,7 +473,7 @@ def test_each_point_of_a_distance_may_be_in_its_own_image(
     option = ["--distance", *words]
     with pytest.raises(SystemExit, match="far enough"):
         capture.main([*option, "garden.mp4"] if source_last else ["garden.mp4", *option, "--seed", "1"])
-    first, second = (Click(int(image), x, y) for image, x, y in expected)
+    first, second = (Click(image, x, y) for image, x, y in expected)
     assert given == [Path("garden.mp4"), Distance((first,), (second,), 2.5)]
 
 
@@ -479,8 +481,9 @@ def test_each_point_of_a_distance_may_be_in_its_own_image(
     ("words", "message"),
     [
         (["1", "2", "3"], "expected IMAGE X Y X Y M or IMAGE X Y IMAGE X Y M, got '1 2 3'"),
-        (["1.5", "2", "3", "4", "5", "6"], "expected IMAGE X Y X Y M"),
-        (["1", "2", "3", "inf", "4", "5", "6"], "expected IMAGE X Y X Y M"),
+        (["1.5", "2", "3", "4", "5", "6"], "expected the name or the number of an image, got 1.5"),
+        (["1", "2", "3", "inf", "4", "5", "6"], "expected the name or the number of an image, got inf"),
+        (["1", "2", "a.jpg", "4", "5", "6"], "expected IMAGE X Y X Y M or IMAGE X Y IMAGE X Y M, got '1 2 a.jpg"),
         (["1", "2", "3", "4", "5", "-6"], "expected a number of metres above 0.0, got -6"),
     ],
 )
