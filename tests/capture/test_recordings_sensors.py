@@ -152,6 +152,17 @@ def test_depth_and_confidence_that_have_changed_are_read_again(tmp_path: Path, k
         assert not kept("untrusted", depth=far, confidence=np.zeros(far.shape, np.uint8)).any()
 
 
+@pytest.mark.parametrize("kind", ["polycam", "stray", "record3d"])
+def test_hidden_files_as_macos_writes_beside_others_do_not_count(tmp_path: Path, kind: str) -> None:
+    source = KINDS[kind](tmp_path / "in", taken(2, steady=True))
+    kept = read_recording(source, tmp_path / "out").paths
+    for file in [file for file in source.rglob("*") if file.is_file()]:
+        file.with_name(f"._{file.name}").write_bytes(b"\x00\x05\x16\x07")
+    told: list[str] = []
+    again = read_recording(source, tmp_path / "out", progress=lambda what, *_: told.append(what))
+    assert again.paths == kept and not told
+
+
 def test_a_failed_read_leaves_no_files(tmp_path: Path, images: list[Taken]) -> None:
     source = write_polycam(tmp_path / "in", images)
     next((source / "keyframes" / "depth").glob("*.png")).write_bytes(b"\x89PNG")

@@ -370,6 +370,18 @@ def test_a_video_that_is_not_upright_is_refused_before_the_fit(
     assert stages == ["frames", "poses"]
 
 
+def test_poses_of_other_images_are_refused_as_such(
+    tmp_path: Path, stages: list[str], photographed: tuple[Photos, Reconstruction], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    photos, found = photographed
+    few = replace(found, points=found.points[:3], seen_point=found.seen_point[:0], seen_by=found.seen_by[:0])
+    monkeypatch.setattr(pipeline, "is_recording", lambda _: True)
+    monkeypatch.setattr(pipeline, "read_recording", lambda *_: replace(photos, camera_to_world=found.camera_to_world))
+    monkeypatch.setattr(pipeline, "find_poses", lambda *_, **settings: few)
+    with pytest.raises(CaptureError, match=r"^only 3 points agree with the recorded poses.* belong to these images"):
+        pipeline.reconstruct(Path("model"), tmp_path / "model", pipeline.CaptureSettings())
+
+
 @pytest.mark.parametrize("up_from", ["floor", "cameras"])
 def test_a_film_that_seems_torn_and_shows_no_floor_is_refused_before_the_fit(
     up_from: str, tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch

@@ -64,7 +64,8 @@ def _with_cameras(images: Path, cameras: Path) -> list[Path]:
     if not images.is_dir():
         return []
     files = [path for path in images.iterdir() if path.suffix.lower() in PHOTO_SUFFIXES]
-    return sorted((path for path in files if (cameras / f"{path.stem}.json").is_file()), key=natural)
+    posed = [path for path in files if (cameras / f"{path.stem}.json").is_file()]
+    return sorted((path for path in posed if not path.name.startswith(".")), key=natural)  # macOS writes ._1.jpg
 
 
 def _shot(number: int, path: Path, file: Path) -> Shot:
