@@ -65,7 +65,13 @@ def bare_report(monkeypatch: pytest.MonkeyPatch) -> None:
     pictures, and the number of solid voxels that cameras saw through."""
     import numpy as np
 
-    for name in ("check.draw_comparison", "check.draw_map", "folder.draw_cameras", "folder.draw_goals"):
+    for name in (
+        "check.comparison_line",
+        "check.draw_comparison",
+        "check.draw_map",
+        "folder.draw_cameras",
+        "folder.draw_goals",
+    ):
         monkeypatch.setattr(f"splatrl.capture.{name}", lambda *_: None)
     monkeypatch.setattr("splatrl.capture.check.seen_through", lambda occupancy, _: np.zeros(1, bool))
 

@@ -1,6 +1,6 @@
 """Quality check of a fitted capture: held-out images, free space along the camera's path, and floaters."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -13,8 +13,9 @@ from splatrl.cameras import Cameras
 from splatrl.capture.area import Area, path_is_free, survey_area
 from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.floaters import seen_through
-from splatrl.capture.pictures import draw_comparison, draw_map
+from splatrl.capture.pictures import comparison_line, comparison_rows, draw_comparison, draw_map
 from splatrl.capture.suggestions import NOTHING, Suggestions
+from splatrl.capture.videos import shrunk, shrunk_size
 from splatrl.capture.world import Placed
 from splatrl.images import read_photo
 from splatrl.renderers import NativeRenderer
@@ -23,6 +24,9 @@ from splatrl.scenes.gaussians import Gaussians
 Floats = NDArray[np.float64]
 
 COMPARISON, MAP = "held_out.png", "map.png"
+LONGEST = 960
+"""Maximum pixels along the longer side of held-out images, as films and photos have: figures of recordings whose images
+are larger are for images of this size, too."""
 SIGMA = 1.5
 """Standard deviation, pixels, of the window of the structural similarity (Wang et al. 2004), 11 × 11 pixels."""
 
@@ -85,15 +89,16 @@ def check(
     """
     area = survey_area(gaussians, placed) if area is None else area
     free = path_is_free(area.occupancy, placed.reconstruction.camera_to_world)
-    scores = []
-    photos, renders = _views(gaussians, placed.reconstruction, held_out)
-    for photo, render in zip(photos, renders, strict=True):
+    scores, lines, drawn = [], [], comparison_rows(len(held_out))
+    for row, (photo, render) in enumerate(_views(gaussians, placed.reconstruction, held_out)):
         corrected = colour_corrected(render, photo)
         scores.append(
             (psnr(render, photo), ssim(render, photo), psnr(corrected, photo), ssim(corrected, photo)),
         )
-    if scores:
-        draw_comparison(photos, renders, [score[0] for score in scores], folder / COMPARISON)
+        if row in drawn:
+            lines.append(comparison_line(photo, render, scores[row][0]))
+    if lines:
+        draw_comparison(lines, folder / COMPARISON)
     draw_map(gaussians, placed, area, free.numpy(), folder / MAP, found.goals, found.thing)
     plain, structure, corrected_plain, corrected_structure = np.mean(scores, 0).tolist() if scores else [None] * 4
     return Quality(
@@ -141,22 +146,21 @@ def colour_corrected(image: Floats, reference: Floats) -> Floats:
 
 def _views(
     gaussians: Gaussians, reconstruction: Reconstruction, rows: Sequence[int]
-) -> tuple[list[Floats], list[Floats]]:
-    """Return the photos and the renders of some cameras, each [H, W, 3] in [0, 1]."""
+) -> Iterator[tuple[Floats, Floats]]:
+    """Yield the photo and the render of each of some cameras, [H, W, 3] in [0, 1], at most ``LONGEST`` pixels long."""
     renderer = NativeRenderer(gaussians)
-    width, height = reconstruction.width, reconstruction.height
-    photos, renders = [], []
+    full = reconstruction.width, reconstruction.height
+    width, height = shrunk_size(full, LONGEST)
+    K = reconstruction.K_at(width, height).float()
     for row in rows:
         path = reconstruction.paths[row]
         try:
-            photo = np.asarray(read_photo(path), np.float64) / 255.0
+            photo = read_photo(path)
         except (OSError, ValueError) as error:
             raise CaptureError(f"{path}: expected an image, got {error}") from error
-        if photo.shape != (height, width, 3):
-            raise CaptureError(f"{path}: expected {width} × {height} pixels, got {photo.shape[1]} × {photo.shape[0]}")
+        if photo.size != full:
+            raise CaptureError(f"{path}: expected {full[0]} × {full[1]} pixels, got {photo.width} × {photo.height}")
         pose = reconstruction.camera_to_world[row : row + 1].float()
         with torch.no_grad():
-            pixels = renderer.pixels(Cameras(pose, reconstruction.K.float(), width, height))[0]
-        photos.append(photo)
-        renders.append(pixels.numpy().astype(np.float64) / 255.0)
-    return photos, renders
+            pixels = renderer.pixels(Cameras(pose, K, width, height))[0]
+        yield np.asarray(shrunk(photo, LONGEST), np.float64) / 255.0, pixels.numpy().astype(np.float64) / 255.0

@@ -141,7 +141,7 @@ def _proposals(placed: Placed, area: Area, found: Suggestions, quality: Quality)
             "scale_from": placed.scale_from,
             "scale_error": None if error is None else float(f"{error:.2g}"),
             "up_from": placed.up_from,
-            "up_error_deg": placed.up_error_deg,
+            "up_error_deg": float(f"{placed.up_error_deg:.2g}"),
             **quality.figures(),
         },
     }

@@ -62,7 +62,7 @@ def report_page(
 def _figures(placed: Placed, area: Area, found: Suggestions, quality: Quality) -> list[tuple[str, str]]:
     reconstruction = placed.reconstruction
     error = placed.scale_error
-    within = "error unknown" if error is None else f"within {100 * error:.1g} %"
+    within = "error unknown" if error is None else f"within {float(f'{100 * error:.2g}'):g} %"
     (x0, y0), (x1, y1) = area.walk
     size = " × ".join(f"{high - low:.1f}" for low, high in zip(*area.bounds, strict=True))
     rows = [

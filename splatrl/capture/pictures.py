@@ -68,31 +68,43 @@ def draw_goals(
         page.save(stream, "PNG")
 
 
-def draw_comparison(photos: Sequence[Floats], renders: Sequence[Floats], scores: Sequence[float], path: Path) -> None:
-    """Draw photos, renders from the same cameras and four times their difference side by side, as PNG.
+def comparison_rows(count: int) -> list[int]:
+    """Return which of ``count`` held-out photos a comparison shows, ascending: some from the first to the last."""
+    return np.unique(np.linspace(0, count - 1, ROWS).round().astype(int)).tolist() if count else []
+
+
+def comparison_line(photo: Floats, render: Floats, score: float) -> Image.Image:
+    """Draw a photo, the render from the same camera and four times their difference side by side.
 
     Args:
-        photos: at least one photo, each [H, W, 3] in [0, 1].
-        renders: as many renders, of the same shape.
-        scores: PSNR of each render, dB.
+        photo: [H, W, 3] in [0, 1].
+        render: the same shape.
+        score: PSNR of the render, dB.
+    """
+    size = WIDTH, max(1, round(WIDTH * photo.shape[0] / photo.shape[1]))
+    line = Image.new("RGB", (3 * size[0] + 8, size[1]), "white")
+    for column, values in enumerate((photo, render, np.clip(4 * np.abs(photo - render), 0.0, 1.0))):
+        image = Image.fromarray((255 * values + 0.5).astype(np.uint8)).resize(size, Image.Resampling.LANCZOS)
+        line.paste(image, (column * (size[0] + 4), 0))
+    ImageDraw.Draw(line).text(
+        (size[0] + 10, 4), f"{score:.1f} dB", fill="white", font=font(14), stroke_width=2, stroke_fill=0
+    )
+    return line
+
+
+def draw_comparison(lines: Sequence[Image.Image], path: Path) -> None:
+    """Draw the lines of a comparison below one another, with titles, as PNG.
+
+    Args:
+        lines: at least one result of ``comparison_line``, all of one size.
         path: the file to write; ends in .png.
     """
-    rows = np.unique(np.linspace(0, len(photos) - 1, ROWS).round().astype(int)).tolist()
-    height, width = photos[0].shape[:2]
-    size = WIDTH, max(1, round(WIDTH * height / width))
-    page = Image.new("RGB", (3 * size[0] + 8, len(rows) * (size[1] + 4) + 20), "white")
-    pen, letters = ImageDraw.Draw(page), font(14)
+    width, height = lines[0].size
+    page = Image.new("RGB", (width, len(lines) * (height + 4) + 20), "white")
     for column, title in enumerate(("held-out photo", "render", "four times the difference")):
-        pen.text((column * (size[0] + 4) + 4, 2), title, fill="black", font=letters)
-    for line, row in enumerate(rows):
-        images = photos[row], renders[row], np.clip(4 * np.abs(photos[row] - renders[row]), 0.0, 1.0)
-        top = 20 + line * (size[1] + 4)
-        for column, values in enumerate(images):
-            image = Image.fromarray((255 * values + 0.5).astype(np.uint8)).resize(size, Image.Resampling.LANCZOS)
-            page.paste(image, (column * (size[0] + 4), top))
-        pen.text(
-            (size[0] + 10, top + 4), f"{scores[row]:.1f} dB", fill="white", font=letters, stroke_width=2, stroke_fill=0
-        )
+        ImageDraw.Draw(page).text((column * (WIDTH + 4) + 4, 2), title, fill="black", font=font(14))
+    for number, line in enumerate(lines):
+        page.paste(line, (0, 20 + number * (height + 4)))
     with replacing(path) as stream:
         page.save(stream, "PNG")
 

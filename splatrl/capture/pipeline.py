@@ -30,7 +30,7 @@ from splatrl.capture.scale import Distance
 from splatrl.capture.stages import Stages, fingerprint
 from splatrl.capture.stereo import Depths, find_depths
 from splatrl.capture.upright_check import why_not_upright
-from splatrl.capture.world import Placed, place
+from splatrl.capture.world import FEWEST, Placed, place
 from splatrl.files import alone_in, remove_stale
 from splatrl.native import _core
 from splatrl.scenes import Gaussians, read_gaussians, write_gaussians
@@ -159,7 +159,12 @@ def reconstruct(
     found = with_measured_points(find_poses(photos, stages, settings.seed, progress, least=least))
     lost = f"\n            missing: {', '.join(found.lost)}" if found.lost else ""
     say(f"poses       {len(found.paths)} of {len(photos.paths)} images, {len(found.points):,} points{lost}")
-    if photos.up is None and (rotated := why_not_upright(found)) is not None:
+    if photos.camera_to_world is not None and len(found.paths) > 1 and len(found.points) < FEWEST:
+        raise CaptureError(
+            f"only {len(found.points)} points agree with the recorded poses, expected at least {FEWEST}: do the poses "
+            "belong to these images, and do the images show texture?"
+        )
+    if photos.up is None and (rotated := why_not_upright(found, photos)) is not None:
         notes.append(_unless_forced(rotated, settings.force, "poses", say))
     placed = place(found, photos.up, photos.metric, settings.marker, settings.distance, settings.camera_height)
     if placed.up_from == "cameras" and (torn := leap(placed)) is not None:  # with force, the report says both

@@ -31,9 +31,15 @@ LEAST_PLACES, MOST_ERROR = 5, 0.1
 
 @dataclass(frozen=True)
 class Click:
-    """A position in an image of a reconstruction, pixels from its upper left corner."""
+    """A position in an image of a reconstruction, pixels from its upper left corner.
 
-    image: int
+    Attributes:
+        image: the image's file name, or its index.
+        x: pixels from the left edge.
+        y: pixels from the upper edge.
+    """
+
+    image: int | str
     x: float
     y: float
 
@@ -117,23 +123,35 @@ def clicked_point(reconstruction: Reconstruction, clicks: Sequence[Click]) -> Fl
     Raises:
         CaptureError: for an image that does not exist, rays that do not meet, or a click without points around it.
     """
-    count = len(reconstruction.paths)
-    for click in clicks:
-        if not 0 <= click.image < count:
-            raise CaptureError(f"distance: expected an image index from 0 to {count - 1}, got {click.image}")
-    if len({click.image for click in clicks}) == 1:
-        return _by_points(reconstruction, clicks[0])
-    poses = reconstruction.camera_to_world[[click.image for click in clicks]].numpy()
+    rows = [_row(reconstruction, click.image) for click in clicks]
+    if len(set(rows)) == 1:
+        return _by_points(reconstruction, rows[0], clicks[0])
+    poses = reconstruction.camera_to_world[rows].numpy()
     met = triangulate(poses, reconstruction.K.numpy(), np.array([[click.x, click.y] for click in clicks]))
     estimates = [met]
     reach = _uncertainty(poses[:, :3, 3], met, float(reconstruction.K[0, 0]))
-    for click in clicks:
+    for row, click in zip(rows, clicks, strict=True):
         with suppress(CaptureError):  # without points around it, only the rays count
-            point = _by_points(reconstruction, click)
+            point = _by_points(reconstruction, row, click)
             if np.linalg.norm(point - met) <= reach:  # otherwise they lie in front of or behind it
                 estimates.append(point)
     middle: Floats = np.median(estimates, axis=0)
     return middle
+
+
+def _row(reconstruction: Reconstruction, image: int | str) -> int:
+    """Return the index of an image that is given by its file name or its index."""
+    paths = reconstruction.paths
+    if isinstance(image, str):
+        names = [path.name for path in paths]
+        if image not in names:
+            raise CaptureError(
+                f"distance: expected an image with a pose in {paths[0].parent}, such as {names[0]}, got {image}"
+            )
+        return names.index(image)
+    if not 0 <= image < len(paths):
+        raise CaptureError(f"distance: expected an image index from 0 to {len(paths) - 1}, got {image}")
+    return image
 
 
 def _uncertainty(centers: Floats, point: Floats, focal: float) -> float:
@@ -181,10 +199,10 @@ def rays_through(camera_to_world: Floats, K: Floats, pixels: Floats) -> Floats:
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
-def _by_points(reconstruction: Reconstruction, click: Click) -> Floats:
-    """Return the point [3] where the ray of a click meets the surface through the points around it."""
-    pose, K = reconstruction.camera_to_world[click.image].numpy(), reconstruction.K.numpy()
-    seen = reconstruction.seen_point[reconstruction.seen_by == click.image].unique()
+def _by_points(reconstruction: Reconstruction, row: int, click: Click) -> Floats:
+    """Return the point [3] where the ray of a click in the image ``row`` meets the surface through the points there."""
+    pose, K = reconstruction.camera_to_world[row].numpy(), reconstruction.K.numpy()
+    seen = reconstruction.seen_point[reconstruction.seen_by == row].unique()
     local = (reconstruction.points[seen].numpy() - pose[:3, 3]) @ pose[:3, :3]
     local = local[local[:, 2] > 0]
     offsets = (local @ K.T)[:, :2] / local[:, 2:] - [click.x, click.y]

@@ -22,6 +22,8 @@ USUAL_HEIGHT = 1.5
 """Height at which people hold a camera, metres; a place of unknown scale is scaled as if they had."""
 SCALE_ERROR = {"recorded": 0.01, "distance": 0.03, "camera_height": 0.05}
 """Largest relative errors found in trials, by the source of the scale; a marker's own views tell its error."""
+FEWEST = 20
+"""Minimum number of points among which a floor is sought."""
 OUTERMOST = (0.05, 0.95)
 """Quantiles of the cameras' heights beyond which heights count as wrong."""
 _TURNS = np.radians(np.arange(0.0, 90.0, 0.5))
@@ -87,9 +89,9 @@ def place(
         if value is not None:
             require_number(name, value, above=0.0, unit="metres")
     poses, points = reconstruction.camera_to_world.numpy(), reconstruction.points.numpy()
-    if len(poses) < 2 or len(points) < 20:
+    if len(poses) < 2 or len(points) < FEWEST:
         raise CaptureError(
-            f"expected at least 2 cameras and 20 points to find the floor, got {len(poses)} and {len(points)}"
+            f"expected at least 2 cameras and {FEWEST} points to find the floor, got {len(poses)} and {len(points)}"
         )
     ground = find_ground(held_poses(reconstruction), points, None if up is None else up.double().numpy())
     above = mean_height(poses[:, :3, 3] @ ground.up, reconstruction.seconds) - ground.height

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from splatrl.commands.options import Parser, is_numbers, joined
+from splatrl.commands.options import Parser, is_numbers, is_word, joined
 from splatrl.values import require_number, split_words
 
 if TYPE_CHECKING:
@@ -63,8 +63,10 @@ def capture(arguments: Sequence[str]) -> argparse.Namespace:
         "--distance",
         type=_distance,
         metavar="IMAGE X Y [IMAGE] X Y M",
-        help="two points and the distance between them in metres; each point is the number of an image in "
-        "stages/undistorted and a pixel in it (the second point may omit the number if its image is the same)",
+        help="two points and the distance between them in metres; each point is an image, by its file name or its "
+        "number in the order of the names, from 0, and a pixel in it (the second point may omit the image if it is the "
+        "same); the images are those in stages/undistorted, or for recordings with poses those in stages/shots, "
+        "stages/upright or stages/recorded, or else the recording's own",
     )
     result.add_argument("--marker-side", type=float, metavar="M", help="side length of the printed marker, metres")
     result.add_argument("--marker", type=Path, metavar="PDF", help="write a page with a marker to print, and exit")
@@ -83,7 +85,7 @@ def capture(arguments: Sequence[str]) -> argparse.Namespace:
     )
     result.add_argument("--seed", type=int, default=0)
     result.add_argument("--device", default="auto", help="device for the fit: auto, cpu, cuda or cuda:<number>")
-    options = result.parse_args(joined(arguments, {"--distance": 7}, is_numbers))
+    options = result.parse_args(joined(arguments, {"--distance": 7}, _is_click))
     if options.marker is None and options.source is None:
         result.error("expected a video or a folder of photos, or --marker")
     try:
@@ -106,24 +108,46 @@ def _folder(text: str) -> Path:
     return Path(text)
 
 
+def _is_click(word: str) -> bool:
+    """Return whether an argument is part of ``--distance``: a number or the name of a photo, or several of them."""
+    from splatrl.images import PHOTO_SUFFIXES
+
+    parts = split_words(word) if is_word(word) else []
+    return bool(parts) and all(is_numbers(part) or part.lower().endswith(PHOTO_SUFFIXES) for part in parts)
+
+
 def _distance(text: str) -> "Distance":
-    """Parse the value of ``--distance``: IMAGE X Y X Y M, or IMAGE X Y IMAGE X Y M.
+    """Parse the value of ``--distance``: IMAGE X Y X Y M, or IMAGE X Y IMAGE X Y M, an image by its name or number.
 
     Raises:
         argparse.ArgumentTypeError: for anything else.
     """
     try:
-        values = [float(word) for word in split_words(text)]
-        if len(values) == 6:  # both points are in one image
-            values.insert(3, values[0])
-        if len(values) != 7 or values[0] % 1 != 0 or values[3] % 1 != 0:
+        words = split_words(text)
+        if len(words) == 6:  # both points are in one image
+            words.insert(3, words[0])
+        if len(words) != 7 or not all(map(is_numbers, (*words[1:3], *words[4:]))):
             raise ValueError(f"expected IMAGE X Y X Y M or IMAGE X Y IMAGE X Y M, got {text!r}")
         from splatrl.capture.scale import Click, Distance
 
-        first, second = (Click(int(image), x, y) for image, x, y in (values[0:3], values[3:6]))
-        return Distance.between(first, second, values[6])
+        first, second = (Click(_image(image), float(x), float(y)) for image, x, y in (words[0:3], words[3:6]))
+        return Distance.between(first, second, float(words[6]))
     except (ValueError, OverflowError) as error:
         raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def _image(word: str) -> int | str:
+    """Return the number of an image, or its file name.
+
+    Raises:
+        ValueError: for a number that is not whole.
+    """
+    if not is_numbers(word):
+        return word
+    number = float(word)
+    if number % 1 != 0:
+        raise ValueError(f"expected the name or the number of an image, got {word}")
+    return int(number)
 
 
 def scene(arguments: Sequence[str]) -> argparse.Namespace:

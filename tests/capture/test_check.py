@@ -1,6 +1,7 @@
 """The check tells a good capture from one with wrong colours, a blocked path or floaters."""
 
 import math
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,16 +9,24 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from splatrl.capture.area import dense_voxels, survey_area
+from splatrl.capture.area import Area, dense_voxels, survey_area
 from splatrl.capture.base import CaptureError
 from splatrl.capture.check import check, colour_corrected, psnr, ssim
 from splatrl.capture.floaters import hazy_voxels, seen_through, without_floaters
 from splatrl.capture.pictures import draw_map
+from splatrl.capture.world import Placed
 from splatrl.collision.occupancy import Occupancy
 from tests.capture.rooms import CAMERAS, FLOATER, HAZE, tiny_capture, with_floater, with_haze
 from tests.tiny import tiny_gaussians
 
 HELD_OUT = range(3, CAMERAS, 8)
+
+
+@pytest.fixture(scope="module")
+def surveyed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Placed, Area]:
+    """Return the tiny room as a capture, and its area."""
+    placed = tiny_capture(tmp_path_factory.mktemp("images"))
+    return placed, survey_area(tiny_gaussians(), placed)
 
 
 def test_a_perfect_fit_scores_high_and_its_path_is_free(tmp_path: Path) -> None:
@@ -32,10 +41,39 @@ def test_a_perfect_fit_scores_high_and_its_path_is_free(tmp_path: Path) -> None:
             assert min(image.size) > 100
 
 
+def test_held_out_images_are_compared_one_at_a_time_and_large_ones_at_the_size_of_a_films(
+    tmp_path: Path, surveyed: tuple[Placed, Area], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("splatrl.capture.check.draw_map", lambda *_: None)
+    monkeypatch.setattr("splatrl.capture.check.seen_through", lambda *_: np.zeros(1, bool))
+    monkeypatch.setattr("splatrl.capture.pictures.WIDTH", 60)
+    (placed, area), peaks = surveyed, []
+    for rows in (HELD_OUT, range(12)):
+        tracemalloc.start()
+        check(tiny_gaussians(), placed, rows, tmp_path, area)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    photo = 8 * 3 * 96 * 64
+    assert peaks[1] < peaks[0] + 4 * photo, "not a photo and a render for each of nine more"
+    with Image.open(tmp_path / "held_out.png") as image:
+        assert image.size == (3 * 60 + 8, 6 * (40 + 4) + 20)
+    sizes: list[set[tuple[int, ...]]] = []
+
+    def noted(*images: np.ndarray) -> float:
+        sizes.append({image.shape for image in images})
+        return 1.0
+
+    monkeypatch.setattr("splatrl.capture.check.LONGEST", 48)
+    monkeypatch.setattr("splatrl.capture.check.ssim", noted)
+    quality = check(tiny_gaussians(), placed, HELD_OUT, tmp_path, area)
+    assert quality.psnr is not None and quality.psnr > 30 and sizes == 6 * [{(32, 48, 3)}]
+
+
 @pytest.mark.parametrize("longer", [1.0, 12.0])
-def test_the_maps_fill_their_picture_however_long_the_place_is(longer: float, tmp_path: Path) -> None:
-    placed = tiny_capture(tmp_path / "images")
-    area = survey_area(tiny_gaussians(), placed)
+def test_the_maps_fill_their_picture_however_long_the_place_is(
+    longer: float, tmp_path: Path, surveyed: tuple[Placed, Area]
+) -> None:
+    placed, area = surveyed
     (x0, y0, z0), (x1, y1, z1) = area.bounds
     area = replace(area, bounds=((longer * x0, y0, z0), (longer * x1, y1, z1)))
     draw_map(tiny_gaussians(), placed, area, np.ones(CAMERAS, bool), tmp_path / "map.png")
@@ -44,9 +82,8 @@ def test_the_maps_fill_their_picture_however_long_the_place_is(longer: float, tm
     assert empty.mean() < 0.5
 
 
-def test_the_map_shows_the_ground_far_below_a_drone(tmp_path: Path) -> None:
-    placed = tiny_capture(tmp_path / "images")
-    area = replace(survey_area(tiny_gaussians(), placed), robot_height=40.0)
+def test_the_map_shows_the_ground_far_below_a_drone(tmp_path: Path, surveyed: tuple[Placed, Area]) -> None:
+    placed, area = surveyed[0], replace(surveyed[1], robot_height=40.0)
     draw_map(tiny_gaussians(), placed, area, np.ones(CAMERAS, bool), tmp_path / "map.png")
     with Image.open(tmp_path / "map.png") as image:
         red, green, blue = np.asarray(image.convert("RGB"), int)[:, : image.width // 2].transpose(2, 0, 1)

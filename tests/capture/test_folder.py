@@ -49,7 +49,7 @@ SMALL = [
 def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Placed, Quality]:
     """The folder of a good capture, the capture itself, and its quality."""
     folder = tmp_path_factory.mktemp("written")
-    placed = tiny_capture(folder / "images")
+    placed = replace(tiny_capture(folder / "images"), scale_error=0.1234, up_error_deg=6.585204)
     return folder / "garden", placed, write_scene(folder / "garden", tiny_gaussians(), placed, HELD_OUT)
 
 
@@ -159,7 +159,10 @@ def test_moving_things_are_pictured_and_mentioned_in_the_report(tmp_path: Path) 
 
 
 def test_the_report_on_a_good_capture_lists_no_problems(written: tuple[Path, Placed, Quality]) -> None:
-    assert "Problems and notes" not in (written[0] / "report.html").read_text(encoding="utf-8")
+    page = (written[0] / "report.html").read_text(encoding="utf-8")
+    assert "Problems and notes" not in page and "recorded, within 12 %" in page and "recorded, within 6.6°" in page
+    stated = read_description(written[0])["quality"]
+    assert (stated["scale_error"], stated["up_error_deg"]) == (0.12, 6.6)
 
 
 def test_gps_positions_that_do_not_give_the_scale_are_mentioned(written: tuple[Path, Placed, Quality]) -> None:

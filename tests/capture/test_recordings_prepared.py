@@ -90,6 +90,14 @@ def test_images_of_the_same_name_are_told_apart(tmp_path: Path, names: Sequence[
     assert again.paths == photos.paths
 
 
+@pytest.mark.parametrize("name", ["IMG 0001 ({}).png", "#{}.png"])
+def test_images_whose_names_colmap_would_misread_in_a_list_are_copied(tmp_path: Path, name: str) -> None:
+    source = _write(tmp_path / "in", [f"images/{name.format(number)}" for number in range(COUNT)])
+    photos = read_recording(source, tmp_path / "out")
+    assert job_of(photos).names == [f"{number:04}.png" for number in range(COUNT)]
+    assert photos.files[2] == f"images/{name.format(2)}" and max(_off(photos, number) for number in (0, 5)) < 1
+
+
 @pytest.mark.parametrize("turns", range(4))
 @pytest.mark.parametrize("k1", [0.0, 1e-6])
 def test_images_are_turned_as_their_exif_says_together_with_their_poses(tmp_path: Path, turns: int, k1: float) -> None:

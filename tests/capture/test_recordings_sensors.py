@@ -137,6 +137,32 @@ def test_the_sharpest_image_of_each_interval_is_chosen_and_cached(tmp_path: Path
     assert Image.open(photos.paths[0]).size == (60, 80)
 
 
+@pytest.mark.parametrize("kind", ["polycam", "stray", "record3d", "nerfstudio"])
+def test_depth_and_confidence_that_have_changed_are_read_again(tmp_path: Path, kind: str) -> None:
+    write = {**KINDS, "nerfstudio": write_nerfstudio}[kind]
+    images = taken(2, steady=True)
+
+    def kept(name: str, **changes: np.ndarray) -> np.ndarray:
+        source = write(tmp_path / name, [replace(one, **changes) for one in images])
+        return np.asarray(Image.open(read_recording(source, tmp_path / "out").depths[1]))
+
+    far = np.full(images[0].depth.shape, 4000, np.uint16)
+    assert kept("first").max() < 4000 and set(np.unique(kept("corrected", depth=far))) <= {0, 4000}
+    if kind != "nerfstudio":  # its depth has no confidence
+        assert not kept("untrusted", depth=far, confidence=np.zeros(far.shape, np.uint8)).any()
+
+
+@pytest.mark.parametrize("kind", ["polycam", "stray", "record3d"])
+def test_hidden_files_as_macos_writes_beside_others_do_not_count(tmp_path: Path, kind: str) -> None:
+    source = KINDS[kind](tmp_path / "in", taken(2, steady=True))
+    kept = read_recording(source, tmp_path / "out").paths
+    for file in [file for file in source.rglob("*") if file.is_file()]:
+        file.with_name(f"._{file.name}").write_bytes(b"\x00\x05\x16\x07")
+    told: list[str] = []
+    again = read_recording(source, tmp_path / "out", progress=lambda what, *_: told.append(what))
+    assert again.paths == kept and not told
+
+
 def test_a_failed_read_leaves_no_files(tmp_path: Path, images: list[Taken]) -> None:
     source = write_polycam(tmp_path / "in", images)
     next((source / "keyframes" / "depth").glob("*.png")).write_bytes(b"\x89PNG")
@@ -217,6 +243,9 @@ def test_stray_scanner_frames_without_intrinsics_use_those_of_the_recording(tmp_
     photos = read_recording(source, tmp_path / "out")
     expected = torch.tensor([[260, 0, 118], [0, 260, 320 - 163], [0, 0, 1]]).double()
     torch.testing.assert_close(photos.K, expected)
+    (source / "camera_matrix.csv").write_text("250.0, 0.0, 163.0\n0.0, 250.0, 118.0\n0.0, 0.0, 1.0")
+    corrected = read_recording(source, tmp_path / "out").K
+    assert corrected is not None and corrected[0, 0] == 250
 
 
 def test_record3d_poses_relative_to_the_first_camera_have_up_only_with_an_initial_pose(

@@ -10,9 +10,10 @@ import pytest
 import torch
 
 from splatrl.capture import world
-from splatrl.capture.base import CaptureError
+from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.ground import Ground, cameras_up, find_ground, on_its_side, upside_down
 from splatrl.capture.scale import Click, Distance, clicked_point
+from splatrl.capture.upright_check import why_not_upright
 from splatrl.capture.world import SCALE_ERROR, Placed, place, wall_direction
 from splatrl.evaluation.phone_walk import camera_poses
 from tests.capture.walks import ABOVE, CAMERAS, K, strewn, walk, without_points
@@ -180,6 +181,28 @@ def test_a_film_on_its_side_is_told_from_an_upright_one(side: float) -> None:
     assert not on_its_side(lying[:1].repeat(9, 0)), "a camera that never turns leaves it undecided"
 
 
+@pytest.mark.parametrize(
+    ("posed", "files", "side", "over"),
+    [
+        (False, (), "ffmpeg -display_rotation 90 ", "ffmpeg -display_rotation 180 "),
+        (False, ("a.jpg",), "Rotate the photos by a quarter turn", "Rotate the photos by half a turn"),
+        (True, ("a.jpg",), "exiftool -n -Orientation=6 ", "exiftool -n -Orientation=3 "),
+        (True, (), "a version of the app that records", "a version of the app that records"),
+    ],
+)
+def test_the_advice_on_images_that_are_not_upright_depends_on_their_source(
+    posed: bool, files: tuple[str, ...], side: str, over: str
+) -> None:
+    lying, turned = (walk().camera_to_world.clone() for _ in range(2))
+    photos = Photos([], 320, 180, torch.zeros(0), camera_to_world=lying if posed else None, files=files)
+    assert why_not_upright(walk(), photos) is None
+    lying[:, :3, 0], lying[:, :3, 1] = walk().camera_to_world[:, :3, 1], -walk().camera_to_world[:, :3, 0]
+    turned[:, :3, :2] *= -1.0
+    for poses, what, advice in ((lying, "lie on their side", side), (turned, "are upside down", over)):
+        said = why_not_upright(replace(walk(), camera_to_world=poses), photos)
+        assert said is not None and what in said and advice in said
+
+
 def one_way(pitch_deg: float, seed: int) -> np.ndarray:
     """Return poses [40, 4, 4] of a camera that walks along the yard's far fence and looks at it, pitched up or down."""
     rng, yaw = np.random.default_rng(seed), 0.5 * math.pi
@@ -257,7 +280,8 @@ def test_two_clicks_in_one_image_give_the_scale(image: int) -> None:
     points = two_points(image)
     (x0, y0), (x1, y1) = pixels(image, points).tolist()
     lying, transform = strewn(image % 5)
-    distance = Distance.between(Click(image, x0, y0), Click(image, x1, y1), float((points[0] - points[1]).norm()))
+    named, metres = f"{image:03}.png", float((points[0] - points[1]).norm())
+    distance = Distance.between(Click(image, x0, y0), Click(named, x1, y1), metres)
     placed = place(lying, marker=None, distance=distance, camera_height=9.0)
     assert placed.scale_from == "distance" and scale_error(placed, transform) < 0.05
 
@@ -321,9 +345,11 @@ def test_impossible_heights_distances_and_clicks_are_refused() -> None:
         Distance.between(Click(0, 0, 0), Click(0, 1, 1), 0.0)
     with pytest.raises(CaptureError, match="expected an image index from 0 to 39, got 99"):
         place(walk(), marker=None, distance=Distance.between(Click(99, 0, 0), Click(99, 1, 1), 1.0))
+    with pytest.raises(CaptureError, match=r"expected an image with a pose in \., such as 000\.png, got 99\.png"):
+        place(walk(), marker=None, distance=Distance.between(Click("99.png", 0, 0), Click(99, 1, 1), 1.0))
     with pytest.raises(CaptureError, match=r"at least 3 points .* around \(-900, 0\) in image 3, found \d"):
         place(walk(), marker=None, distance=Distance.between(Click(3, -900, 0), Click(3, 1, 1), 1.0))
-    with pytest.raises(CaptureError, match="at least 2 cameras and 20 points"):
+    with pytest.raises(CaptureError, match="expected at least 2 cameras and 20 points to find the floor, got 40 and 5"):
         place(without_points(walk(), torch.arange(len(walk().points)) < 5), marker=None)
 
 

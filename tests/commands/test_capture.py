@@ -358,8 +358,8 @@ def test_a_capture_that_cannot_work_is_refused_with_its_cause(
 @pytest.mark.parametrize(
     ("judge", "message"),
     [
-        ("on_its_side", r"splatrl-capture: lies on its side: .* -display_rotation 90 .* --force"),
-        ("upside_down", r"splatrl-capture: is upside down: .* -display_rotation 180 .* --force"),
+        ("on_its_side", r"splatrl-capture: images lie on their side: .* --force"),
+        ("upside_down", r"splatrl-capture: images are upside down: .* --force"),
     ],
 )
 def test_a_video_that_is_not_upright_is_refused_before_the_fit(
@@ -369,6 +369,18 @@ def test_a_video_that_is_not_upright_is_refused_before_the_fit(
     with pytest.raises(SystemExit, match=message):
         capture.main(["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK])
     assert stages == ["frames", "poses"]
+
+
+def test_poses_of_other_images_are_refused_as_such(
+    tmp_path: Path, stages: list[str], photographed: tuple[Photos, Reconstruction], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    photos, found = photographed
+    few = replace(found, points=found.points[:3], seen_point=found.seen_point[:0], seen_by=found.seen_by[:0])
+    monkeypatch.setattr(pipeline, "is_recording", lambda _: True)
+    monkeypatch.setattr(pipeline, "read_recording", lambda *_: replace(photos, camera_to_world=found.camera_to_world))
+    monkeypatch.setattr(pipeline, "find_poses", lambda *_, **settings: few)
+    with pytest.raises(CaptureError, match=r"^only 3 points agree with the recorded poses.* belong to these images"):
+        pipeline.reconstruct(Path("model"), tmp_path / "model", pipeline.CaptureSettings())
 
 
 @pytest.mark.parametrize("up_from", ["floor", "cameras"])
@@ -452,6 +464,8 @@ def test_a_termination_says_how_to_continue(
         (["3", "10", "20", "30.5", "40", "2.5"], ((3, 10, 20), (3, 30.5, 40))),
         (["3", "10", "20", "7", "30.5", "-4e1", "2.5"], ((3, 10, 20), (7, 30.5, -40))),
         (["3 10 20, 7 30.5 40, 2.5"], ((3, 10, 20), (7, 30.5, 40))),
+        (["IMG_3.JPG", "10", "20", "30.5", "40", "2.5"], (("IMG_3.JPG", 10, 20), ("IMG_3.JPG", 30.5, 40))),
+        (["a.png 10 20", "7 30.5 40 2.5"], (("a.png", 10, 20), (7, 30.5, 40))),
     ],
 )
 @pytest.mark.parametrize("source_last", [False, True])
@@ -459,7 +473,7 @@ def test_each_point_of_a_distance_may_be_in_its_own_image(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     words: list[str],
-    expected: tuple[tuple[float, ...], ...],
+    expected: tuple[tuple[Any, ...], ...],
     source_last: bool,
 ) -> None:
     given: list[object] = []
@@ -472,7 +486,7 @@ def test_each_point_of_a_distance_may_be_in_its_own_image(
     option = ["--distance", *words]
     with pytest.raises(SystemExit, match="far enough"):
         capture.main([*option, "garden.mp4"] if source_last else ["garden.mp4", *option, "--seed", "1"])
-    first, second = (Click(int(image), x, y) for image, x, y in expected)
+    first, second = (Click(image, x, y) for image, x, y in expected)
     assert given == [Path("garden.mp4"), Distance((first,), (second,), 2.5)]
 
 
@@ -480,8 +494,9 @@ def test_each_point_of_a_distance_may_be_in_its_own_image(
     ("words", "message"),
     [
         (["1", "2", "3"], "expected IMAGE X Y X Y M or IMAGE X Y IMAGE X Y M, got '1 2 3'"),
-        (["1.5", "2", "3", "4", "5", "6"], "expected IMAGE X Y X Y M"),
-        (["1", "2", "3", "inf", "4", "5", "6"], "expected IMAGE X Y X Y M"),
+        (["1.5", "2", "3", "4", "5", "6"], "expected the name or the number of an image, got 1.5"),
+        (["1", "2", "3", "inf", "4", "5", "6"], "expected the name or the number of an image, got inf"),
+        (["1", "2", "a.jpg", "4", "5", "6"], "expected IMAGE X Y X Y M or IMAGE X Y IMAGE X Y M, got '1 2 a.jpg"),
         (["1", "2", "3", "4", "5", "-6"], "expected a number of metres above 0.0, got -6"),
     ],
 )

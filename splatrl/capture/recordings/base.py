@@ -82,6 +82,7 @@ class Shot:
         camera_to_world: [4, 4], OpenCV camera axes.
         path: the image's file, where it has one of its own.
         depth: reads what a sensor measured from the same place with the same field of view; None without a sensor.
+        depth_files: files of that measurement, where it has its own: its depth, and its confidence if there is one.
     """
 
     name: str
@@ -90,6 +91,7 @@ class Shot:
     camera_to_world: Floats
     path: Path | None = None
     depth: Callable[[], Depth] | None = None
+    depth_files: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ class Recording:
         source: the file or folder that it was read from.
         shots: at least one image.
         pictures: reads the images of the given shots (ascending indices), and yields each with its index.
-        files: files whose change makes it another recording.
+        files: files whose change makes it another recording, besides the ``depth_files`` of its shots.
         up: [3], the upward direction in the frame of the poses; None where unknown.
         metric: whether that frame's unit is the metre.
         prepared: whether its images were chosen already, so that all are taken, unchanged where possible.
@@ -204,7 +206,12 @@ def quaternion_poses(source: object, names: Sequence[str], xyzw: Floats, places:
     return poses
 
 
-def read_depth(path: Path, confidence: Path | None = None, least: int = 0, farthest: int | None = FARTHEST) -> Depth:
+def depth_files(depth: Path, confidence: Path) -> tuple[Path, ...]:
+    """Return the files of a measurement that exist, the depth first; none where there is no depth."""
+    return tuple(path for path in (depth, confidence) if path.is_file()) if depth.is_file() else ()
+
+
+def read_depth(path: Path, confidence: Path | None = None, *, least: int = 0, farthest: int | None = FARTHEST) -> Depth:
     """Read depth that a sensor measured.
 
     Args:

@@ -51,7 +51,8 @@ def keep(recording: Recording, folder: Path, count: tuple[int, int], longest: in
     def write(made: Path) -> None:
         _write(made, recording, count, longest, progress)
 
-    key = fingerprint([count, longest], files=recording.files)
+    measured = (file for shot in recording.shots for file in shot.depth_files)
+    key = fingerprint([count, longest], files=[*recording.files, *measured])
     return _photos(Stages(folder).folder(SHOTS, key, write), recording)
 
 

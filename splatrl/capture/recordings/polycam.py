@@ -17,6 +17,7 @@ from splatrl.capture.recordings.base import (
     Lens,
     Recording,
     Shot,
+    depth_files,
     pictures_of,
     read_depth,
     read_json,
@@ -63,7 +64,8 @@ def _with_cameras(images: Path, cameras: Path) -> list[Path]:
     if not images.is_dir():
         return []
     files = [path for path in images.iterdir() if path.suffix.lower() in PHOTO_SUFFIXES]
-    return sorted((path for path in files if (cameras / f"{path.stem}.json").is_file()), key=natural)
+    posed = [path for path in files if (cameras / f"{path.stem}.json").is_file()]
+    return sorted((path for path in posed if not path.name.startswith(".")), key=natural)  # macOS writes ._1.jpg
 
 
 def _shot(number: int, path: Path, file: Path) -> Shot:
@@ -74,8 +76,7 @@ def _shot(number: int, path: Path, file: Path) -> Shot:
         width, height, fx, fy, cx, cy = (float(camera[name]) for name in ("width", "height", "fx", "fy", "cx", "cy"))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise CaptureError(f"{file}: expected a camera file of Polycam: {error!r}") from error
-    depth, confidence = (path.parents[1] / name / f"{path.stem}.png" for name in ("depth", "confidence"))
-    trust = confidence if confidence.is_file() else None
-    measured = partial(read_depth, depth, trust, MEDIUM) if depth.is_file() else None
+    measured = depth_files(*(path.parents[1] / name / f"{path.stem}.png" for name in ("depth", "confidence")))
+    depth = partial(read_depth, *measured, least=MEDIUM) if measured else None
     lens, name = Lens(width, height, fx, fy, cx, cy), f"{file.parent.name}/{file.name}"
-    return Shot(name, float(number), lens, pose @ OPENGL, path, measured)
+    return Shot(name, float(number), lens, pose @ OPENGL, path, depth, measured)

@@ -22,8 +22,8 @@ def as_prepared(recording: Recording, folder: Path, progress: Progress) -> Photo
     """Return a recording's images where they lie, or copies of them.
 
     Their poses and intrinsics hold for the images as they are stored, whatever orientation their EXIF states. Where any
-    states one, or where the images lie in several folders, they are copied, and turned as ``stated_turns`` says. Images
-    with lens distortion are written without it.
+    states one, where the images lie in several folders, or where a name is not ``_plain``, they are copied, and turned
+    as ``stated_turns`` says. Images with lens distortion are written without it.
 
     Args:
         recording: a recording of one camera whose poses have been checked; its depth is ignored.
@@ -50,7 +50,7 @@ def as_prepared(recording: Recording, folder: Path, progress: Progress) -> Photo
         paths, K = undistorted(paths, size, K, np.array(lens.distortion), stages, RECORDED, progress)
         if turns:
             paths = _copied(paths, turns, stages, UPRIGHT, progress)
-    elif len({path.parent for path in paths}) > 1 or set(told) != {1}:
+    elif len({path.parent for path in paths}) > 1 or set(told) != {1} or not all(map(_plain, paths)):
         paths = _copied(paths, turns, stages, RECORDED, progress)
     (width, height), turned_K = turned_camera(size, K.numpy(), turns)
     return Photos(
@@ -77,6 +77,11 @@ def _one_size(paths: list[Path]) -> tuple[int, int]:
                 f"{path}: expected {usual[0]} × {usual[1]} pixels, as most images have, got {size[0]} × {size[1]}"
             )
     return usual
+
+
+def _plain(path: Path) -> bool:
+    """Return whether COLMAP reads a file's name as one in a list of images: without blanks and not as a comment."""
+    return path.name.split() == [path.name] and not path.name.startswith("#")
 
 
 def _copied(paths: list[Path], turns: int, stages: Stages, name: str, progress: Progress) -> list[Path]:

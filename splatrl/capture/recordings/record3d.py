@@ -112,6 +112,7 @@ class Files:
         if source.is_dir():
             folders = [source, *(source / name for name in ("rgbd", "rgb") if (source / name).is_dir())]
             paths = [path for folder in folders for path in folder.iterdir() if path.is_file()]
+            paths = [path for path in paths if not path.name.startswith(".")]  # such as .DS_Store
             self.names = {path.relative_to(source).as_posix() for path in paths}
             self.stamped = sorted(paths)
             return

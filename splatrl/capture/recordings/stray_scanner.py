@@ -26,6 +26,7 @@ from splatrl.capture.recordings.base import (
     Picture,
     Recording,
     Shot,
+    depth_files,
     quaternion_poses,
     read_depth,
     read_text,
@@ -74,22 +75,22 @@ def read(source: Path) -> Recording:
         np.stack([columns[name] for name in ("x", "y", "z")], 1),
     )
     width, height = videos.size(video)
-    usual = _camera(source / CAMERA) if (source / CAMERA).is_file() else (np.nan,) * 4
+    shared = [source / CAMERA] if (source / CAMERA).is_file() else []
+    usual = _camera(shared[0]) if shared else (np.nan,) * 4
     own = np.stack([columns[name] for name in INTRINSICS], 1)
     lenses = [Lens(width, height, *np.where(np.isfinite(row), row, usual).tolist()) for row in own]
     shots = []
     for name, seconds, number, lens, pose in zip(
         names, columns["timestamp"], numbers.astype(int), lenses, poses, strict=True
     ):
-        depth, trust = (source / folder / f"{number:06}.png" for folder in ("depth", "confidence"))
-        trusted = trust if trust.is_file() else None
-        measured = partial(read_depth, depth, trusted, MEDIUM) if depth.is_file() else None
-        shots.append(Shot(name, float(seconds), lens, pose, depth=measured))
+        measured = depth_files(*(source / folder / f"{number:06}.png" for folder in ("depth", "confidence")))
+        depth = partial(read_depth, *measured, least=MEDIUM) if measured else None
+        shots.append(Shot(name, float(seconds), lens, pose, depth=depth, depth_files=measured))
     return Recording(
         source,
         shots,
         partial(_pictures, video, times[numbers.astype(int)]),
-        [path, video],
+        [path, video, *shared],
         up=ARKIT_UP,
         metric=True,
         remarks=tuple(remarks),

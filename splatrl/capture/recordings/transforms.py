@@ -2,7 +2,6 @@
 
 import json
 import math
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ from splatrl.capture.base import CaptureError
 from splatrl.capture.photo_files import photo_size
 from splatrl.capture.recordings.base import (
     OPENGL,
-    Depth,
     Floats,
     Lens,
     Recording,
@@ -70,8 +68,9 @@ def read(source: Path) -> Recording:
             lens, pose = _lens(data | frame), _pose(frame.get("transform_matrix"))
         except ValueError as error:
             raise CaptureError(f"{path}: {frame['file_path'][:80]}: {error}") from error
-        depth = _depth(path.parent, frame.get("depth_file_path")) if measured else None
-        shots.append(Shot(frame["file_path"], float(number), lens, pose, image, depth))
+        file = _depth_file(path.parent, frame.get("depth_file_path")) if measured else None
+        depth = None if file is None else partial(read_depth, file, farthest=FARTHEST)
+        shots.append(Shot(frame["file_path"], float(number), lens, pose, image, depth, () if file is None else (file,)))
     wanted = sum(frame.get("depth_file_path") is not None for frame in frames) if measured else 0
     missing = wanted - sum(shot.depth is not None for shot in shots)
     return Recording(
@@ -92,9 +91,9 @@ def _file(source: Path) -> Path:
     return source / "transforms.json" if source.is_dir() else source
 
 
-def _depth(folder: Path, name: object) -> Callable[[], Depth] | None:
+def _depth_file(folder: Path, name: object) -> Path | None:
     path = None if name is None else path_within(folder, name)
-    return partial(read_depth, path, farthest=FARTHEST) if path is not None and path.is_file() else None
+    return path if path is not None and path.is_file() else None
 
 
 def _pose(matrix: object) -> Floats:
