@@ -273,6 +273,15 @@ class Geodesics(nn.Module):
             found = found + weight * values[begin + x * shape[:, 1] + y]
         return found
 
+    def within(self, place: Tensor, least: float, most: float) -> Tensor:
+        """Return whether some training goal of a single scene is in a range of distances: [N, 2] -> [N] bool."""
+        found = torch.zeros(len(place), dtype=torch.bool, device=place.device)
+        for goal in range(self.for_training):
+            left = (~found).nonzero().squeeze(1)
+            far = self.distance(place[left], torch.full_like(left, goal))
+            found[left] = (far >= least) & (far <= most)
+        return found
+
     def draw(self, place: Tensor, least: float, most: float, generator: torch.Generator, tests: bool = False) -> Tensor:
         """Draw a goal for each place, within a range of distances if there is one there, else any.
 

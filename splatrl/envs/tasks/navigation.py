@@ -60,7 +60,7 @@ class NavigationTask(TaskModule):
 
     Distances are geodesic: lengths of the shortest path on which the body fits (``Geodesics``). The goals of a scene
     are a seeded set of mutually connected places, some for training and others for tests; any start may be paired with
-    any of them that is neither too near nor too far.
+    any of them that is neither too near nor too far. Episodes begin only where a training goal is at such a distance.
 
     Args:
         motion: how the robots move.
@@ -80,6 +80,7 @@ class NavigationTask(TaskModule):
     """
 
     chooses_episodes = True
+    ways_out = "try other values of task.nearest, task.farthest and robot.height, or a smaller robot.body"
     given_together = ("goal", "goal_row", "start_distance", "distance_to_goal")
     motion: StoppingMotion
 
@@ -117,11 +118,16 @@ class NavigationTask(TaskModule):
         return self.success_distance
 
     def settle(self, site: Site, fits: Fits) -> Fits:
-        """Choose the goals of a scene; episodes begin where there is a path to them. See ``Task.settle``."""
+        """Choose the goals of a scene; episodes begin where one of them is in range. See ``Task.settle``."""
         fits = super().settle(site, fits)
         self.choose_goals(site.checker, fits)
-        connected = self.geodesics.grounds[0].connected
-        return narrowed(fits, lambda poses: connected(poses[:, :2, 3]))
+        connected, within = self.geodesics.grounds[0].connected, self.geodesics.within
+
+        def suit(poses: Tensor) -> Tensor:
+            place = poses[:, :2, 3]
+            return connected(place) & within(place, self.nearest, self.farthest)
+
+        return narrowed(fits, suit)
 
     def choose_goals(self, checker: Checker, fits: Fits | None = None) -> None:
         """Choose goals and compute distances to them; the task cannot be used before.

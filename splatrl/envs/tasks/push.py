@@ -11,10 +11,10 @@ from torchrl.data import TensorSpec, Unbounded
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdict
 from splatrl.envs.tasks.fitting import require_part
 from splatrl.envs.tasks.module import TaskModule
-from splatrl.envs.tasks.push_places import PushPlaces, first_of
+from splatrl.envs.tasks.push_places import PushPlaces, Ranges
 from splatrl.envs.tasks.push_teacher import pushing
 from splatrl.envs.tasks.rewards import FiniteRewards
-from splatrl.geometry import azimuths, planar_of, rigid, wrapped
+from splatrl.geometry import planar_of, rigid
 from splatrl.motions.physics import PhysicsMotion
 from splatrl.motions.site import Fits, Site, narrowed
 from splatrl.physics.gaussians import Models
@@ -28,8 +28,8 @@ NEAR = 0.35
 """Distance to the ball below which coming nearer is not rewarded, so that there is room to go round it, metres."""
 AROUND = 0.25
 """Metres of approach that a quarter turn round the ball, towards the side away from the mark, is worth."""
-CHUNK = 1024
-"""Robots per batch in ``connected``; bounds memory."""
+ROUNDING = 1e-6
+"""Tolerance for the rounding of headings in ``settle``, which sees poses in single precision, radians."""
 LIFT = 0.02
 """Height of a mark above the ground, metres, since the ground may be grass."""
 
@@ -141,42 +141,20 @@ class Push(TaskModule):
             )
         self.ball, self.rewards = motion.thing(ball), rewards or PushRewards()
         require_part("rewards", self.rewards, PushRewards, "the rewards of pushing", "push")
-        self.success_distance, self.nearest, self.farthest = success_distance, nearest, farthest
-        self.apart, self.ahead = apart, math.radians(ahead_deg)
-        self.turn = math.cos(math.radians(turn_deg)) - 1e-9
+        self.success_distance = success_distance
         require_rgb("task.mark_rgb", mark_rgb)
         self.leeway, self.drawn = leeway, Models([beacon(mark_radius, mark_rgb, mark_height)])
         self.rest = float(motion.home[self.ball][2])  # height of the ball's centre above the ground
-        self.places = PushPlaces(motion.twin.lower, motion.twin.upper, nearest, clearance, leeway)
+        ahead, turn = math.radians(ahead_deg) + ROUNDING, math.cos(math.radians(turn_deg)) - 1e-9
+        ranges = Ranges(nearest, farthest, apart, ahead, turn)
+        self.places = PushPlaces(motion.twin.lower, motion.twin.upper, ranges, clearance, leeway)
         self.places.find(motion.terrain)
 
     def settle(self, site: Site, fits: Fits) -> Fits:
-        """Find the possible places of balls and marks; episodes begin where some are ahead. See ``Task.settle``."""
+        """Find the possible places of balls and marks; episodes begin where both fit ahead. See ``Task.settle``."""
         fits = super().settle(site, fits)
         self.places.find(self.motion.terrain)
-        return narrowed(fits, lambda poses: self.connected(planar_of(poses)))
-
-    def connected(self, planar: Tensor) -> Tensor:
-        """Return whether robots are on connected free ground and a ball can lie ahead of them: [N, 3] -> [N] bool."""
-        some, found = self.places.some(), self.places.free(planar[:, :2])
-        for rows in found.nonzero().squeeze(1).split(CHUNK):
-            robot, ball = self._ahead(some.unsqueeze(0), planar[rows]).nonzero(as_tuple=True)
-            seen = self.places.open(planar[rows[robot], None, :2], some[ball].unsqueeze(1)).squeeze(1)
-            found[rows] = torch.zeros_like(found[rows]).index_fill_(0, robot[seen], True)
-        return found
-
-    def _onward(self, robot: Tensor, ball: Tensor, mark: Tensor) -> tuple[Tensor, Tensor]:
-        """Return whether a mark suits a ball, and the cosine of the turn at the ball: [B, K, 2] each, broadcast."""
-        way, came = mark - ball, ball - robot
-        far = way.norm(dim=2)
-        cosine = (way * came).sum(2) / (far * came.norm(dim=2)).clamp_min(1e-9)
-        return (far >= self.nearest) & (far <= self.farthest) & self.places.open(ball, mark), cosine
-
-    def _ahead(self, places: Tensor, planar: Tensor) -> Tensor:
-        """Return whether a ball could begin at places [B, K, 2], given robots [B, 3]: [B, K] bool."""
-        away = places - planar[:, None, :2]
-        off = wrapped(azimuths(away) - planar[:, 2:]).abs()
-        return (away.norm(dim=2) >= self.apart) & (off <= self.ahead)
+        return narrowed(fits, lambda poses: self.places.suit(planar_of(poses)))
 
     @property
     def models(self) -> list[Gaussians]:
@@ -185,7 +163,10 @@ class Push(TaskModule):
 
     def start(self, state: Tensor, anywhere: Anywhere) -> Tensor:
         """Place the ball at random; see ``Task.start``."""
-        return self._with_ball(self.motion.varied(state, anywhere.generator), anywhere.generator)
+        state = self.motion.varied(state, anywhere.generator).clone()
+        place = self.places.balls(self.motion.planar(state), anywhere.generator)
+        state[:, self.ball][:, :3] = self._on_ground(place, self.rest)
+        return state
 
     @property
     def memory_spec(self) -> Mapping[str, TensorSpec]:
@@ -195,10 +176,8 @@ class Push(TaskModule):
 
     def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
         """Draw a mark for the ball of each state; see ``Task.begin``."""
-        ball, robot = self._ball(state), self.motion.planar(state)
-        drawn = self.places.drawn(len(state), anywhere.generator)
-        fits, cosine = self._onward(robot[:, None, :2], ball[:, None, :2], drawn)
-        place = first_of(drawn, fits & (cosine >= self.turn), fits * (2.0 + cosine))
+        ball = self._ball(state)
+        place = self.places.marks(self.motion.planar(state), ball[:, :2], anywhere.generator)
         return {"mark": self._on_ground(place, LIFT).float(), "ball": ball.float()}
 
     def episodes(self, starts: Tensor, count: int, seed: int) -> dict[str, Tensor]:
@@ -268,19 +247,6 @@ class Push(TaskModule):
     def _outside(self, places: Tensor) -> Tensor:
         lower, upper = self.motion.twin.lower - self.leeway, self.motion.twin.upper + self.leeway
         return ((places[:, :2] < lower) | (places[:, :2] > upper)).any(1)
-
-    def _with_ball(self, state: Tensor, generator: torch.Generator) -> Tensor:
-        """Return states with the ball at a random place: [B, n] -> [B, n]."""
-        robot = self.motion.planar(state)
-        drawn, marks = (self.places.drawn(len(state), generator) for _ in range(2))
-        place = robot[:, None, :2]
-        apart = (drawn - place).norm(dim=2) >= self.apart
-        clear, (onward, cosine) = apart & self.places.open(place, drawn), self._onward(place, drawn, marks)
-        fits = clear & self._ahead(drawn, robot) & onward & (cosine >= self.turn)
-        place = first_of(drawn, fits, apart + 2.0 * clear + 4.0 * (clear & self._ahead(drawn, robot)))
-        state = state.clone()
-        state[:, self.ball][:, :3] = self._on_ground(place, self.rest)
-        return state
 
     def _on_ground(self, places: Tensor, lift: float) -> Tensor:
         """Lift places [B, 2] to a height above the ground: [B, 3] float64."""

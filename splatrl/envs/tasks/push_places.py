@@ -1,10 +1,13 @@
 """Where the balls and marks of the push task can be on a terrain, and where robots can go between them."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from scipy import ndimage
 from torch import Tensor, nn
 
+from splatrl.geometry import azimuths, wrapped
 from splatrl.motions.size import require_few, values_within
 from splatrl.physics import Terrain
 
@@ -12,6 +15,10 @@ CELL = 0.05
 """Spacing of the grid of possible places for a ball or a mark, metres."""
 TRIES = 128
 """Candidate places drawn for each ball and mark; the first that fits is used."""
+ROBOTS = 1024
+"""Most robots for which candidate balls are tested at once; bounds memory."""
+BALLS = 8192
+"""Candidate balls tested at once, of all these robots: for most robots, one of the first few fits."""
 FAR = 9.0
 """Upper limit of the clearance map, metres; larger clearances need not be distinguished."""
 WIDTH = 0.25
@@ -20,13 +27,32 @@ SIGHT = 12
 """Number of sample points on a line when testing whether it is clear of obstacles."""
 
 
+@dataclass(frozen=True)
+class Ranges:
+    """Where ball and mark may be when an episode begins.
+
+    Attributes:
+        nearest: minimum distance between ball and mark, metres.
+        farthest: maximum distance between ball and mark, metres.
+        apart: minimum distance between robot and ball, metres.
+        ahead: maximum angle between the robot's heading and the ball, in either direction, radians.
+        turn: minimum cosine of the angle at the ball between straight on from the robot and the mark.
+    """
+
+    nearest: float
+    farthest: float
+    apart: float
+    ahead: float
+    turn: float
+
+
 class PushPlaces(nn.Module):
     """Maps of a terrain, on a grid with ``CELL`` between its places; empty until ``find`` is called.
 
     Args:
         lower: [2] smallest x and y of robots, metres.
         upper: [2] largest x and y, metres.
-        nearest: distance between two places that there must be, metres.
+        ranges: where ball and mark may be when an episode begins.
         clearance: minimum distance between a ball or mark and obstacles, metres.
         leeway: distance beyond the bounds at which robot or ball count as lost, metres.
     """
@@ -37,9 +63,9 @@ class PushPlaces(nn.Module):
     way: Tensor  # [X, Y] bool, cells that robots can occupy
     clear: Tensor  # [X', Y'] float64, metres to obstacles or to where a robot is lost, over bounds and leeway
 
-    def __init__(self, lower: Tensor, upper: Tensor, nearest: float, clearance: float, leeway: float):
+    def __init__(self, lower: Tensor, upper: Tensor, ranges: Ranges, clearance: float, leeway: float):
         super().__init__()
-        self.nearest, self.clearance, self.leeway = nearest, clearance, leeway
+        self.ranges, self.clearance, self.leeway = ranges, clearance, leeway
         self.register_buffer("lower", lower.double(), persistent=False)
         self.register_buffer("upper", upper.double(), persistent=False)
         self.register_buffer("possible", torch.zeros(0, 2, dtype=torch.float64), persistent=False)
@@ -62,10 +88,11 @@ class PushPlaces(nn.Module):
         inner = (grid >= lower + self.clearance).all(-1) & (grid <= upper - self.clearance).all(-1)
         possible = grid[torch.from_numpy(way) & inner & (away >= self.clearance)]
         spread = (possible.amax(0) - possible.amin(0)).norm() if len(possible) else 0.0
-        if not spread >= self.nearest:
+        if not spread >= self.ranges.nearest:
             raise ValueError(
-                f"places for ball and mark: expected two at least {self.nearest:g} m apart and {self.clearance:g} m "
-                f"from obstacles, found none among {len(possible)}; widen task.motion.lower and task.motion.upper"
+                f"places for ball and mark: expected two at least {self.ranges.nearest:g} m apart and "
+                f"{self.clearance:g} m from obstacles, found none among {len(possible)}; widen task.motion.lower and "
+                "task.motion.upper"
             )
         self.possible = possible.to(self.possible.device)
         lower, upper = lower - self.leeway, upper + self.leeway
@@ -74,14 +101,92 @@ class PushPlaces(nn.Module):
         clear = torch.minimum(_away(terrain, grid.reshape(-1, 2)).reshape(inside.shape), inside).clamp_max(FAR)
         self.clear = clear.to(self.possible.device)
 
-    def some(self) -> Tensor:
+    def suit(self, planar: Tensor) -> Tensor:
+        """Return whether robots are on free ground, with places in range for ball and mark: [N, 3] -> [N] bool."""
+        found = self.free(planar[:, :2])
+        found[found.clone()] = self._first(planar[found], self._some()) >= 0
+        return found
+
+    def balls(self, planar: Tensor, generator: torch.Generator) -> Tensor:
+        """Draw the place of the ball for each robot: [B, 3] -> [B, 2].
+
+        Where ``suit`` holds, the ball is in range, and so is a mark for it. Elsewhere, the ball is ahead if it can be.
+        """
+        drawn, some = self._drawn(len(planar), generator), self._some()
+        chosen = self._first(planar, drawn)
+        place = _select(drawn, chosen)
+        rest = (chosen < 0).nonzero().squeeze(1)
+        fixed = self._first(planar[rest], some)
+        place[rest] = some[fixed]
+        rest = rest[fixed < 0]
+        robot = planar[rest, None, :2]
+        apart = (drawn[rest] - robot).norm(dim=2) >= self.ranges.apart
+        clear = self._open(robot, drawn[rest], apart)
+        worth = apart + 2.0 * clear + 4.0 * (clear & self._ahead(planar[rest], drawn[rest]))
+        place[rest] = _select(drawn[rest], worth.argmax(1))
+        return place
+
+    def marks(self, planar: Tensor, ball: Tensor, generator: torch.Generator) -> Tensor:
+        """Draw the place of the mark for each robot and ball, in range if it can be: [B, 3], [B, 2] -> [B, 2]."""
+        some = self._some().expand(len(planar), -1, -1)
+        places, ball = torch.cat([self._drawn(len(planar), generator), some], 1), ball.unsqueeze(1)
+        near, cosine = self._onward(planar[:, None, :2], ball, places)
+        fits = self._open(ball, places, near & (cosine >= self.ranges.turn))
+        none = ~fits.any(1, keepdim=True)
+        worth = self._open(ball, places, near & none) * (2.0 + cosine)
+        return _select(places, torch.where(none, worth, fits).argmax(1))
+
+    def _some(self) -> Tensor:
         """Return about ``TRIES`` of the possible places, spread evenly: [K, 2] float64."""
         return self.possible[:: 1 + len(self.possible) // TRIES]
 
-    def drawn(self, count: int, generator: torch.Generator) -> Tensor:
+    def _drawn(self, count: int, generator: torch.Generator) -> Tensor:
         """Draw candidate places for each robot: [B, TRIES, 2] float64."""
         rows = torch.randint(len(self.possible), (count, TRIES), generator=generator, device=self.possible.device)
         return self.possible[rows]
+
+    def _first(self, planar: Tensor, balls: Tensor) -> Tensor:
+        """Return each robot's first candidate ball that fits, with one of ``_some`` as its mark.
+
+        Args:
+            planar: [N, 3] float64, robots.
+            balls: candidates for each robot, [N, K, 2] float64, or for all, [K, 2].
+
+        Returns:
+            [N] int64, numbers of candidates; -1 where none fits.
+        """
+        balls = balls.expand(len(planar), -1, -1)
+        found = torch.full_like(planar[:, 0], -1, dtype=torch.int64)
+        for rows in torch.arange(len(planar), device=planar.device).split(ROBOTS):
+            left, begin = rows, 0
+            while begin < balls.shape[1] and len(left):
+                end = begin + BALLS // len(left)
+                fits = self._fits(planar[left], balls[left, begin:end])
+                found[left] = torch.where(fits.any(1), begin + fits.int().argmax(1), -1)
+                left, begin = left[~fits.any(1)], end
+        return found
+
+    def _fits(self, planar: Tensor, balls: Tensor) -> Tensor:
+        """Return whether balls are ahead and one of ``_some`` fits as the mark: [N, 3], [N, K, 2] -> [N, K] bool."""
+        fits = self._open(planar[:, None, :2], balls, self._ahead(planar, balls))
+        robot, marks = planar[fits.nonzero()[:, 0], None, :2], self._some().unsqueeze(0)
+        ball = balls[fits].unsqueeze(1)
+        near, cosine = self._onward(robot, ball, marks)
+        fits[fits.clone()] = self._open(ball, marks, near & (cosine >= self.ranges.turn)).any(1)
+        return fits
+
+    def _ahead(self, planar: Tensor, balls: Tensor) -> Tensor:
+        """Return whether balls are far enough and ahead of robots: [N, 3], [N, K, 2] -> [N, K] bool."""
+        away = balls - planar[:, None, :2]
+        off = wrapped(azimuths(away) - planar[:, 2:]).abs()
+        return (away.norm(dim=2) >= self.ranges.apart) & (off <= self.ranges.ahead)
+
+    def _onward(self, robot: Tensor, ball: Tensor, mark: Tensor) -> tuple[Tensor, Tensor]:
+        """Return whether a mark is in range of a ball, and the cosine of the turn at the ball: [N, K, 2], broadcast."""
+        way, came = mark - ball, ball - robot
+        far = way.norm(dim=2)
+        cosine = (way * came).sum(2) / (far * came.norm(dim=2)).clamp_min(1e-9)
+        return (far >= self.ranges.nearest) & (far <= self.ranges.farthest), cosine
 
     def free(self, places: Tensor) -> Tensor:
         """Return whether robots can be at places: [..., 2] float64 -> [...] bool."""
@@ -89,10 +194,16 @@ class PushPlaces(nn.Module):
         cell = ((places - self.lower) / CELL).round().long().clamp_min(0).minimum(last)
         return self.way[cell[..., 0], cell[..., 1]]
 
-    def open(self, start: Tensor, end: Tensor) -> Tensor:
-        """Return whether the line between places is clear: [B, K, 2], [B, K, 2], broadcast -> [B, K] bool."""
+    def _open(self, start: Tensor, end: Tensor, among: Tensor) -> Tensor:
+        """Return where lines between places are clear, among those of interest.
+
+        Maps [N, K, 2] and [N, K, 2], broadcast, and [N, K] bool to [N, K] bool.
+        """
+        shape, found = (*among.shape, 2), among.clone()
+        start, end = start.expand(shape)[among], end.expand(shape)[among]
         share = torch.linspace(0.0, 1.0, SIGHT, dtype=torch.float64, device=end.device)[:, None]
-        return self.free(start.unsqueeze(2) + share * (end - start).unsqueeze(2)).all(2)
+        found[among] = self.free(start.unsqueeze(1) + share * (end - start).unsqueeze(1)).all(1)
+        return found
 
     def room(self, places: Tensor) -> Tensor:
         """Interpolate the distance from places to obstacles and to where a robot is lost: [N, 2] -> [N] metres."""
@@ -105,14 +216,9 @@ class PushPlaces(nn.Module):
         return (1.0 - share[..., 0]) * rows[0] + share[..., 0] * rows[1]
 
 
-def first_of(drawn: Tensor, fits: Tensor, worth: Tensor) -> Tensor:
-    """Select each row's first place that fits, or the one of highest worth if none does.
-
-    Maps [B, K, 2] places, [B, K] bool and [B, K] worths to [B, 2].
-    """
-    order = torch.arange(fits.shape[1], 0, -1, device=fits.device)
-    best = torch.where(fits, 1e6 + order, worth).argmax(1)
-    return drawn[torch.arange(len(drawn), device=drawn.device), best]
+def _select(places: Tensor, chosen: Tensor) -> Tensor:
+    """Return one of each row's places: [B, K, 2], [B] -> [B, 2]."""
+    return places[torch.arange(len(places), device=places.device), chosen]
 
 
 def _away(terrain: Terrain, places: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 import math
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -259,6 +260,15 @@ def test_the_configured_tasks_keep_their_specs(task: str, motion: str, tmp_path)
     first = env.reset()
     env.set_seed(5)
     assert torch.equal(first["goal"], env.reset()["goal"])
+
+
+def test_episodes_begin_only_where_a_training_goal_is_in_range(tmp_path: Path) -> None:
+    given = [*tiny_overrides(tmp_path, "pointnav"), "task.goals=2", "task.test_goals=3", "robot.body.radius=0.1"]
+    env = splatrl.make_env([*given, "task.nearest=1.0", "task.farthest=1.2"], [64])
+    far = env.reset()["start_distance"]
+    assert far.min() >= 1.0 and far.max() <= 1.2
+    with pytest.raises(ValueError, match=r"expected free poses, .*; try other values of task\.nearest, task\.far"):
+        splatrl.make_env([*given, "task.nearest=1.0001", "task.farthest=1.0002"])
 
 
 def test_a_motion_that_cannot_stop_is_refused() -> None:
