@@ -6,13 +6,13 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import torch
-from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 from torchrl.envs import Transform
 from tqdm import tqdm
 
 from splatrl.bodies import Body
+from splatrl.building.instantiation import instantiate
 from splatrl.collision import NativeChecker, Occupancy
 from splatrl.collision.base import Checker
 from splatrl.cost_cache import remembering
