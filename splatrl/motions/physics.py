@@ -12,6 +12,7 @@ from torch import Tensor
 from torchrl.data import Bounded
 
 from splatrl.collision.base import Checker
+from splatrl.collision.occupancy import Occupancy
 from splatrl.files import expanded
 from splatrl.geometry import planar_of
 from splatrl.motions.base import Move
@@ -26,8 +27,9 @@ from splatrl.physics.kinematics import rotated, turned_back
 from splatrl.physics.robot_world import RobotWorld
 from splatrl.physics.robots import mjcf_path
 from splatrl.physics.standing import on_ground
-from splatrl.physics.survey import survey_terrain
+from splatrl.physics.survey import survey_ground, survey_terrain, without_ground
 from splatrl.renderers.parts import Parts
+from splatrl.scenes.scene import Scene
 from splatrl.values import require_number
 
 FORWARD, TURN = "forward", "turn"
@@ -146,6 +148,13 @@ class PhysicsMotion(TwinMotion):
         height = float(self.home[self.layout.position][2])
         self.twin = DriveMotion(height, time_step, linear, angular_deg, lower, upper, spacing, headings)
         self.step, self.angle_step, self.height = self.twin.step, self.twin.angle_step, None
+
+    def obstacles(self, scene: Scene, occupancy: Occupancy, antialiased: bool) -> Occupancy:
+        """Return the solid voxels that physics does not take as ground: grass reaches into low bodies."""
+        if self.ground != "scene":
+            return occupancy
+        lower, upper = self.twin.lower.tolist(), self.twin.upper.tolist()
+        return without_ground(occupancy, survey_ground(scene, occupancy, lower, upper, antialiased))
 
     def settle(self, site: Site, fits: Fits) -> Fits:
         """Put the robot and its things into a scene, where it begins only if it is ``clear``; see ``Motion``."""

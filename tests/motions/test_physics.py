@@ -16,7 +16,7 @@ from splatrl.motions import DriveMotion, PhysicsMotion, Site
 from splatrl.physics import Terrain, Variation
 from splatrl.physics.robots import FOLDER, mjcf_path
 from splatrl.scenes import Scene, write_gaussians
-from tests.tiny import tiny_gaussians
+from tests.tiny import tiny_gaussians, tiny_overrides
 from tests.two_rooms import in_both
 
 WALL = torch.tensor([[0.6, 0.0, 0.2, 0.1, 1.0, 0.2]], dtype=torch.float64)
@@ -109,6 +109,29 @@ def test_physics_knows_everything_solid_that_robots_and_pushed_things_can_reach(
     motion.settle(Site(scene, occupancy, NOTHING, shape, True, leeway), lambda poses: torch.ones(len(poses)).bool())
     boxes = motion.terrain.boxes
     assert len(boxes) and ((boxes[:, 0] + boxes[:, 3]).max() > 1.4).item() is walls
+
+
+CART = """<mujoco><worldbody><body name="cart" pos="0 0 0.06"><freejoint/><camera name="eye"/>
+<geom type="box" size="0.1 0.07 0.03" mass="1"/><site name="s"/>{wheels}</body></worldbody>
+<actuator>{motors}</actuator></mujoco>"""
+
+
+def test_grass_that_physics_takes_as_ground_does_not_keep_a_low_robot_from_starting(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(places, "plan", lambda motion, checker, reached, farthest, fits, find: (motion, checker, fits))
+    path = tmp_path / "cart.xml"
+    path.write_text(CART.format(wheels="", motors='<general site="s" ctrlrange="-1 1"/>'))
+    low = ["robot=mjcf", f"robot.path={path}", "robot.body.size=[0.2,0.2,0.02]", "motion@task.motion=physics"]
+    low += ["task.motion.linear=[-0.4,0.4]", "task.motion.angular_deg=90", "task.motion.headings=4"]
+    grass = "collision.occupancy.add=[[[-1.4,-1.9,0.0],[1.4,1.9,0.09]]]"
+    cfg = load_config([*tiny_overrides(tmp_path, "drive"), *low, grass])
+    (place,) = places.build_places([cfg], torch.device("cpu"), ["room"])
+    motion, checker, fits = place.plan
+    poses = motion.body_to_world(motion.states())
+    assert place.checker.collides(poses).all()
+    free = ~checker.collides(poses)
+    assert 0.3 < free.double().mean() < 1.0 and torch.equal(fits(poses), free)
 
 
 def test_pushable_things_are_not_obstacles_and_other_things_are() -> None:
