@@ -221,6 +221,24 @@ def test_several_scenes_are_refused_before_any_is_built(tmp_path: Path, monkeypa
         build_world(load_config(in_both(tmp_path, "push")))
 
 
+WHEEL = (
+    '<body pos="-0.05 {y} -0.02"><joint name="{n}" axis="0 1 0"/><geom type="sphere" size="0.04" mass="0.1"/></body>'
+)
+
+
+def test_a_robot_whose_physics_fails_at_once_is_refused_by_its_file(tmp_path: Path) -> None:
+    path, wheels = tmp_path / "cart.xml", WHEEL.format(y=0.08, n="l") + WHEEL.format(y=-0.08, n="r")
+
+    def cart(gain: float) -> PhysicsMotion:
+        motors = "".join(f'<velocity joint="{name}" kv="{gain}" ctrlrange="-20 20"/>' for name in "lr")
+        path.write_text(CART.format(wheels=wheels, motors=motors))
+        return PhysicsMotion(path, "eye", linear=(-0.4, 0.4), angular_deg=90.0, substep=0.005, threads=1)
+
+    assert cart(gain=0.005).action_spec.shape == (2,)
+    with pytest.raises(ValueError, match=r"cart\.xml: expected physics that .* fails within the first; lower"):
+        cart(gain=0.5)
+
+
 BODY = '<freejoint/><geom size="0.1"/><camera name="eye"/>'
 MOTOR = '<actuator><general site="s" ctrlrange="-1 1" name="push"/></actuator>'
 
