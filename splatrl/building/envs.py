@@ -5,9 +5,9 @@ from functools import partial
 from multiprocessing import current_process
 
 import numpy as np
-from hydra.utils import instantiate
 from torchrl.envs import EnvBase
 
+from splatrl.building.instantiation import instantiate
 from splatrl.building.worlds import build_world
 from splatrl.configuration import load_config
 from splatrl.envs.given import check_default_dtype

@@ -6,13 +6,13 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import torch
-from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 from torchrl.envs import Transform
 from tqdm import tqdm
 
 from splatrl.bodies import Body
+from splatrl.building.instantiation import instantiate
 from splatrl.collision import NativeChecker, Occupancy
 from splatrl.collision.base import Checker
 from splatrl.cost_cache import remembering
@@ -87,13 +87,18 @@ def _build_place(cfg: DictConfig, device: torch.device) -> Place:
     with under_key("collision.occupancy"):
         occupancy = instantiate(cfg.collision.occupancy)(scene, *region)
     checker = constructor(cfg, "collision", device)(occupancy, robot.body)
-    planner = checker if device.type == "cpu" else instantiate(cfg.collision.cpu)(occupancy, robot.body)
-    solid = checker if isinstance(checker, NativeChecker) else NativeChecker(occupancy, robot.body)
-    site = Site(scene, occupancy, planner, robot.body, bool(cfg.renderer.get("antialiased", True)))
+    antialiased = bool(cfg.renderer.get("antialiased", True))
+    with under_key("task.motion"):
+        obstacles = task.motion.obstacles(scene, occupancy, antialiased)
+    shared = device.type == "cpu" and obstacles is occupancy
+    planner = checker if shared else instantiate(cfg.collision.cpu)(obstacles, robot.body)
+    solid = planner if isinstance(planner, NativeChecker) else NativeChecker(obstacles, robot.body)
     with under_key("task"):
-        fits = task.settle(site, partial(_fits, scene.bounds, solid))
+        fits = task.settle(
+            Site(scene, occupancy, planner, robot.body, antialiased), partial(_fits, scene.bounds, solid)
+        )
     try:
-        paths = plan(task.motion, planner, task.reached, cfg.starts.farthest, fits, remembering(cfg, occupancy))
+        paths = plan(task.motion, planner, task.reached, cfg.starts.farthest, fits, remembering(cfg, obstacles))
     except NoPath as error:
         raise ValueError(f"{error}; {task.ways_out}") from error
     return Place(scene, occupancy, checker, robot, task, paths)

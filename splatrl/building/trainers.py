@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any, cast
 
 import torch
-from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
 
 from splatrl.building.envs import worker_seed
+from splatrl.building.instantiation import instantiate
 from splatrl.configuration import with_absolute_paths
 from splatrl.datasets import Demonstrations, imitate, planner_episodes, read_demonstrations
 from splatrl.device import AUTO

@@ -3,10 +3,10 @@
 from functools import partial
 
 import torch
-from hydra.utils import instantiate
 from omegaconf import DictConfig
 from torchrl.envs import Transform
 
+from splatrl.building.instantiation import instantiate
 from splatrl.building.places import build_places, constructor
 from splatrl.collision.several import SeveralCheckers
 from splatrl.configuration import check_config, place_configs, place_names, with_absolute_paths

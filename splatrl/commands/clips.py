@@ -4,10 +4,10 @@ from pathlib import Path
 
 import hydra
 import torch
-from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig
 
 from splatrl.building import build_one_world
+from splatrl.building.instantiation import instantiate
 from splatrl.commands.entries import clips as main
 from splatrl.commands.faults import in_one_line
 from splatrl.configuration import check_config, conf_dir, run_config

@@ -17,6 +17,7 @@ from splatrl.configuration import PATHS, check_config, conf_dir, config_elsewher
 from splatrl.configuration.grammar import bare
 from splatrl.documents import read_yaml
 from splatrl.envs.world import World, Worlds
+from splatrl.evaluation.episode_sets import MOST_EPISODES
 from splatrl.evaluation.evaluate import EvaluationSettings, evaluate, summary_lines
 from splatrl.files import replacing, require_room
 from splatrl.runs import load_policy
@@ -63,6 +64,8 @@ def run(cfg: DictConfig) -> None:
         words.append(f"episodes={Path(str(cfg.episodes)).absolute()}")
     if words:
         results = _results_folder(folder / "places", words)
+    if cfg.episodes and cfg.starts is None:
+        cfg.starts = MOST_EPISODES  # a file is evaluated whole
     for key in ("checkpoint", "starts", "repeats", "seed", "episodes"):
         if cfg[key] is not None:
             OmegaConf.update(own, f"evaluation.{key}", cfg[key])

@@ -9,10 +9,10 @@ from typing import Any
 import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
-from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from splatrl.building import build_one_world, check_place
+from splatrl.building.instantiation import instantiate
 from splatrl.commands.entries import view as main
 from splatrl.commands.faults import in_one_line, line
 from splatrl.configuration import (

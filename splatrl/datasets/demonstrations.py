@@ -17,8 +17,9 @@ class Demonstrations:
     Attributes:
         frames: batch of size [N] with ``episode`` [N] int64, numbered from 0; ``frame`` [N] int64, the number within
             the episode; ``pixels`` [N, H, W, 3] uint8, a single view; ``action`` and ``state``; the sensor readings and
-            what sensors and task remember; and the keys in ``AFTER`` under ``"next"``. Where the planner demonstrated
-            discrete actions, also ``optimal`` [N, A] bool, which marks every action that would have been right.
+            what sensors, task and transforms remember; and the keys in ``AFTER`` under ``"next"``. Where the planner
+            demonstrated discrete actions, also ``optimal`` [N, A] bool, which marks every action that would have been
+            right.
         action_names: names of the discrete actions, in order; empty for continuous actions.
         fps: steps per second, for videos.
     """

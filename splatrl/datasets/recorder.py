@@ -60,7 +60,7 @@ def planner_episodes(
 @torch.no_grad()
 def _walked(world: World, plan: Plan, starts: Tensor, seed: int, generator: torch.Generator) -> list[TensorDictBase]:
     """Run one episode from each start along shortest paths, or at random where none exists: frames [T], on the CPU."""
-    env, names = world.env(len(starts), seed=seed), world.task.motion.action_names
+    env, names, told = world.env(len(starts), seed=seed), world.task.motion.action_names, world.told
     now = env.reset(TensorDict({"state": starts}, [len(starts)], device=env.device), set_state=True)
     steps: list[TensorDictBase] = []
     length = torch.zeros(len(starts), dtype=torch.int64)  # frames of each ended episode
@@ -70,7 +70,7 @@ def _walked(world: World, plan: Plan, starts: Tensor, seed: int, generator: torc
         chosen = torch.multinomial(best.float() + 1e-9, 1, generator=generator).squeeze(1)
         now["action"] = plan.actions.cpu()[chosen].to(env.device)
         step = env.step(now)
-        seen = recorded(step, world.told)
+        seen = recorded(step, told)
         if names:
             seen["optimal"] = best.float() @ one_hot(plan.actions.cpu(), len(names)).float() > 0
         steps.append(seen)

@@ -24,7 +24,7 @@ def replay(
 
     Returns:
         The differences, one line for each key that differs (``pixels`` excluded), and the number of views that are
-        identical byte for byte; views may differ, because camera noise and appearance are drawn anew.
+        identical byte for byte; views may differ, because the noise of camera poses and images is drawn anew.
 
     Raises:
         ValueError: for states or actions that do not exist in the world.

@@ -70,9 +70,16 @@ class EnvMaker(ABC):
 
     @property
     def told(self) -> tuple[str, ...]:
-        """Keys of sensor readings, and of what task and sensors remember about each robot."""
-        sensors = self.sensors.values()
-        remembered = [*self.task.memory_spec, *(key for one in sensors for key in one.memory_spec(self.robot))]
+        """Keys of sensor readings, and of what task, sensors and transforms remember about each robot.
+
+        A transform names its own in an attribute ``remembered``: what it drew for the episode, and whatever else its
+        steps depend on.
+        """
+        remembered = [*self.task.memory_spec]
+        for sensor in self.sensors.values():
+            remembered += sensor.memory_spec(self.robot)
+        for transform in self.make_transforms():
+            remembered += getattr(transform, "remembered", ())
         return tuple(dict.fromkeys([*self.sensors, *remembered]))
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -34,7 +34,7 @@ class EvaluationSettings:
 
     Attributes:
         checkpoint: which checkpoint to test, last or best.
-        starts: maximum number of starts, evenly spaced over the start set.
+        starts: maximum number of starts, evenly spaced over the start set; of a file of episodes, the first ones.
         repeats: number of sampled episodes from each start.
         batch_size: number of robots in parallel.
         seed: seed of the sampled actions, and of what the env draws, such as looks and apples.
@@ -77,7 +77,7 @@ def evaluate(
     if settings.episodes is None:
         starts = spread_starts(world, settings.starts)
     else:
-        world, starts = given_episodes(world, Path(settings.episodes))
+        world, starts = given_episodes(world, Path(settings.episodes), settings.starts)
     sampled, argmax = _run(world, policy, starts, settings)
     summary = summarise(sampled, argmax, starts.distance if world.planned else None) | facts
     summary |= _facts_of_starts(plans, starts)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from splatrl.envs.tasks.base import ChoosingTask, GoalTask
 from splatrl.envs.world import World, Worlds
-from splatrl.evaluation.episode_sets import read_episodes, write_episodes
+from splatrl.evaluation.episode_sets import MOST_EPISODES, read_episodes, write_episodes
 from splatrl.motions import Motion
 from splatrl.values import under_key
 
@@ -48,8 +48,8 @@ class Chosen(NamedTuple):
         return Chosen(self.state.repeat_interleave(times, 0), scene, self.distance.repeat_interleave(times, 0), memory)
 
 
-def given_episodes(world: World | Worlds, path: Path) -> tuple[World | Worlds, Chosen]:
-    """Read episodes from a file, and give the world a task that knows their goals.
+def given_episodes(world: World | Worlds, path: Path, most: int = MOST_EPISODES) -> tuple[World | Worlds, Chosen]:
+    """Read the first ``most`` episodes from a file, and give the world a task that knows their goals.
 
     Returns:
         The world with that task, and the starts of the episodes with the task's memory at each.
@@ -62,7 +62,7 @@ def given_episodes(world: World | Worlds, path: Path) -> tuple[World | Worlds, C
         raise ValueError(
             f"evaluation.episodes: expected a navigation task, such as task=pointnav, got {type(world.task).__name__}"
         )
-    state, goal, scene = read_episodes(path, world.names)
+    state, goal, scene = (values[:most] for values in read_episodes(path, world.names))
     for number, (name, one) in enumerate(zip(world.names, world.worlds, strict=True)):
         mine = (scene == number).nonzero().squeeze(1)
         blocked = one.plan.checker.collides(one.task.motion.body_to_world(state[mine]))

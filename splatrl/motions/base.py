@@ -9,9 +9,11 @@ from torch import Tensor, nn
 from torchrl.data import TensorSpec
 
 from splatrl.collision.base import Checker
+from splatrl.collision.occupancy import Occupancy
 from splatrl.motions.site import Fits, Site
 from splatrl.renderers.parts import Parts
 from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes.scene import Scene
 
 
 class Move(NamedTuple):
@@ -110,6 +112,16 @@ class Motion(Protocol):
         """Return the poses of states: [B, ...] -> [B, 4, 4] float32."""
         ...
 
+    def obstacles(self, scene: Scene, occupancy: Occupancy, antialiased: bool) -> Occupancy:
+        """Return the solid voxels of a scene that a robot's body must not touch where it begins and on its paths.
+
+        Args:
+            scene: the scene.
+            occupancy: all of its solid voxels.
+            antialiased: whether the scene is rendered with antialiasing.
+        """
+        ...
+
     def settle(self, site: Site, fits: Fits) -> Fits:
         """Put robots into a scene, once, before paths are planned there, and return where episodes may begin.
 
@@ -182,6 +194,10 @@ class MotionModule(nn.Module):
     def seconds_per_step(self) -> float | None:
         """None: an action is a single move."""
         return None
+
+    def obstacles(self, scene: Scene, occupancy: Occupancy, antialiased: bool) -> Occupancy:
+        """Return all solid voxels."""
+        return occupancy
 
     def settle(self, site: Site, fits: Fits) -> Fits:
         """Return where episodes may begin, unchanged."""

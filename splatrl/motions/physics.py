@@ -12,6 +12,7 @@ from torch import Tensor
 from torchrl.data import Bounded
 
 from splatrl.collision.base import Checker
+from splatrl.collision.occupancy import Occupancy
 from splatrl.files import expanded
 from splatrl.geometry import planar_of
 from splatrl.motions.base import Move
@@ -26,8 +27,9 @@ from splatrl.physics.kinematics import rotated, turned_back
 from splatrl.physics.robot_world import RobotWorld
 from splatrl.physics.robots import mjcf_path
 from splatrl.physics.standing import on_ground
-from splatrl.physics.survey import survey_terrain
+from splatrl.physics.survey import survey_ground, survey_terrain, without_ground
 from splatrl.renderers.parts import Parts
+from splatrl.scenes.scene import Scene
 from splatrl.values import require_number
 
 FORWARD, TURN = "forward", "turn"
@@ -80,7 +82,7 @@ class PhysicsMotion(TwinMotion):
         FileNotFoundError: for MJCF files that do not exist.
         ImportError: without the extra ``physics``.
         ValueError: for MJCF that is refused or lacks a free joint, the camera or the range of an actuator, or a number
-            out of range.
+            out of range; or for a robot whose physics fails within one action.
     """
 
     action_names: tuple[str, ...] = ()
@@ -137,6 +139,7 @@ class PhysicsMotion(TwinMotion):
         self.register_buffer("limits", torch.zeros(2, 0), persistent=False)
         self.register_buffer("home", torch.zeros(0, dtype=torch.float64), persistent=False)
         self.stand_on(level_ground())
+        self._check_sound()
         forward, turn = self.world.control_range(FORWARD), self.world.control_range(TURN)
         if linear is None:
             linear = self._told(forward, FORWARD, "linear")
@@ -146,6 +149,13 @@ class PhysicsMotion(TwinMotion):
         height = float(self.home[self.layout.position][2])
         self.twin = DriveMotion(height, time_step, linear, angular_deg, lower, upper, spacing, headings)
         self.step, self.angle_step, self.height = self.twin.step, self.twin.angle_step, None
+
+    def obstacles(self, scene: Scene, occupancy: Occupancy, antialiased: bool) -> Occupancy:
+        """Return the solid voxels that physics does not take as ground: grass reaches into low bodies."""
+        if self.ground != "scene":
+            return occupancy
+        lower, upper = self.twin.lower.tolist(), self.twin.upper.tolist()
+        return without_ground(occupancy, survey_ground(scene, occupancy, lower, upper, antialiased))
 
     def settle(self, site: Site, fits: Fits) -> Fits:
         """Put the robot and its things into a scene, where it begins only if it is ``clear``; see ``Motion``."""
@@ -327,6 +337,19 @@ class PhysicsMotion(TwinMotion):
         numbers = torch.arange(first, first + moving.shape[1], device=state.device)
         model = torch.cat([torch.zeros_like(numbers[:1]), numbers]).expand(len(state), -1)
         return Parts(model, torch.cat([scene, moving], 1))
+
+    def _check_sound(self) -> None:
+        """Refuse a robot whose physics fails within an action with the lowest, highest or alternating controls."""
+        low, high = self.world.control_limits()
+        every_other = torch.where(torch.arange(len(low)) % 2 == 0, low, high)
+        number = torch.arange(len(self.physics.models)).repeat_interleave(3)
+        home = self.with_model(self.of_physics(self.home.expand(len(number), -1)), number)
+        controls = torch.stack([low, high, every_other]).repeat(len(self.physics.models), 1)
+        if not self.physics.step(home, controls).sound.all():
+            raise ValueError(
+                f"{self.path}: expected physics that can carry out any action, got one that fails within the first; "
+                "lower the timestep or the actuators' gains (kv, kp), or add armature to their joints"
+            )
 
     def _told(self, found: list[float] | None, actuator: str, key: str) -> list[float]:
         if found is None:

@@ -15,6 +15,19 @@ gravel, and the voxels of the floor itself, whose edges would stop a wheel."""
 _ORDERS = tuple(permutations(range(3)))
 
 
+def standing(voxels: Voxels, ground: Ground, turf: float = TURF) -> NDArray[np.bool_]:
+    """Return which solid voxels are not part of the ground: [X, Y, Z] bool.
+
+    The ground are those that reach no higher than ``turf`` above the plane and carry nothing solid.
+    """
+    kept, low = voxels.occupied.copy(), _above(voxels, ground) + voxels.resolution <= turf + _slack(voxels)
+    carries = np.zeros(kept.shape[:2], bool)  # whether the voxel above is kept
+    for layer in reversed(range(kept.shape[2])):
+        kept[:, :, layer] &= ~low[:, :, layer] | carries
+        carries = kept[:, :, layer]
+    return kept
+
+
 def solid_above(
     voxels: Voxels, ground: Ground, lower: Sequence[float], upper: Sequence[float], top: float, turf: float = TURF
 ) -> Voxels:
@@ -36,23 +49,31 @@ def solid_above(
     """
     if not top > turf >= 0.0:
         raise ValueError(f"top: expected a height above turf ({turf:g} m), got {top}")
-    edge, occupied = voxels.resolution, voxels.occupied
-    x, y, bottom = (
-        (np.arange(count) + key) * edge for count, key in zip(occupied.shape, voxels.origin_key, strict=True)
-    )
-    middle = np.stack(np.meshgrid(x + 0.5 * edge, y + 0.5 * edge, indexing="ij"), -1)
-    above = bottom - ground.height(middle)[:, :, None]  # [X, Y, Z], height of lower faces over the plane
-    slack = 1e-6 * edge
+    edge, slack, above = voxels.resolution, _slack(voxels), _above(voxels, ground)
+    x, y, _ = _lower_faces(voxels)
     beside_x = (x + edge <= lower[0] + slack) | (x >= upper[0] - slack)
     beside_y = (y + edge <= lower[1] + slack) | (y >= upper[1] - slack)
-    kept = occupied & (above + edge > slack) & (above < top - slack)
+    kept = standing(voxels, ground, turf) & (above + edge > slack) & (above < top - slack)
     kept &= ~(beside_x[:, None, None] | beside_y[None, :, None])
-    low = above + edge <= turf + slack
-    carries = np.zeros(occupied.shape[:2], bool)  # whether the voxel above is kept and stands higher than turf
-    for layer in reversed(range(occupied.shape[2])):
-        kept[:, :, layer] &= ~low[:, :, layer] | carries
-        carries = kept[:, :, layer]
     return Voxels(kept, voxels.origin_key, edge)
+
+
+def _slack(voxels: Voxels) -> float:
+    """Return the tolerance of comparisons, metres."""
+    return 1e-6 * voxels.resolution
+
+
+def _lower_faces(voxels: Voxels) -> list[NDArray[np.float64]]:
+    """Return the coordinates of the voxels' lower faces along each axis, metres: [X], [Y] and [Z]."""
+    sides = zip(voxels.occupied.shape, voxels.origin_key, strict=True)
+    return [(np.arange(count) + key) * voxels.resolution for count, key in sides]
+
+
+def _above(voxels: Voxels, ground: Ground) -> NDArray[np.float64]:
+    """Return the height of the voxels' lower faces over the plane, metres: [X, Y, Z]."""
+    x, y, bottom = _lower_faces(voxels)
+    middle = np.stack(np.meshgrid(x + 0.5 * voxels.resolution, y + 0.5 * voxels.resolution, indexing="ij"), -1)
+    return bottom - ground.height(middle)[:, :, None]
 
 
 def merged_boxes(voxels: Voxels) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from splatrl.collision.occupancy import Occupancy
 from splatrl.files import digest_of
 from splatrl.native import _core
-from splatrl.physics.boxes import merged_boxes, solid_above
+from splatrl.physics.boxes import merged_boxes, solid_above, standing
 from splatrl.physics.ground import Ground, fit_ground
 from splatrl.physics.terrain import Terrain
 from splatrl.renderers.native import NativeRenderer
@@ -57,11 +58,23 @@ def find_terrain(
     Raises:
         ValueError: for bounds without area, a negative reach, a ``top`` near the ground, or too few places to stand.
     """
-    if not reach >= 0.0:
-        raise ValueError(f"reach: expected a non-negative number of metres, got {reach}")
+    _check(reach)
     ground = fit_ground(NativeRenderer(scene.gaussians, antialiased), occupancy, lower, upper)
-    low, high = [value - reach for value in lower], [value + reach for value in upper]
-    return _surveyed(ground, merged_boxes(solid_above(occupancy, ground, low, high, top)))
+    return _surveyed(ground, _boxes(occupancy, ground, lower, upper, reach, top))
+
+
+def survey_ground(
+    scene: Scene, occupancy: Occupancy, lower: Sequence[float], upper: Sequence[float], antialiased: bool = True
+) -> Ground:
+    """Run ``fit_ground`` through the scene's cache, and warn if the ground is not one plane; see ``find_terrain``."""
+
+    def build() -> dict[str, Any]:
+        return fit_ground(NativeRenderer(scene.gaussians, antialiased), occupancy, lower, upper).to_arrays()
+
+    ground = Ground.from_arrays(scene.cached("ground", _settings(occupancy, lower, upper, antialiased), build))
+    if ground.trouble:
+        warnings.warn(f"{scene.name}: {ground.trouble}", stacklevel=2)
+    return ground
 
 
 def survey_terrain(
@@ -74,24 +87,41 @@ def survey_terrain(
     antialiased: bool = True,
 ) -> Surveyed:
     """Run ``find_terrain`` through the scene's cache, and warn if the ground is not one plane."""
-    settings = {
+    _check(reach)
+    ground = survey_ground(scene, occupancy, lower, upper, antialiased)
+    settings = {**_settings(occupancy, lower, upper, antialiased), "reach": float(reach), "top": float(top)}
+    found = scene.cached("boxes", settings, lambda: {"boxes": _boxes(occupancy, ground, lower, upper, reach, top)})
+    return _surveyed(ground, found["boxes"])
+
+
+def without_ground(occupancy: Occupancy, ground: Ground) -> Occupancy:
+    """Return the solid voxels that physics does not take as ground: those of which it makes boxes, at any height."""
+    return replace(occupancy, occupied=standing(occupancy, ground))
+
+
+def _check(reach: float) -> None:
+    if not reach >= 0.0:
+        raise ValueError(f"reach: expected a non-negative number of metres, got {reach}")
+
+
+def _settings(
+    occupancy: Occupancy, lower: Sequence[float], upper: Sequence[float], antialiased: bool
+) -> dict[str, Any]:
+    """Return what a ground depends on besides the Gaussians, for the cache."""
+    return {
         "occupancy": occupancy.digest,
         "bounds": [list(map(float, lower)), list(map(float, upper))],
-        "reach": float(reach),
-        "top": float(top),
         "antialiased": antialiased,
         "code": digest_of(CODE),
     }
 
-    def build() -> dict[str, Any]:
-        found = find_terrain(scene, occupancy, lower, upper, reach, top, antialiased)
-        return {**found.ground.to_arrays(), "boxes": found.terrain.boxes.numpy()}
 
-    arrays = scene.cached("terrain", settings, build)
-    found = _surveyed(Ground.from_arrays(arrays), arrays["boxes"])
-    if found.ground.trouble:
-        warnings.warn(f"{scene.name}: {found.ground.trouble}", stacklevel=2)
-    return found
+def _boxes(
+    occupancy: Occupancy, ground: Ground, lower: Sequence[float], upper: Sequence[float], reach: float, top: float
+) -> NDArray[np.float64]:
+    """Return the boxes of ``find_terrain``: [N, 6]."""
+    low, high = [value - reach for value in lower], [value + reach for value in upper]
+    return merged_boxes(solid_above(occupancy, ground, low, high, top))
 
 
 def _surveyed(ground: Ground, boxes: NDArray[np.float64]) -> Surveyed:

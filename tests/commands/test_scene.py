@@ -286,9 +286,7 @@ def test_missing_or_damaged_files_are_refused_in_one_line(tmp_path: Path) -> Non
 def test_a_format_that_needs_an_extra_is_refused_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gsply.sog_reader", None)
     (tmp_path / "a.sog").write_bytes(b"PK")
-    with pytest.raises(
-        SystemExit, match=r"^splatrl-scene: .*a\.sog: this format needs the extra gsply: pip [^\n]*$"
-    ):
+    with pytest.raises(SystemExit, match=r"^splatrl-scene: .*a\.sog: this format needs the extra gsply: pip [^\n]*$"):
         main([str(tmp_path / "a.sog")])
 
 

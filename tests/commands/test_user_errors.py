@@ -11,7 +11,7 @@ from types import SimpleNamespace
 from warnings import formatwarning as formatted
 
 import pytest
-from hydra.errors import CompactHydraException, InstantiationException
+from hydra.errors import CompactHydraException
 from hydra.types import RunMode
 from omegaconf import OmegaConf
 
@@ -161,13 +161,6 @@ ERRORS = [
     ("capture", "expected a video or a folder of photos"),
     ("capture nowhere.mp4 --distance 1 2", "--distance: expected IMAGE X Y X Y M"),
 ]
-
-
-def test_newer_pythons_guess_at_an_argument_is_left_out() -> None:
-    cause = TypeError("TrackSettings.__init__() got an unexpected keyword argument 'gate'. Did you mean 'gates'?")
-    error = InstantiationException("Error in call\nfull_key: task.course")
-    error.__cause__ = cause
-    assert faults.line(error) == "task.course.gate: no such key in TrackSettings"
 
 
 @pytest.fixture(scope="module")

@@ -27,6 +27,7 @@ from tests.tiny import tiny_overrides
 EPISODES = 40
 SENSING = ["sensors=[rgb,depth,gps,compass,contact,lidar]"]
 SHAKEN = ["transforms/pose_noise=unsteady", "memory=stack"]
+LATE = ["transforms/latency=varied", "transforms/appearance=varied", "transforms.appearance.noise=0"]
 
 
 def make_world(folder: Path, task: str = "grid", *more: str) -> World:
@@ -115,11 +116,9 @@ def test_a_replay_detects_changed_frames(
 @pytest.mark.parametrize(
     ("task", "more"),
     [
-        ("drive", []),
+        *[("drive", LATE), ("apple", []), ("grid", SHAKEN), ("grid", SENSING)],
         pytest.param("fps", [], marks=pytest.mark.slow),
-        ("apple", []),
-        ("grid", SHAKEN),
-        ("grid", SENSING),
+        *[("grid", [*LATE, f"transforms.latency.action={delays}"]) for delays in ("[0,0]", "[1,1]", "[0,1]")],
     ],
 )
 def test_other_tasks_are_recorded_and_replayed(task: str, more: list[str], tmp_path: Path) -> None:

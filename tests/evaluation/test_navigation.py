@@ -10,6 +10,7 @@ from splatrl.building import build_world
 from splatrl.commands import evaluate
 from splatrl.commands.train import train
 from splatrl.configuration import load_config, run_config
+from splatrl.evaluation.episode_sets import MOST_EPISODES
 from tests.tiny import tiny_overrides
 
 MEASURES = ("success", "spl", "soft_spl", "distance_to_goal", "collisions")
@@ -50,6 +51,18 @@ def test_evaluating_the_saved_episodes_gives_the_same_report_in_its_own_folder(
         assert after[key] == pytest.approx(before[key], abs=1e-4), key
 
 
+@pytest.mark.parametrize(("typed", "most"), [(["evaluation.starts=2"], 2), ([], MOST_EPISODES)])
+def test_a_file_of_episodes_is_evaluated_whole_unless_a_number_of_starts_is_typed(
+    run: Path, typed: list[str], most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr(evaluate, "evaluate_run", lambda cfg, folder, results: asked.append(cfg.evaluation.starts))
+    words = [f"run={run}", f"episodes={run / 'episodes.json.gz'}", *typed]
+    monkeypatch.setattr(sys, "argv", ["splatrl-evaluate", *words])
+    evaluate.main()
+    assert asked == [most]
+
+
 def test_a_refused_evaluation_leaves_the_run_unchanged(
     run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -68,6 +81,7 @@ def test_an_episode_file_is_refused_by_a_task_without_navigation(run: Path, tmp_
 
     path = run / "episodes.json.gz"
     assert len(given_episodes(world, path)[1].state) == 6
+    assert len(given_episodes(world, path, 4)[1].memory["goal"]) == 4
     other = build_world(load_config(tiny_overrides(tmp_path)))
     refused = r"evaluation\.episodes: expected a navigation task, such as task=pointnav, got Grid"
     with pytest.raises(ValueError, match=refused):

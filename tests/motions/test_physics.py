@@ -16,7 +16,7 @@ from splatrl.motions import DriveMotion, PhysicsMotion, Site
 from splatrl.physics import Terrain, Variation
 from splatrl.physics.robots import FOLDER, mjcf_path
 from splatrl.scenes import Scene, write_gaussians
-from tests.tiny import tiny_gaussians
+from tests.tiny import tiny_gaussians, tiny_overrides
 from tests.two_rooms import in_both
 
 WALL = torch.tensor([[0.6, 0.0, 0.2, 0.1, 1.0, 0.2]], dtype=torch.float64)
@@ -111,6 +111,29 @@ def test_physics_knows_everything_solid_that_robots_and_pushed_things_can_reach(
     assert len(boxes) and ((boxes[:, 0] + boxes[:, 3]).max() > 1.4).item() is walls
 
 
+CART = """<mujoco><worldbody><body name="cart" pos="0 0 0.06"><freejoint/><camera name="eye"/>
+<geom type="box" size="0.1 0.07 0.03" mass="1"/><site name="s"/>{wheels}</body></worldbody>
+<actuator>{motors}</actuator></mujoco>"""
+
+
+def test_grass_that_physics_takes_as_ground_does_not_keep_a_low_robot_from_starting(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(places, "plan", lambda motion, checker, reached, farthest, fits, find: (motion, checker, fits))
+    path = tmp_path / "cart.xml"
+    path.write_text(CART.format(wheels="", motors='<general site="s" ctrlrange="-1 1"/>'))
+    low = ["robot=mjcf", f"robot.path={path}", "robot.body.size=[0.2,0.2,0.02]", "motion@task.motion=physics"]
+    low += ["task.motion.linear=[-0.4,0.4]", "task.motion.angular_deg=90", "task.motion.headings=4"]
+    grass = "collision.occupancy.add=[[[-1.4,-1.9,0.0],[1.4,1.9,0.09]]]"
+    cfg = load_config([*tiny_overrides(tmp_path, "drive"), *low, grass])
+    (place,) = places.build_places([cfg], torch.device("cpu"), ["room"])
+    motion, checker, fits = place.plan
+    poses = motion.body_to_world(motion.states())
+    assert place.checker.collides(poses).all()
+    free = ~checker.collides(poses)
+    assert 0.3 < free.double().mean() < 1.0 and torch.equal(fits(poses), free)
+
+
 def test_pushable_things_are_not_obstacles_and_other_things_are() -> None:
     for pushed, free in ((["ball"], True), ([], False)):
         motion = wheels(pushed=pushed)
@@ -196,6 +219,24 @@ def test_several_scenes_are_refused_before_any_is_built(tmp_path: Path, monkeypa
     monkeypatch.setattr(places, "_build_place", lambda *_: pytest.fail("a scene is built"))
     with pytest.raises(ValueError, match="scene: expected one scene for a robot with physics, got 2"):
         build_world(load_config(in_both(tmp_path, "push")))
+
+
+WHEEL = (
+    '<body pos="-0.05 {y} -0.02"><joint name="{n}" axis="0 1 0"/><geom type="sphere" size="0.04" mass="0.1"/></body>'
+)
+
+
+def test_a_robot_whose_physics_fails_at_once_is_refused_by_its_file(tmp_path: Path) -> None:
+    path, wheels = tmp_path / "cart.xml", WHEEL.format(y=0.08, n="l") + WHEEL.format(y=-0.08, n="r")
+
+    def cart(gain: float) -> PhysicsMotion:
+        motors = "".join(f'<velocity joint="{name}" kv="{gain}" ctrlrange="-20 20"/>' for name in "lr")
+        path.write_text(CART.format(wheels=wheels, motors=motors))
+        return PhysicsMotion(path, "eye", linear=(-0.4, 0.4), angular_deg=90.0, substep=0.005, threads=1)
+
+    assert cart(gain=0.005).action_spec.shape == (2,)
+    with pytest.raises(ValueError, match=r"cart\.xml: expected physics that .* fails within the first; lower"):
+        cart(gain=0.5)
 
 
 BODY = '<freejoint/><geom size="0.1"/><camera name="eye"/>'

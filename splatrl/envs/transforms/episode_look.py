@@ -29,6 +29,7 @@ class EpisodeLook(RandomTransform):
 
     def __init__(self, seed: int = 0):
         super().__init__(seed, in_keys=["pixels"], out_keys=["pixels", self.KEY])
+        self.remembered = (self.KEY,)
 
     @abstractmethod
     def _draw(self, batch: torch.Size, level: Tensor | None = None) -> Tensor:

@@ -49,6 +49,7 @@ class Latency(RandomTransform):
             if pair[0] > pair[1]:
                 raise ValueError(f"latency.{name}: expected lowest ≤ highest, got {list(pair)}")
         self.low, self.high = (camera[0], action[0]), (camera[1], action[1])
+        self.remembered = ("latency", "late_action") if self.high[1] else ("latency",)  # views repeat by themselves
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         if self.env is None:

@@ -16,11 +16,16 @@ class RandomTransform(Transform):
     Around a ``SplatEnv`` it draws from the env's generator, so ``env.set_seed`` seeds both. Without an env, or around
     one without a generator, such as a ``SerialEnv``, it draws from its own.
 
+    Attributes:
+        remembered: keys with which, given to a reset, an episode can be repeated; demonstrations store them.
+
     Args:
         seed: seed of the transform's own generator.
         out_keys: keys that the transform writes.
         in_keys: keys that the transform reads.
     """
+
+    remembered: Sequence[str] = ()
 
     def __init__(self, seed: int = 0, out_keys: Sequence[str] = (), in_keys: Sequence[str] = ()):
         super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))

@@ -109,11 +109,11 @@ def test_nobody_is_told_to_change_the_height_of_a_car(tmp_path: Path) -> None:
     bottom = ((-1.0, -1.0, 0.5), (1.0, 1.0, 2.0))
     with pytest.raises(ValueError, match=r"scene\.bounds: expected a bottom below the robot, at 0\.25 m, got 0\.5 m"):
         check_height(bottom, task)
-    high = ["robot=wheels", "robot.body.size=[0.4,0.3,0.5]", "motion@task.motion=physics"]
+    wide = ["robot=wheels", "robot.body.size=[3.0,3.0,0.3]", "motion@task.motion=physics"]
     with pytest.raises(
         ValueError, match=r"expected free poses.*; try another landmarks\.goal, or a smaller robot\.body"
     ):
-        build_one_world(load_config([*tiny_overrides(tmp_path, "drive"), *high]))
+        build_one_world(load_config([*tiny_overrides(tmp_path, "drive"), *wide]))
 
 
 def test_the_reward_is_progress_plus_a_bonus_per_waypoint() -> None:
