@@ -71,5 +71,5 @@ def _warnings_in_one_line(command: str) -> Iterator[None]:
 
 
 def line(error: BaseException) -> str:
-    """Format an error, one of ``USERS``, as one line."""
+    """Format an error, one of ``CONFIGURED``, as one line."""
     return " ".join(str(error).split()) or type(error).__name__
