@@ -19,6 +19,7 @@ from splatrl.configuration import (
     check_config,
     check_constructors,
     conf_dir,
+    config_elsewhere,
     place_configs,
     run_config,
 )
@@ -41,10 +42,12 @@ from splatrl.viewer.rollout import Rollout
 def run(cfg: DictConfig) -> None:
     """Serve the page until Ctrl-C."""
     if cfg.run is None:
+        if cfg.place:
+            raise ValueError(f"place: expected a run with it, got {list(cfg.place)} alone")
         check_constructors(cfg)
         own, trained = cfg, None
     else:
-        own, trained = _config_of_run(cfg, HydraConfig.get().overrides.task)
+        own, trained = config_of_run(cfg, HydraConfig.get().overrides.task)
     if (count := len(place_configs(own))) > 1 or "_target_" not in own.scene:
         raise ValueError(f"scene: expected one scene for this command, got {count}; type scene=<one of them>")
     if own.scene.get("path", "") is None or OmegaConf.is_missing(own.scene, "path"):
@@ -62,10 +65,15 @@ def run(cfg: DictConfig) -> None:
             print()
 
 
-def _config_of_run(cfg: DictConfig, typed: Sequence[str]) -> tuple[DictConfig, Callable[[World], TrainedPolicy]]:
-    """Return the config of the run folder ``cfg.run``, and a function that loads its policy into a world."""
-    folder = Path(cfg.run)
-    own = run_config(folder, cfg.allow_targets)
+def config_of_run(cfg: DictConfig, typed: Sequence[str]) -> tuple[DictConfig, Callable[[World], TrainedPolicy]]:
+    """Return the config of the run folder ``cfg.run``, and a function that loads its policy into a world.
+
+    Args:
+        cfg: config of the command; with ``place``, the run is moved there.
+        typed: the overrides that were typed for the command.
+    """
+    folder, words = Path(cfg.run), list(cfg.place)
+    own = config_elsewhere(folder, words, cfg.allow_targets) if words else run_config(folder, cfg.allow_targets)
     own.device = own.device if cfg.device == "auto" else cfg.device
     if any(word.startswith("evaluation.checkpoint=") for word in typed):
         own.evaluation.checkpoint = cfg.evaluation.checkpoint

@@ -3,7 +3,7 @@
 import difflib
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -12,13 +12,13 @@ from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
-from splatrl.configuration.elsewhere import words_of_place
-from splatrl.configuration.grammar import bare, quoted, readable
+from splatrl.configuration.grammar import readable
 from splatrl.configuration.key_help import help_page
 from splatrl.configuration.kinds import check_kind, value_of
 from splatrl.configuration.run_configs import RUN_CONFIG, run_config, typed_targets
 from splatrl.configuration.scene_choice import SEEDED, SWEEP, load_config, with_scene_paths
 from splatrl.configuration.search_path import choice_keys, composed, group_choices, is_group, options
+from splatrl.configuration.spelling import SPELLED, viewed_run
 
 OWN_CONFIG = ("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp")
 """Hydra options that select a config other than ours."""
@@ -37,7 +37,7 @@ MAIN_KEYS = {
 }
 """The key, per command, that a bare word without ``=`` was probably meant for."""
 OF_A_RUN = ("run", "evaluation.checkpoint", "host", "port", "device", "allow_targets")
-"""Of ``splatrl-view``, the only keys that may be typed together with ``run``, since a run brings its own settings."""
+"""Of ``splatrl-view``, the only keys besides ``place`` that may stand beside ``run``: a run brings its settings."""
 LAUNCHERS = {"ray": "hydra-ray-launcher", "submitit_slurm": "hydra-submitit-launcher"}
 """The packages with the launchers of our presets."""
 INSTALL = "pip install 'splatrl[cluster]', and for Ray pip install --no-deps hydra-ray-launcher"
@@ -63,8 +63,8 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
     arguments = SPELLED.get(name, list)([readable(word) for word in arguments])
     try:
         _check_words(name, arguments)
-        if name == "view":
-            _check_beside_run(arguments)
+        if name == "view" and (folder := viewed_run(arguments)):
+            _check_beside_run(folder, arguments)
         result = _options_first(with_scene_paths(arguments, name))
         if any(argument.partition("=")[0] in OWN_CONFIG for argument in arguments):
             return result  # the user's own config: Hydra reports unknown keys
@@ -89,32 +89,6 @@ def _options_first(words: Sequence[str]) -> list[str]:
     pairs = list(zip(["", *words], words, strict=False))
     options = [word for before, word in pairs if word.startswith("-") or before in WITH_VALUE]
     return [*options, *(word for before, word in pairs if not (word.startswith("-") or before in WITH_VALUE))]
-
-
-def _of_evaluation(arguments: Sequence[str]) -> list[str]:
-    """Translate the keys of a training into those of ``splatrl-evaluate``: ``evaluation.starts=64`` to ``starts=64``.
-
-    Overrides that describe the place, such as ``scene=kitchen``, are collected in one list, ``place``.
-    """
-    place, words = words_of_place(arguments)
-    words = [word.removeprefix("evaluation.") for word in words]
-    return [*words, f"place=[{','.join(map(quoted, place))}]"] if place else words
-
-
-def with_key(arguments: Sequence[str]) -> list[str]:
-    """Prefix the first bare word with a key: ``run=`` if it is a run folder, and ``scene=`` otherwise."""
-    result = list(arguments)
-    for place, word in enumerate(result):
-        if "=" not in word and not word.startswith(("-", "+", "~")):
-            is_run = (Path(word) / RUN_CONFIG).is_file()
-            plain = word.replace("_", "").isalnum()
-            result[place] = f"{'run' if is_run else 'scene'}={word if plain else quoted(word)}"
-            break
-    return result
-
-
-SPELLED: dict[str, Callable[[Sequence[str]], list[str]]] = {"evaluate": _of_evaluation, "view": with_key}
-"""Commands that accept other spellings of some arguments, with the function that translates them."""
 
 
 def _print_page(page: str) -> None:
@@ -142,13 +116,14 @@ def _check_words(name: str, arguments: Sequence[str]) -> None:
             raise UserError(f"{word}: expected key=value; did you mean {meant}?")
 
 
-def _check_beside_run(arguments: Sequence[str]) -> None:
+def _check_beside_run(folder: str, arguments: Sequence[str]) -> None:
     """Refuse overrides, in the words in which they were typed, of what a run's own settings decide."""
     typed = [word for word in arguments if "=" in word or word.startswith("~")]
-    runs = [bare(word.partition("=")[2]) for word in typed if word.startswith("run=")]
-    others = [word for word in typed if not word.startswith(("-", "hydra")) and word.partition("=")[0] not in OF_A_RUN]
-    if others and runs and runs[-1] != "null":
-        raise UserError(f"run={runs[-1]}: expected only {', '.join(OF_A_RUN)} with it, got {', '.join(others)}")
+    known = (*OF_A_RUN, "place")
+    others = [word for word in typed if not word.startswith(("-", "hydra")) and word.partition("=")[0] not in known]
+    if others:
+        valid = f"{', '.join(OF_A_RUN)}, and a place such as scene=yard:1,"
+        raise UserError(f"run={folder}: expected only {valid} with it, got {', '.join(others)}")
 
 
 def _is_ours(key: str, name: str) -> bool:

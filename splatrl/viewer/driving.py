@@ -90,8 +90,13 @@ class Driving:
                 self.finished.set()
 
     def _discard(self) -> None:
-        """Drop the running episode, or the last one kept if none is running, and begin another."""
-        if self.takes is not None and (self.driver.succeeded or not self.driver.steps):
+        """Drop the running episode or, after a success or before the first step, the last one kept; begin another.
+
+        Once the recording has ended, it does nothing.
+        """
+        if self.takes is None or self.finished.is_set():
+            return
+        if self.driver.succeeded or not self.driver.steps:
             self.takes.discard()
         self.driver.begin()
 

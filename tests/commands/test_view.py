@@ -9,18 +9,20 @@ from pathlib import Path
 from typing import NoReturn
 
 import pytest
+from omegaconf import DictConfig
 
 from splatrl.building import build_world
 from splatrl.commands import record, view
 from splatrl.commands.view import furnish, place_values
-from splatrl.configuration import load_config
-from splatrl.configuration.command_line import with_key
+from splatrl.configuration import command_line, load_config
+from splatrl.configuration.spelling import with_key
 from splatrl.datasets import read_demonstrations
 from splatrl.scenes import write_gaussians
 from splatrl.viewer.driver import Driver
 from splatrl.viewer.markdown import plain
 from splatrl.viewer.page import Page
 from tests.commands.test_train import SETTINGS, command, finish
+from tests.configuration.test_elsewhere import trained
 from tests.preloaded import Process
 from tests.tiny import tiny_gaussians, tiny_overrides
 from tests.viewer.conftest import SCENE
@@ -138,6 +140,23 @@ def test_a_word_without_a_key_is_a_scene_or_a_run(tmp_path: Path) -> None:
     assert with_key(["--help"]) == ["--help"]
 
 
+def test_a_run_is_viewed_in_the_place_that_is_typed_for_instance_where_its_scene_has_moved(
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = trained(tmp_path / "run", [f"scene='{place}'", "robot.fov_deg=70"])
+    moved = place.rename(tmp_path / "moved")
+
+    def viewed(*words: str) -> DictConfig:
+        return view.config_of_run(load_config(command_line("view", words), "view"), words)[0]
+
+    cfg = viewed(str(run), "scene.path=moved", "port=0")
+    assert (Path(cfg.scene.path).absolute(), cfg.robot.height, cfg.robot.fov_deg) == (moved, 0.5, 70)
+    assert list(cfg.landmarks.goal) == [0.5, 1.0, 0.0]
+    cfg = viewed("scene=backyard", f"run={run}", "robot.fov_deg=50")
+    assert (cfg.scene["_target_"], cfg.robot.fov_deg) == ("splatrl.backyard", 50)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -145,7 +164,11 @@ def test_a_word_without_a_key_is_a_scene_or_a_run(tmp_path: Path) -> None:
         (["nowhere.ply"], "splatrl-view: scene: expected .* an existing path, got nowhere.ply"),
         (["kitchen"], "splatrl-view: scene.path: expected a value, got none"),
         (["run=nowhere"], "splatrl-view: run: expected a run folder with config.yaml, got nowhere"),
-        (["run=mine", "port=0", "scene=yard:3"], "splatrl-view: run=mine: .* allow_targets with it, got scene=yard:3$"),
+        (
+            ["run=mine", "seed=3", "task=fps", "scene=yard:3"],
+            "splatrl-view: run=mine: expected only .*, got task=fps, seed=3$",
+        ),
+        (["place=['scene=yard:3']"], "splatrl-view: place: expected a run with it, got"),
         (["backyard", "port=70000"], "splatrl-view: port: expected a whole number from 0 to 65535"),
         (["backyard", "host=192.0.2.1"], "splatrl-view: host: expected an address of this machine"),
         (["backyard", "prot=1"], "splatrl-view: prot: no such key, did you mean port"),
@@ -179,7 +202,7 @@ def test_a_training_can_be_watched_and_its_run_viewed_afterwards(tmp_path: Path)
     assert looking.returncode == 0 and "Traceback" not in output, output
     refused = command("view", str(folder), "task=fps")
     output, _ = refused.communicate(timeout=60)
-    assert "expected only run, evaluation.checkpoint, host, port, device, allow_targets with it, got" in output
+    assert "expected only run, evaluation.checkpoint, host, port, device, allow_targets, and a place such as" in output
 
 
 def test_ctrl_c_ends_a_watched_training_like_any_other(tmp_path: Path) -> None:

@@ -176,8 +176,15 @@ def test_driving_ends_once_enough_episodes_are_kept(page: Page, world: World, vi
     driving.press("U")
     assert driving.press("X")  # discards the running episode; the one before is kept
     assert len(takes.episodes) == 1
+    while not driving.driver.done:
+        assert driving.press("I")
+    assert not driving.driver.succeeded
+    assert driving.press("X")  # a failed episode was not kept, so there is nothing to discard
+    assert len(takes.episodes) == 1 and driving.driver.steps == 0
     show()
     assert driving.finished.is_set() and len(takes.episodes) == 2
+    assert driving.press("X")  # the recording has ended
+    assert len(takes.episodes) == 2
 
 
 def test_a_dragged_goal_is_saved(page: Page, world: World, visit: Visit, folder: Path) -> None:
