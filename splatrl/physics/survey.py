@@ -66,15 +66,12 @@ def find_terrain(
 def survey_ground(
     scene: Scene, occupancy: Occupancy, lower: Sequence[float], upper: Sequence[float], antialiased: bool = True
 ) -> Ground:
-    """Run ``fit_ground`` through the scene's cache, and warn if the ground is not one plane; see ``find_terrain``."""
+    """Run ``fit_ground`` through the scene's cache; see ``find_terrain``."""
 
     def build() -> dict[str, Any]:
         return fit_ground(NativeRenderer(scene.gaussians, antialiased), occupancy, lower, upper).to_arrays()
 
-    ground = Ground.from_arrays(scene.cached("ground", _settings(occupancy, lower, upper, antialiased), build))
-    if ground.trouble:
-        warnings.warn(f"{scene.name}: {ground.trouble}", stacklevel=2)
-    return ground
+    return Ground.from_arrays(scene.cached("ground", _settings(occupancy, lower, upper, antialiased), build))
 
 
 def survey_terrain(
@@ -89,6 +86,8 @@ def survey_terrain(
     """Run ``find_terrain`` through the scene's cache, and warn if the ground is not one plane."""
     _check(reach)
     ground = survey_ground(scene, occupancy, lower, upper, antialiased)
+    if ground.trouble:
+        warnings.warn(f"{scene.name}: {ground.trouble}", stacklevel=2)
     settings = {**_settings(occupancy, lower, upper, antialiased), "reach": float(reach), "top": float(top)}
     found = scene.cached("boxes", settings, lambda: {"boxes": _boxes(occupancy, ground, lower, upper, reach, top)})
     return _surveyed(ground, found["boxes"])
