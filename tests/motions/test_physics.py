@@ -196,8 +196,6 @@ def test_ranges_of_a_variation_need_variants_unless_the_task_makes_its_own() -> 
     with pytest.raises(ValueError, match=message):
         motion.settle(site, lambda poses: torch.ones(len(poses)).bool())
     motion.settle(site._replace(varies=False), lambda poses: torch.ones(len(poses)).bool())
-    for fine in (Variation(), Variation(2, mass=(0.5, 2.0))):
-        wheels(ground="level", variation=fine).settle(site, lambda poses: torch.ones(len(poses)).bool())
 
 
 def test_links_and_things_are_drawn_where_the_state_puts_them() -> None:
