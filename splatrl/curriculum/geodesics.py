@@ -260,6 +260,10 @@ class Geodesics(nn.Module):
         inside = ((at >= 0) & (at <= self.shape[goal] - 1)).all(1)
         return torch.where(inside, self._between_nodes(self.open, self.first_open, place, goal), 0.0)
 
+    def reachable(self, place: Tensor, goal: Tensor) -> Tensor:
+        """Return whether paths lead from free places, next to open nodes, to goals: [B, 2], [B] int64 -> [B] bool."""
+        return self._between_nodes(self.open, self.first_open, place, goal) > 0.0
+
     def _between_nodes(self, values: Tensor, first: Tensor, place: Tensor, goal: Tensor) -> Tensor:
         """Interpolate node values, which begin at ``first`` [G] for each goal, at places [B, 2]: [B] float32."""
         shape = self.shape[goal]

@@ -20,6 +20,8 @@ MOST_BYTES = 2**27
 INFLATION, SLACK = 100, 2**20
 """Maximum gzip expansion ratio, which stays below 20 in real files, and bytes that any file may unpack to besides."""
 MOST_EPISODES = 200_000
+LEVEL = 1.0
+"""Largest difference between the heights of a start and its goal, metres: robots stay on one plane."""
 FARTHEST = 1e6
 """Largest magnitude of a number, such as a coordinate in metres, that a file may hold."""
 EXPECTED = "Habitat episodes: a list 'episodes' of entries with scene_id, start_position, start_rotation and goals"
@@ -91,7 +93,8 @@ def read_episodes(path: Path, scenes: Sequence[str]) -> tuple[Tensor, Tensor, Te
 
     Raises:
         FileNotFoundError: if there is no such file.
-        ValueError: for a file that is damaged, too large, of another kind, or names scenes that are not available.
+        ValueError: for a file that is damaged, too large, of another kind, or names scenes that are not available; for
+            an episode of several goals, or whose goal is higher or lower than its start by more than ``LEVEL``.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: expected an episode file, found none")
@@ -135,10 +138,17 @@ def _episode(where: str, row: Any, scenes: Sequence[str]) -> tuple[list[float], 
             f"{where}: expected a list of goals, each with a position, and info as keys and values, got {goals!r:.80} "
             f"and {info!r:.80}"
         )
+    if len(goals) != 1:
+        raise ValueError(f"{where}.goals: expected one goal, got {len(goals)}")
     places = [
         _numbers(f"{where}.start_position", row.get("start_position"), 3),
         _numbers(f"{where}.goals[0].position", goals[0].get("position"), 3),
     ]
+    if abs(places[0][1] - places[1][1]) > LEVEL:
+        raise ValueError(
+            f"{where}: expected start and goal within {LEVEL:g} m of the same height y, got {places[0][1]:g} and "
+            f"{places[1][1]:g}"
+        )
     x, y, z, w = rotation = _numbers(f"{where}.start_rotation", row.get("start_rotation"), 4)
     if abs(math.hypot(x, y, z, w) - 1.0) > 1e-3 or math.hypot(x, z) > 1e-3:
         raise ValueError(f"{where}.start_rotation: expected a unit quaternion about the y axis, got {rotation!r:.80}")

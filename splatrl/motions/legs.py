@@ -41,9 +41,10 @@ LOW = 0.14
 class LegsMotion(PhysicsMotion):
     """Base of the legged motions: a trot, to which joint offsets are added fifty times a second.
 
-    A state is [n + 12 + 2 K] float64: the state of ``PhysicsMotion``; the last offsets of the joints from the trot, as
-    fractions of 0.25 radians; and K commands that are followed one after the other, in metres per second ahead and
-    radians per second to the left. The trot's phase and the active command follow from the physics' time.
+    A state is [n + 13 + 2 K] float64: the state of ``PhysicsMotion``; the last offsets of the joints from the trot, as
+    fractions of 0.25 radians; how far the trot is ahead of the physics' time, seconds; and K commands that are followed
+    one after the other, in metres per second ahead and radians per second to the left. The active command follows from
+    the physics' time.
 
     Args:
         commands: number of commands, K.
@@ -81,6 +82,11 @@ class LegsMotion(PhysicsMotion):
         """Duration for which joint targets are held, seconds."""
         return STRIDE
 
+    @property
+    def lead(self) -> int:
+        """Column of how far the trot is ahead of the physics' time, seconds."""
+        return self.physics.size + JOINTS
+
     def stand_on(self, terrain: Terrain) -> None:
         """Put the robot on a terrain; see ``PhysicsMotion``."""
         super().stand_on(terrain)
@@ -90,7 +96,7 @@ class LegsMotion(PhysicsMotion):
                 f"{self.path}: expected the {JOINTS} joints of quadruped, got {self.limits.shape[1]} actuators"
             )
         self.angles = self.limits
-        self.home = torch.cat([self.home, self.home.new_zeros(JOINTS + COMMAND * self.commands)])
+        self.home = torch.cat([self.home, self.home.new_zeros(JOINTS + 1 + COMMAND * self.commands)])
         self.stand = self.home[self.layout.joints]
         self.limits = self.action_limits()
 
@@ -101,27 +107,32 @@ class LegsMotion(PhysicsMotion):
 
     def departure(self, state: Tensor) -> Tensor:
         """Return the last joint offsets from the trot: [B, n] -> [B, 12] float64."""
-        return state[:, self.physics.size : self.physics.size + JOINTS]
+        return state[:, self.physics.size : self.lead]
+
+    def trot_time(self, state: Tensor) -> Tensor:
+        """Return the time since the start of some cycle of the trot: [B, n] -> [B] float64, seconds."""
+        return state[:, self.layout.clock] + state[:, self.lead]
 
     def command(self, state: Tensor) -> Tensor:
         """Return the active command: [B, n] -> [B, 2] float64."""
-        each = state[:, self.physics.size + JOINTS :].unflatten(1, (self.commands, COMMAND))
-        turn = (state[:, self.layout.clock] / self.span).nan_to_num().long().clamp(0, self.commands - 1)
+        each = state[:, self.lead + 1 :].unflatten(1, (self.commands, COMMAND))
+        middle = state[:, self.layout.clock] + 0.5 * STRIDE  # of the stride, where rounding of the time does not matter
+        turn = (middle / self.span).nan_to_num().long().clamp(0, self.commands - 1)
         return each[torch.arange(len(state), device=state.device), turn]
 
     def commanded(self, state: Tensor, commands: Tensor) -> Tensor:
         """Replace the commands in states: [B, n], [B, 2 K] -> [B, n]."""
-        return torch.cat([state[:, : self.physics.size + JOINTS], commands.to(state)], 1)
+        return torch.cat([state[:, : self.lead + 1], commands.to(state)], 1)
 
     def stride(self, state: Tensor, departure: Tensor) -> Stepped:
         """Follow the command for 20 ms, with the joints offset from the trot: [B, n], [B, 12]."""
-        size, departure = self.physics.size, departure.to(state).clamp(-1.0, 1.0)
-        angles = trot(state[:, self.layout.clock], self.command(state)) + DEPARTURE * departure
+        departure = departure.to(state).clamp(-1.0, 1.0)
+        angles = trot(self.trot_time(state), self.command(state)) + DEPARTURE * departure
         low, high = self.angles.to(state)
         after, sensed, sound = self.physics.step(
             self.of_physics(state), torch.minimum(torch.maximum(angles, low), high)
         )
-        return Stepped(torch.cat([after, departure, state[:, size + JOINTS :]], 1), sensed, sound)
+        return Stepped(torch.cat([after, departure, state[:, self.lead :]], 1), sensed, sound)
 
     def level_velocity(self, state: Tensor) -> Tensor:
         """Return velocity ahead and to the left, and yaw rate: [B, n] -> [B, 3] float64, metres and radians per second.
@@ -140,7 +151,7 @@ class LegsMotion(PhysicsMotion):
         trot's phase.
         """
         layout, down = self.layout, state.new_tensor([0.0, 0.0, -1.0]).expand(len(state), 3)
-        phase = math.tau * FREQUENCY * state[:, self.layout.clock]
+        phase = math.tau * FREQUENCY * self.trot_time(state)
         parts = [
             rotated(turned_back(state[:, layout.orientation]), down),
             SPIN * state[:, layout.angular_velocity],

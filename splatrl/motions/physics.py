@@ -158,7 +158,13 @@ class PhysicsMotion(TwinMotion):
         return without_ground(occupancy, survey_ground(scene, occupancy, lower, upper, antialiased))
 
     def settle(self, site: Site, fits: Fits) -> Fits:
-        """Put the robot and its things into a scene, where it begins only if it is ``clear``; see ``Motion``."""
+        """Put the robot and its things into a scene, where it begins only if it is ``clear``; see ``Motion``.
+
+        Raises:
+            ValueError: for ranges of a variation that has no variants, unless the task makes variants of its own.
+        """
+        if site.varies and self.variation.unused:
+            raise ValueError("task.motion.variation.models: expected more than 1 for ranges other than [1, 1], got 1")
         if self.ground == "scene":  # level ground needs no survey
             lower, upper = self.twin.lower.tolist(), self.twin.upper.tolist()
             beyond = max(site.leeway, BEYOND if self.pushed else 0.0)

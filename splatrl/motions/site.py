@@ -24,6 +24,7 @@ class Site(NamedTuple):
         body: the robot's body.
         antialiased: whether the scene is rendered with antialiasing.
         leeway: how far beyond the motion's bounds robots may go before they count as outside, metres.
+        varies: whether episodes draw from what the motion varies, such as models of the physics.
     """
 
     scene: Scene
@@ -32,6 +33,7 @@ class Site(NamedTuple):
     body: Body
     antialiased: bool
     leeway: float = 0.0
+    varies: bool = True
 
 
 def narrowed(fits: Fits, further: Fits) -> Fits:

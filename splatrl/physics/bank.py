@@ -46,6 +46,11 @@ class Variation:
             if len(pair) != 2 or not 0.0 < pair[0] <= pair[1] <= 100.0:
                 raise ValueError(f"{field.name}: expected two factors, 0 < lowest ≤ highest ≤ 100, got {list(pair)}")
 
+    @property
+    def unused(self) -> bool:
+        """Whether ranges are given that change nothing, because the only model is as the files define it."""
+        return self.models == 1 and any(tuple(pair) != (1.0, 1.0) for pair in (self.friction, self.mass, self.motor))
+
 
 def bank(model: Any, variation: Variation) -> list[Any]:
     """Return the model and varied copies of it, ``variation.models`` in all."""

@@ -73,6 +73,12 @@ def test_the_conversions_to_and_from_habitats_frame_are_inverses() -> None:
         ("start_rotation", [0.0, 0.0, 0.0, 0.0], r"start_rotation"),
         ("goals", [], r"expected a list of goals, .*, got \[\] and {'geodesic"),
         ("goals", [{"position": None}], r"goals\[0\]\.position: expected 3 numbers, got None"),
+        ("goals", [{"position": [0.0, 0.4, 0.0]}] * 2, r"episode 0\.goals: expected one goal, got 2$"),
+        (
+            "start_position",
+            [1.3, -1.7, 0.4],
+            "within 1 m of the same height y, got -1.7 and 0.4",
+        ),
         ("info", {"goal_yaw": "north"}, r"info\.goal_yaw: expected 1 numbers, got \['north'\]"),
     ],
 )

@@ -83,16 +83,19 @@ def test_a_walk_equals_strides_with_the_departures_of_the_gait() -> None:
 def test_joint_commands_are_the_trot_plus_clamped_departures(monkeypatch: pytest.MonkeyPatch) -> None:
     motion = strides()
     state = motion.commanded(motion.placed(torch.zeros(1, 3)), torch.tensor([[0.4, 0.1]]))
+    state[:, motion.lead] = 0.1
     departure = torch.linspace(-2.0, 1.0, JOINTS).unsqueeze(0)
     told: list[torch.Tensor] = []
     step = motion.physics.step
     monkeypatch.setattr(motion.physics, "step", lambda states, ctrl: (told.append(ctrl), step(states, ctrl))[1])
     after = motion.stride(state, departure).state
-    trotting = trot(state[:, motion.layout.clock], torch.tensor([[0.4, 0.1]]).double())
+    trotting = trot(state[:, motion.layout.clock] + 0.1, torch.tensor([[0.4, 0.1]]).double())
     expected = trotting + DEPARTURE * departure.clamp(-1, 1)
     assert torch.allclose(told[0], expected, atol=1e-6)
     assert torch.allclose(motion.departure(after), departure.clamp(-1, 1).double())
     assert torch.equal(motion.command(after), motion.command(state))
+    phase = math.tau * 3.0 * torch.tensor(0.12)
+    assert motion.felt(after)[0, 44:].tolist() == pytest.approx([phase.sin().item(), phase.cos().item()], abs=1e-5)
 
 
 def test_sensed_values_are_in_the_body_frame() -> None:

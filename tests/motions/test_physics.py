@@ -189,6 +189,15 @@ def test_each_episode_uses_one_of_the_varied_models() -> None:
     assert motion.state_spec.is_in(drawn[0]) and not motion.state_spec.is_in(drawn[0] * math.nan)
 
 
+def test_ranges_of_a_variation_need_variants_unless_the_task_makes_its_own() -> None:
+    site: Any = Site(None, None, None, Box((0.1, 0.1, 0.1)), True)  # type: ignore[arg-type]
+    motion = wheels(ground="level", variation=Variation(friction=(0.1, 0.1)))
+    message = r"^task\.motion\.variation\.models: expected more than 1 for ranges other than \[1, 1\], got 1$"
+    with pytest.raises(ValueError, match=message):
+        motion.settle(site, lambda poses: torch.ones(len(poses)).bool())
+    motion.settle(site._replace(varies=False), lambda poses: torch.ones(len(poses)).bool())
+
+
 def test_links_and_things_are_drawn_where_the_state_puts_them() -> None:
     motion = wheels()
     state = motion.placed(torch.tensor([[0.3, 0.2, 0.0], [0.0, 0.0, 1.0]]))

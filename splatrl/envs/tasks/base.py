@@ -266,6 +266,6 @@ class GoalTask(ChoosingTask, Protocol):
             scene: [N] int64, index of each episode's scene.
 
         Raises:
-            ValueError: for a goal that robots cannot reach; names the episode.
+            ValueError: for a goal that robots cannot reach from its start; names the episode.
         """
         ...

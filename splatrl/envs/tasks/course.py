@@ -75,6 +75,7 @@ class Course(TaskModule):
     jitter: ClassVar[tuple[float, float, float, float]]
     """Maximum random offset from the start of the course along x, y and z, metres, and in yaw, radians."""
     chooses_episodes = True
+    varies = False
     motion: PhysicsMotion
     places: Tensor  # [N, 1 + P, 4] float64, start and places of each course: x, y, z and yaw
 

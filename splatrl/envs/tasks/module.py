@@ -37,6 +37,8 @@ class TaskModule(torch.nn.Module):
     motion: PlannedMotion
     leeway = 0.0
     """Distance beyond the motion's bounds at which robots count as outside, metres."""
+    varies = True
+    """Whether episodes draw from what the motion varies; False if the task replaces the motion's models."""
     landmark = "landmarks.goal"
     """Key of the place that the goal is at or shows, for error messages."""
     goals_for_success: int | None = None
@@ -66,7 +68,7 @@ class TaskModule(torch.nn.Module):
     def settle(self, site: Site, fits: Fits) -> Fits:
         """Put the motion into a scene; return where it lets episodes begin."""
         with under_key("task.motion"):
-            return self.motion.settle(site._replace(leeway=self.leeway), fits)
+            return self.motion.settle(site._replace(leeway=self.leeway, varies=self.varies), fits)
 
     def check_picture(self, drawing: Drawing, robot: Robot) -> None:
         """Accept every drawing and camera."""

@@ -224,6 +224,10 @@ class NavigationTask(TaskModule):
         task = copy.copy(self)
         task._modules = dict(self._modules)
         task.geodesics, rows = self.geodesics.with_goals(goal[:, :2].double().numpy(), scene.numpy())
+        place = self._place(state)
+        if cut_off := (~task.geodesics.reachable(place, rows)).nonzero().flatten().tolist():
+            got = [round(value, 3) for value in place[cut_off[0]].tolist()]
+            raise ValueError(f"episode {cut_off[0]}: expected a start from which its goal can be reached, got {got}")
         return task, task.episode(state, rows, goal[:, 2:])
 
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:

@@ -116,7 +116,7 @@ class Strides(TaskModule):
         drawn = self.shaken * (2.0 * torch.rand(count, 2 * JOINTS + 6, **options) - 1.0)
         state[:, layout.joints] += drawn[:, :JOINTS]
         state[:, layout.robot_velocities] += 3.0 * drawn[:, JOINTS:]
-        state[:, layout.clock] = torch.rand(count, **options) / FREQUENCY
+        state[:, motion.lead] = torch.rand(count, **options) / FREQUENCY
         low, high = (
             torch.tensor(limits, dtype=torch.float64, device=state.device) for limits in (self.lowest, self.highest)
         )

@@ -220,6 +220,18 @@ def test_episodes_for_testing_are_seeded_and_have_their_own_goals() -> None:
         task_of(nearest=task.geodesics.longest).episodes(paths().starts[:3], 20, 1)
 
 
+def test_episodes_are_given_only_from_starts_with_a_path_to_their_goal() -> None:
+    fence = Occupancy.from_boxes([[-1.5, -0.95, 0.0]], [[1.5, -0.85, 1.0]], 0.05)
+    task = task_of()
+    task.choose_goals(NativeChecker(fence, Sphere(0.1)))
+    state, goal = torch.tensor([[0.5, 1.0, 0.0], [0.51, -0.74, 0.0], [-0.5, -1.2, 0.0]]), torch.zeros(3, 3)
+    _, memory = task.with_goals(state[:2], goal[:2], torch.zeros(2, dtype=torch.int64))
+    assert memory["start_distance"].flatten().tolist() == pytest.approx([1.25**0.5, 0.9], abs=0.03)
+    message = r"^episode 2: expected a start from which its goal can be reached, got \[-0\.5, -1\.2\]$"
+    with pytest.raises(ValueError, match=message):
+        task.with_goals(state, goal, torch.zeros(3, dtype=torch.int64))
+
+
 def test_a_nearest_distance_beyond_the_longest_path_is_refused() -> None:
     longest = task_of().geodesics.longest
     assert 3 < longest < 9

@@ -95,12 +95,14 @@ def test_touching_and_leaving_end_an_episode_and_reach_no_waypoint() -> None:
         assert judged(task, state, state).outcome.item() == outcome
 
 
-def test_physics_knows_what_is_solid_as_far_as_the_leeway_lets_cars_go(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_motion_settles_knowing_the_leeway_and_that_courses_are_variants(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     task, told = Route(car(), courses=1, test_courses=1, leeway=0.4), []
     monkeypatch.setattr(task.motion, "settle", lambda site, fits: told.append(site) or fits)
     site: Any = Site(None, None, None, Box((0.1, 0.1, 0.1)), True)  # type: ignore[arg-type]
     task.settle(site, lambda poses: torch.ones(len(poses)).bool())
-    assert site.leeway == 0.0 and [each.leeway for each in told] == [0.4]
+    assert site.leeway == 0.0 and [(each.leeway, each.varies) for each in told] == [(0.4, False)]
 
 
 def test_nobody_is_told_to_change_the_height_of_a_car(tmp_path: Path) -> None:

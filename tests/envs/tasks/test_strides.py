@@ -82,9 +82,9 @@ def test_episodes_begin_perturbed_at_any_phase_of_the_trot_with_commands_in_rang
     commands = states[:, -4:].view(-1, 2, 2)
     assert commands[..., 0].min() >= 0.3 and commands[..., 0].max() <= 0.6 and commands[..., 1].abs().max() <= 0.8
     assert commands[..., 0].std() > 0.05 and not torch.equal(commands[:, 0], commands[:, 1])
-    clock, off = states[:, of.motion.layout.clock], (states - of.motion.home)[:, of.motion.layout.joints].abs()
+    phase, off = of.motion.trot_time(states), (states - of.motion.home)[:, of.motion.layout.joints].abs()
     assert 0.04 < off.max() <= 0.05
-    assert 0.25 < clock.max() < 1 / 3 and clock.min() < 0.1
+    assert 0.25 < phase.max() < 1 / 3 and phase.min() < 0.1
     assert not of.motion.fallen(states).any()
 
 
@@ -93,6 +93,17 @@ def test_commands_follow_one_another_in_time() -> None:
     state = of.motion.commanded(of.motion.placed(torch.zeros(3, 3)), torch.tensor([[0.1, 0.2, 0.3, 0.4]] * 3))
     state[:, 1] = torch.tensor([0.0, 0.15, 9.0])
     assert torch.allclose(of.motion.command(state), torch.tensor([[0.1, 0.2], [0.3, 0.4], [0.3, 0.4]]).double())
+
+
+def test_each_command_lasts_its_span_from_the_start_of_the_episode() -> None:
+    of = Strides(StridesMotion(path="quadruped", camera="eye", threads=1, commands=2, span=0.2))
+    state = begun(of, 256)
+    commands = state[:, -4:].unflatten(1, (2, 2))
+    assert torch.equal(of.motion.command(state), commands[:, 0])
+    state = state[:1]
+    for stride in range(11):
+        assert torch.equal(of.motion.command(state), commands[:1, stride // 10]), stride
+        state = of.motion.move(state, torch.zeros(1, JOINTS), NOTHING).state
 
 
 def test_other_motions_are_refused() -> None:
