@@ -12,7 +12,7 @@ from torchrl.modules import ActorValueOperator
 from splatrl.building.envs import worker_seed
 from splatrl.building.instantiation import instantiate
 from splatrl.configuration import with_absolute_paths
-from splatrl.datasets import Demonstrations, imitate, planner_episodes, read_demonstrations
+from splatrl.datasets import Demonstrations, check_imitation, imitate, planner_episodes, read_demonstrations
 from splatrl.device import AUTO
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.rollouts import run_episodes
@@ -49,6 +49,7 @@ def build_trainer(cfg: DictConfig, world: World | Worlds, folder: Path) -> Train
     ppo = PPO(
         env, model, loss, optim, collector.frames_per_batch, collector.total_frames, _cuda_graph(collector.cuda_graph)
     )
+    teaching = _teaching(cfg, world, ppo)
     starts = spread_starts(world, cfg.logger.num_test_episodes)
     test_env = world.env(min(cfg.env.num_envs, len(starts.state)), seed=cfg.seed)
 
@@ -72,7 +73,7 @@ def build_trainer(cfg: DictConfig, world: World | Worlds, folder: Path) -> Train
         checkpoint.interval,
         make_tracker(logger.backend, folder, logger.exp_name, logger.project, logger.online, plain),
         made_with(with_absolute_paths(cfg), world.digest),
-        _teaching(cfg, world, ppo),
+        teaching,
     )
 
 
@@ -80,24 +81,27 @@ def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> Callable[[], 
     """Return the teaching that precedes learning from reward (matching, cloning, DAgger); None if there is none.
 
     Raises:
-        ValueError: if ``demos`` is neither a folder of demonstrations nor a number.
+        ValueError: if ``demos`` is neither a folder of demonstrations nor a number, or for settings that do not
+            fit each other, the policy, the task or the frame budget.
     """
-    dagger, matching, shown = instantiate(cfg.dagger), instantiate(cfg.matching), []
+    cloning, dagger, matching = instantiate(cfg.cloning), instantiate(cfg.dagger), instantiate(cfg.matching)
+    shown = list[Demonstrations]()
     if isinstance(cfg.demos, str):
         shown = [read_demonstrations(expanded(cfg.demos))]
     elif cfg.demos is not None:
         require_number("demos", cfg.demos, 1, 10**6, whole=True)
     elif not dagger.rounds and not matching.frames:
         return None
+    check_imitation(ppo, world, dagger, sum(map(len, shown)), matching.frames)
+    matcher = Matcher(ppo.model, matching) if matching.frames else None
 
     def teach() -> Iterator[dict[str, float]]:
-        if matching.frames:
-            matcher = Matcher(ppo.model, matching)
+        if matcher is not None:
             env = world.env(cfg.env.num_envs, seed=worker_seed(cfg.seed, 1))
             loss = matcher.fit(views(env, matching.frames))  # keep no reference: the views take gigabytes
             ppo.frames += matching.frames
             yield {"loss_matching": loss}
-        cloner = Cloner(ppo.model, instantiate(cfg.cloning))
+        cloner = Cloner(ppo.model, cloning)
         episodes = shown or _walked(world, cfg.demos or 0, cfg.seed)
         yield from imitate(ppo, cloner, world, episodes, dagger, worker_seed(cfg.seed, 0))
 

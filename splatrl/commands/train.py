@@ -17,7 +17,7 @@ from splatrl.building import build_trainer, build_world
 from splatrl.commands.entries import INTERRUPTED
 from splatrl.commands.entries import train as main
 from splatrl.commands.evaluate import evaluate_run
-from splatrl.commands.faults import USERS, in_one_line
+from splatrl.commands.faults import CONFIGURED, in_one_line
 from splatrl.configuration import (
     RUN_CONFIG,
     check_config,
@@ -31,6 +31,7 @@ from splatrl.configuration import (
 )
 from splatrl.device import device_line
 from splatrl.envs.world import World, Worlds
+from splatrl.evaluation.starts import given_episodes
 from splatrl.files import alone_in
 from splatrl.made_with import check_made_with
 from splatrl.training import Trainer
@@ -60,7 +61,7 @@ def run(cfg: DictConfig) -> float:
                 file=sys.stderr,
             )
             sys.exit(INTERRUPTED)
-        except USERS:
+        except CONFIGURED:
             if new and not any(folder.glob("checkpoints/*.pt")):
                 forget_run(folder)
             raise
@@ -74,7 +75,8 @@ def train(cfg: DictConfig, folder: Path) -> float:
         folder: the run folder.
 
     Raises:
-        ValueError: for a resumed run that began with other settings.
+        FileNotFoundError: for an ``evaluation.episodes`` that does not exist.
+        ValueError: for a resumed run that began with other settings, or episodes that do not fit the scene or task.
     """
     resume = cfg.resume
     if resume:
@@ -85,6 +87,8 @@ def train(cfg: DictConfig, folder: Path) -> float:
     torch.set_num_threads(cfg.threads)
     world = build_world(cfg)
     print(device_line(world.device))
+    if cfg.evaluation.episodes is not None:
+        given_episodes(world, Path(str(cfg.evaluation.episodes)))  # refuses a wrong file now, not after the training
     trainer = build_trainer(cfg, world, folder)
     if resume:
         trainer.resume((lambda then: None) if cfg.resume_changed else partial(check_made_with, trainer.made_with))

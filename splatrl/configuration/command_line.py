@@ -1,24 +1,27 @@
 """Command-line checks that run before Hydra: every mistake gives one line that says what to type instead."""
 
 import difflib
+import itertools
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
 from splatrl.configuration.grammar import readable
-from splatrl.configuration.key_help import help_page
+from splatrl.configuration.key_help import help_page, key_help
 from splatrl.configuration.kinds import check_kind, value_of
+from splatrl.configuration.known_keys import check_key
 from splatrl.configuration.run_configs import RUN_CONFIG, run_config, typed_targets
 from splatrl.configuration.scene_choice import SEEDED, SWEEP, load_config, with_scene_paths
-from splatrl.configuration.search_path import choice_keys, composed, group_choices, is_group, options
+from splatrl.configuration.search_path import choice_keys, group_choices, is_group, options
 from splatrl.configuration.spelling import SPELLED, viewed_run
+from splatrl.configuration.sweeps import check_sweeps, choices, compositions, values
 
 OWN_CONFIG = ("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp")
 """Hydra options that select a config other than ours."""
@@ -38,11 +41,13 @@ MAIN_KEYS = {
 """The key, per command, that a bare word without ``=`` was probably meant for."""
 OF_A_RUN = ("run", "evaluation.checkpoint", "host", "port", "device", "allow_targets")
 """Of ``splatrl-view``, the only keys besides ``place`` that may stand beside ``run``: a run brings its settings."""
-LAUNCHERS = {"ray": "hydra-ray-launcher", "submitit_slurm": "hydra-submitit-launcher"}
-"""The packages with the launchers of our presets."""
-INSTALL = "pip install 'splatrl[cluster]', and for Ray pip install --no-deps hydra-ray-launcher"
+PLUGINS = {"ray": "hydra-ray-launcher", "submitit_slurm": "hydra-submitit-launcher", "optuna": "hydra-optuna-sweeper"}
+"""The packages with launchers and sweepers of Hydra."""
+INSTALL = {
+    "hydra/launcher": "pip install 'splatrl[cluster]', and for Ray pip install --no-deps hydra-ray-launcher",
+    "hydra/sweeper": "pip install hydra-optuna-sweeper",
+}
 """How to install them."""
-MOST_NEAR = 3  # similar keys to suggest, at most
 
 
 class UserError(ValueError):
@@ -72,7 +77,9 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
         overrides = [_parsed(word, sweeps) for word in result if _is_plain(word)]
         for word in result:
             if "=" in word and word.startswith(("+", "~", "hydra")):
-                _check_launcher(_parsed(word, sweeps=True))
+                _check_plugin(_parsed(word, sweeps=True))
+        if not any(word.startswith("hydra/sweeper=") for word in result):
+            check_sweeps(overrides)
         _check_overrides(name, overrides)
         passed = _forced if _resumed(overrides) else str
         if any(argument in HELP for argument in arguments):
@@ -148,24 +155,29 @@ def _check_overrides(name: str, overrides: Sequence[Override]) -> None:
     """Refuse options that a group lacks, unknown keys, and values of a different kind from the default."""
     groups = [override for override in overrides if is_group(override.key_or_group)]
     for override in groups:
-        for choice in _choices(override):
+        for choice in choices(override):
             for one in choice.strip("[]").split(","):  # sensors takes a list
                 _check_choice(override.key_or_group, one.strip())
     for override in overrides:
         if override.key_or_group == "resume":  # its config says which keys there are
             _check_run(override)
-    chosen = [f"{str(override.input_line).partition('=')[0]}={_choices(override)[0]}" for override in groups]
-    folder = _resumed(overrides)
+    chosen = [[f"{str(one.input_line).partition('=')[0]}={choice}" for choice in choices(one)] for one in groups]
+    folder, first = _resumed(overrides), [several[0] for several in chosen]
     try:
-        known = run_config(folder, typed_targets(overrides)) if folder else composed(chosen, name)
+        known = [{"": run_config(folder, typed_targets(overrides))}] if folder else compositions(chosen, name)
     except HydraException:
-        _check_places(name, chosen)
+        _check_places(name, first)
         return  # Hydra will report what is wrong
-    for override in overrides:
-        if override not in groups:
-            _check_key(override.key_or_group, known)
-            for value in _values(override):
-                check_kind(override.key_or_group, value_of(known, override.key_or_group), value)
+
+    def may_be_null(key: str) -> bool:
+        return "null" in key_help(name, [] if folder else first).comments.get(key, "")
+
+    for override in (one for one in overrides if one not in groups):
+        key = override.key_or_group
+        check_key(key, known)
+        for value, configs in itertools.product(values(override), known):
+            for cfg in configs.values():
+                check_kind(key, value_of(cfg, key), value, may_be_null)
     for override in overrides:
         if override.key_or_group == "run":
             _check_run(override)
@@ -173,7 +185,7 @@ def _check_overrides(name: str, overrides: Sequence[Override]) -> None:
 
 def _resumed(overrides: Sequence[Override]) -> Path | None:
     """Return the folder of the run to resume, in a sweep the first; None for a new run."""
-    typed = [value for override in overrides if override.key_or_group == "resume" for value in _values(override)]
+    typed = [value for override in overrides if override.key_or_group == "resume" for value in values(override)]
     return Path(typed[0]) if typed and isinstance(typed[0], str) else None
 
 
@@ -184,13 +196,16 @@ def _forced(word: str) -> str:
     return f"++{word.lstrip('+')}" if plain else word
 
 
-def _check_launcher(override: Override) -> None:
-    """Refuse a launcher whose plugin for Hydra is not installed."""
-    for choice in _choices(override) if override.key_or_group == "launcher" else ():
-        _check_choice("launcher", choice)
-        for group, option in group_choices("launcher", choice).items():
+def _check_plugin(override: Override) -> None:
+    """Refuse a launcher or a sweeper whose plugin for Hydra is not installed, and unknown options of Hydra's groups."""
+    key = override.key_or_group
+    for choice in choices(override) if key == "launcher" or key.startswith("hydra/") else ():
+        if key == "launcher" or choice not in PLUGINS:
+            _check_choice(key, choice)
+        for group, option in (group_choices(key, choice) if key == "launcher" else {key: choice}).items():
             if option not in options(group):
-                raise UserError(f"+launcher={choice}: {LAUNCHERS.get(choice, 'its plugin')} is missing; {INSTALL}")
+                typed, install = str(override.input_line).partition("=")[0], INSTALL.get(group, "install it")
+                raise UserError(f"{typed}={choice}: {PLUGINS.get(choice, 'its plugin')} is missing; {install}")
 
 
 def _check_places(name: str, chosen: Sequence[str]) -> None:
@@ -205,20 +220,9 @@ def _check_places(name: str, chosen: Sequence[str]) -> None:
 
 def _check_run(override: Override) -> None:
     """Refuse a path that is not a run folder, because Hydra would create a folder of that name."""
-    for folder in _values(override):
+    for folder in values(override):
         if isinstance(folder, str) and not (Path(folder) / RUN_CONFIG).is_file():
             raise UserError(f"{override.key_or_group}: expected a run folder with {RUN_CONFIG}, got {folder}")
-
-
-def _values(override: Override) -> list[object]:
-    if override.is_sweep_override():
-        return list(override.sweep_iterator()) if override.is_choice_sweep() else []
-    return [override.value()]
-
-
-def _choices(override: Override) -> list[str]:
-    swept = override.is_sweep_override()
-    return list(override.sweep_string_iterator()) if swept else [override.get_value_element_as_str()]
 
 
 def _check_choice(key: str, choice: str) -> None:
@@ -233,42 +237,3 @@ def _check_choice(key: str, choice: str) -> None:
         raise UserError(f"{key}: expected {kinds}, got {choice} among others")
     paths = ", or an existing path" if group == "scene" else ""
     raise UserError(f"{key}: expected one of {', '.join(valid)}{paths}, got {choice}{hint}")
-
-
-def _check_key(key: str, known: DictConfig) -> None:
-    *parents, leaf = key.split(".")
-    node = value_of(known, ".".join(parents)) if parents else known
-    keys = list(node) if isinstance(node, DictConfig) else []
-    if leaf in keys:
-        return
-    valid = [str(one) for one in keys if not str(one).startswith("_")]
-    near = [".".join([*parents, match]) for match in difflib.get_close_matches(leaf, valid, 1)]
-    near = near or _near_keys(leaf, known)
-    near = ["scene=<the path>"] if key == "scene.path" else near
-    hint = f", did you mean {' or '.join(near)}?" if near else "."
-    place = ".".join(parents)
-    if valid:
-        known_keys = f"Valid keys {f'of {place}' if parents else 'at the top level'}: {', '.join(valid)}"
-    elif options(place):
-        known_keys = f"{place} is a config group with the options {', '.join(options(place))}"
-    else:
-        known_keys = f"{place} has no keys"
-    raise UserError(f"{key}: no such key{hint} {known_keys}")
-
-
-def _near_keys(word: str, known: DictConfig) -> list[str]:
-    """Return full keys whose last part resembles a word or contains it between underscores."""
-    leaves = list(_leaves(OmegaConf.to_container(known, resolve=False), ""))
-    names = {key.rpartition(".")[2] for key in leaves}
-    near = {*difflib.get_close_matches(word, names), *(name for name in names if word in name.split("_"))}
-    return sorted(key for key in leaves if key.rpartition(".")[2] in near)[:MOST_NEAR]
-
-
-def _leaves(node: object, place: str) -> Iterator[str]:
-    """Yield the dotted keys of all leaf values, except those such as ``_target_`` that say what to build."""
-    if not isinstance(node, dict):
-        yield place
-        return
-    for key, value in node.items():
-        if not str(key).startswith("_"):
-            yield from _leaves(value, f"{place}.{key}" if place else str(key))

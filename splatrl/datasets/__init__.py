@@ -2,13 +2,14 @@
 
 from splatrl.datasets.demonstrations import Demonstrations
 from splatrl.datasets.folder import read_demonstrations, write_demonstrations
-from splatrl.datasets.imitation import imitate
+from splatrl.datasets.imitation import check_imitation, imitate
 from splatrl.datasets.lerobot import check_lerobot, write_lerobot
 from splatrl.datasets.recorder import planner_episodes
 from splatrl.datasets.replay import replay
 
 __all__ = [
     "Demonstrations",
+    "check_imitation",
     "check_lerobot",
     "imitate",
     "planner_episodes",

@@ -32,7 +32,7 @@ def imitate(
             than ``collector.total_frames``.
     """
     known = _together([_frames(each, ppo, cloner.reads) for each in shown])
-    _check(ppo, world, frames := len(known.get("frame", ())), dagger)
+    check_imitation(ppo, world, dagger, frames := len(known.get("frame", ())), ppo.frames)
     if known:
         ppo.frames += frames
         yield {"loss_cloning": cloner.fit(known)}
@@ -52,7 +52,20 @@ def _together(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
     return {key: torch.cat([part[key].cpu() for part in parts]) for key in (parts[0] if parts else ())}
 
 
-def _check(ppo: PPO, world: World | Worlds, shown: int, dagger: DaggerSettings) -> None:
+def check_imitation(ppo: PPO, world: World | Worlds, dagger: DaggerSettings, shown: int, matched: int) -> None:
+    """Refuse settings of an imitation that cannot be carried out.
+
+    Args:
+        ppo: holds the frame budget.
+        world: the world in which the policy acts.
+        dagger: settings of the DAgger rounds.
+        shown: number of demonstrated frames; 0 if they are not known yet.
+        matched: number of frames that are used before, for matching.
+
+    Raises:
+        ValueError: for a task without a teacher, rounds that are no multiple of the batch, or a need for more frames
+            than ``collector.total_frames``.
+    """
     if dagger.rounds and not world.planned and not _has_teacher(world):
         name = type(world.task).__name__
         raise ValueError(
@@ -64,10 +77,11 @@ def _check(ppo: PPO, world: World | Worlds, shown: int, dagger: DaggerSettings) 
             f"got {dagger.frames_per_round}"
         )
     acted = dagger.rounds * dagger.frames_per_round
-    if shown + acted > ppo.total_frames:
+    if (needed := matched + shown + acted) > ppo.total_frames:
+        of_matching = f"{matched:,} of matching.frames, " if matched else ""
         raise ValueError(
-            f"collector.total_frames: expected at least {shown + acted:,}, the sum of {shown:,} frames of demos and "
-            f"{acted:,} frames of dagger.rounds, got {ppo.total_frames:,}"
+            f"collector.total_frames: expected at least {needed:,}, the sum of {of_matching}{shown:,} frames of demos "
+            f"and {acted:,} frames of dagger.rounds, got {ppo.total_frames:,}"
         )
 
 

@@ -68,17 +68,36 @@ ERRORS = [
     ("train landmarks.goal=[0.4,0.4", "landmarks.goal=[0.4,0.4: expected landmarks.goal=value with balanced brackets"),
     ("train 'hydra.run.dir=a = [b'", "hydra.run.dir=a = [b: expected hydra.run.dir=value with balanced brackets"),
     ("train landmarks.goal=0.4,0.4,0", "landmarks.goal: expected one value, got 0.4,0.4,0; type landmarks.goal=[0.4"),
-    ("train -m seed=0,x", "seed: expected a number such as 0, got x"),
+    ("train -m seed=0,x", "seed: expected a number such as 0, got 'x'"),
     # Values of the wrong type or out of range.
-    ("train robot.height=abc", "robot.height: expected a number such as 0.4, got abc"),
-    ("train collector.total_frames=abc", "collector.total_frames: expected a number such as 60000, got abc"),
+    ("train robot.height=abc", "robot.height: expected a number such as 0.4, got 'abc'"),
+    ("train collector.total_frames=abc", "collector.total_frames: expected a number such as 60000, got 'abc'"),
     ("train collector.total_frames=0", "collector.total_frames: expected a whole number from 1 to"),
-    ("train task.goal=abc", "task.goal: expected a list such as [0.6,0.4,0.0], got abc"),
+    ("train task.goal=abc", "task.goal: expected a list such as [0.6,0.4,0.0], got 'abc'"),
     ("train network.channels=3", "network.channels: expected a list such as [16,32], got 3"),
+    ("train \"task.max_steps='20'\"", "task.max_steps: expected a number such as 200, got '20'"),
+    ("train curriculum.threshold=null", "curriculum.threshold: expected a number such as 0.7, got null"),
+    ("train loss.anneal_entropy=null", "loss.anneal_entropy: expected true or false, got null"),
+    ("train device=null", "device: expected a single value such as auto, got null"),
+    ("train transforms.order=null", "transforms.order: expected a list such as [pose_noise,latency,"),
     ("train logger.video=3", "logger.video: expected true or false, got 3"),
     (
         "train task=push 'task.motion.things={ball: ball, box: b.xml}'",
         "task.motion.things.box: no such key; to add one, type +task.motion.things.box='b.xml'",
+    ),
+    ("train -m curriculum=glob(z*)", "curriculum: expected a pattern that matches one of distance, none, got glob(z*)"),
+    ("train -m seed=glob(*)", "seed: expected values such as 1,2, since glob(...) chooses from a group"),
+    (
+        "train -m 'optim.lr=interval(0.001,0.1)'",
+        "optim.lr: expected values such as 0.001,0.01 or range(...), since interval(...) needs a sweeper such as hydra",
+    ),
+    ("train hydra/sweeper=foo", "hydra/sweeper: expected one of basic, got foo"),
+    *(
+        (
+            f"train -m curriculum={choices} curriculum.threshold=0.5",
+            "curriculum.threshold: no such key with curriculum=none; run that choice separately, without the key",
+        )
+        for choices in ("distance,none", "none,distance")
     ),
     ("train -m seed=0,1 +launcher=lsf", "launcher: expected one of ray, submitit_slurm, got lsf"),
     ("train robot.body=3", "robot.body: expected keys and values, such as robot.body.size=..., got 3"),
@@ -262,14 +281,24 @@ def test_a_run_that_cannot_be_written_is_resumed_nowhere_else(tmp_path: Path, mo
     assert ended.value.code == f"splatrl-train: {tmp_path}: cannot write: Permission denied"
 
 
-def test_a_launcher_that_is_not_installed_is_reported_with_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = {"launcher": ("ray",), "hydra/launcher": ("basic",)}
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ("+launcher=ray", "hydra-ray-launcher is missing; pip install 'splatrl"),
+        ("hydra/launcher=ray", "hydra-ray-launcher is missing; pip install 'splatrl"),
+        ("hydra/sweeper=optuna", "hydra-optuna-sweeper is missing; pip install hydra-optuna-sweeper"),
+    ],
+)
+def test_a_plugin_that_is_not_installed_is_reported_with_what_to_install(
+    typed: str, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = {"launcher": ("ray",), "hydra/launcher": ("basic",), "hydra/sweeper": ("basic",)}
     monkeypatch.setattr(
         sys.modules["splatrl.configuration.command_line"], "options", lambda group: found.get(group, ())
     )
     with pytest.raises(SystemExit) as ended:
-        command_line("train", ["-m", "seed=0,1", "+launcher=ray"])
-    assert str(ended.value.code).startswith("splatrl-train: +launcher=ray: hydra-ray-launcher is missing; pip install")
+        command_line("train", ["-m", "optim.lr=interval(0.001,0.1)", typed])
+    assert str(ended.value.code).startswith(f"splatrl-train: {typed}: {said}")
 
 
 def test_help_is_printed_whatever_the_encoding_of_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -351,13 +380,13 @@ def test_an_interrupt_prints_one_line_and_no_traceback(
 @pytest.mark.parametrize(
     ("usual", "given"),
     [
-        *((0.5, 1), (1, 0.5), (0.5, None), (0.5, "${robot.height}"), (True, False), ("auto", 3), ("auto", False)),
+        *((0.5, 1), (1, 0.5), (0.5, "${robot.height}"), (True, False), ("auto", 3), ("auto", False)),
         *(([1, 2], [3]), ([], [[[0, 0, 0], [1, 1, 1]]]), (None, [1]), ({"a": 1}, {"a": 2}), ({"a": 1}, None)),
     ],
 )
-def test_values_of_the_usual_type_null_and_references_are_accepted(usual: object, given: object) -> None:
+def test_values_of_the_usual_type_references_and_null_for_nodes_are_accepted(usual: object, given: object) -> None:
     cfg = OmegaConf.create({"key": usual})
-    check_kind("key", cfg.key, given)
+    check_kind("key", cfg.key, given, lambda key: False)
 
 
 @pytest.mark.parametrize(
@@ -372,9 +401,11 @@ def test_values_of_the_usual_type_null_and_references_are_accepted(usual: object
         ({"a": 1}, 1),
         ("a", [1]),
         ({"a": 1}, {"a": "b"}),
+        ({"a": 1}, {"a": None}),
+        *((usual, None) for usual in (0.5, True, "a", [1])),
     ],
 )
 def test_values_of_another_type_are_refused(usual: object, given: object) -> None:
     cfg = OmegaConf.create({"key": usual})
     with pytest.raises(ValueError, match=r"key(\.a)?: expected"):
-        check_kind("key", cfg.key, given)
+        check_kind("key", cfg.key, given, lambda key: False)

@@ -343,6 +343,11 @@ def test_invalid_lists_are_refused_with_what_to_type_instead(words: list[str], m
         command_line("train", [word.format(tmp_path) for word in words])
 
 
+def test_a_pattern_sweeps_over_the_options_that_match_it() -> None:
+    words = ["-m", "curriculum=glob(*)", "curriculum.first=3", "task=glob(*nav)", "task.goals=5"]
+    assert command_line("train", words) == words
+
+
 @pytest.fixture
 def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A working directory with a splat file, a scene folder, and a file with the name of a built-in scene."""
@@ -511,7 +516,7 @@ def test_a_resumption_changes_the_keys_of_the_runs_own_task_and_scene(tmp_path: 
     assert set(cfg) == set(load_config())
     with pytest.raises(SystemExit, match=r"task\.red_shares: no such key, did you mean task\.red_share\?"):
         command_line("train", [f"resume={tmp_path}", "task.red_shares=0.2"])
-    with pytest.raises(SystemExit, match=r"task\.red_share: expected a number such as 0\.3, got x"):
+    with pytest.raises(SystemExit, match=r"task\.red_share: expected a number such as 0\.3, got 'x'"):
         command_line("train", [f"resume={tmp_path}", "task.red_share=x"])
 
 

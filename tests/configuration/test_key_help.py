@@ -37,6 +37,21 @@ def test_every_key_and_every_option_is_explained(name, overrides):
     assert found.header
 
 
+@pytest.mark.parametrize(
+    ("keys", "choice"),
+    [
+        (["curriculum.first", "collision.occupancy.fill", "renderer.cache", "starts.farthest"], []),
+        (["starts.farthest"], ["task=imagenav"]),
+        (["task.motion.gait", "task.motion.ceiling", "task.motion.linear"], ["task=walk"]),
+    ],
+)
+def test_null_is_accepted_for_keys_whose_comment_mentions_it(keys, choice):
+    typed = [*choice, *(f"{key}=null" for key in keys)]
+    assert command_line("train", typed) == typed
+    found = key_help("train", choice)
+    assert all("null" in found.comments[key] for key in keys)
+
+
 @pytest.mark.parametrize("name", MAIN_KEYS)
 def test_a_page_lists_every_key_of_the_config_within_the_terminals_width(name, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from splatrl.building import build_world
-from splatrl.commands import evaluate
-from splatrl.commands.train import train
+from splatrl.commands import evaluate, train
 from splatrl.configuration import load_config, run_config
 from splatrl.evaluation.episode_sets import MOST_EPISODES
+from splatrl.evaluation.starts import given_episodes
 from tests.tiny import tiny_overrides
 
 MEASURES = ("success", "spl", "soft_spl", "distance_to_goal", "collisions")
@@ -24,7 +24,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     few += ["logger.num_test_episodes=4", "evaluation.starts=6", "logger.video=false", "loss.ppo_epochs=1"]
     few += ["task.goals=5", "task.test_goals=4", "task.nearest=0.3", "task.cell=0.1", "robot.body.radius=0.1"]
     cfg = load_config([*tiny_overrides(folder, "pointnav"), "sensors=[lidar,compass,pointgoal,depth]", *few])
-    train(cfg, folder)
+    train.train(cfg, folder)
     return folder
 
 
@@ -74,15 +74,21 @@ def test_a_refused_evaluation_leaves_the_run_unchanged(
     assert sorted(run.rglob("*")) == before
 
 
-def test_an_episode_file_is_refused_by_a_task_without_navigation(run: Path, tmp_path: Path) -> None:
-    cfg = run_config(run)
-    world = build_world(cfg)
-    from splatrl.evaluation.starts import given_episodes
-
-    path = run / "episodes.json.gz"
+def test_episodes_that_cannot_be_evaluated_are_refused_before_the_training(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cfg, path = run_config(run), run / "episodes.json.gz"
+    world, folder = build_world(cfg), tmp_path / "run"
     assert len(given_episodes(world, path)[1].state) == 6
     assert len(given_episodes(world, path, 4)[1].memory["goal"]) == 4
     other = build_world(load_config(tiny_overrides(tmp_path)))
-    refused = r"evaluation\.episodes: expected a navigation task, such as task=pointnav, got Grid"
-    with pytest.raises(ValueError, match=refused):
-        given_episodes(other, path)
+    folder.mkdir()
+    for built, given, refused in (
+        (other, path, r"evaluation\.episodes: expected a navigation task, such as task=pointnav, got Grid"),
+        (world, tmp_path / "gone.json.gz", r"gone\.json\.gz: "),
+    ):
+        monkeypatch.setattr(train, "build_world", lambda cfg, built=built: built)
+        cfg.evaluation.episodes = str(given)
+        with pytest.raises((ValueError, FileNotFoundError), match=refused):
+            train.train(cfg, folder)
+    assert not (folder / "checkpoints").exists()

@@ -97,3 +97,23 @@ def test_matching_frames_count_and_come_before_all_others(
 def test_settings_out_of_range_are_named(values: tuple[int, int, int], name: str) -> None:
     with pytest.raises(ValueError, match=rf"matching\.{name}"):
         MatchingSettings(*values, 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("dagger.frames_per_round=17", r"dagger\.frames_per_round: expected a multiple of env\.num_envs = 4, got 17"),
+        ("dagger.rounds=16", r"collector\.total_frames: expected at least 264, the sum of 8 of matching\.frames, 0"),
+        ("cloning.lr=-1", r"cloning\.lr: expected a number of at least 0\.0, got -1"),
+    ],
+)
+def test_settings_of_imitation_are_checked_before_the_matching(
+    change: str, message: str, made: tuple[DictConfig, World | Worlds], tmp_path: Path
+) -> None:
+    cfg = made[0].copy()
+    cfg.merge_with_dotlist(["matching.frames=8", "dagger.rounds=2", "dagger.frames_per_round=16", "env.num_envs=4"])
+    cfg.merge_with_dotlist(["collector.frames_per_batch=16", "collector.total_frames=256"])
+    cfg.merge_with_dotlist(["logger.num_test_episodes=4", change])
+    with pytest.raises(Exception, match=message):  # Hydra wraps what constructors raise
+        build_trainer(cfg, made[1], tmp_path)
+    assert not any(tmp_path.iterdir())
