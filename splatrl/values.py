@@ -92,3 +92,8 @@ def flat(node: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, Any]]:
             yield from flat(value, name)
         else:
             yield name, value
+
+
+def one_line(error: BaseException) -> str:
+    """Return an error's message as one line; the name of its kind where it has none."""
+    return " ".join(str(error).split()) or type(error).__name__

@@ -7,6 +7,7 @@ east wall. The lattice has 5 × 7 positions (not square) and 8 headings; the goa
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -17,7 +18,7 @@ from splatrl.curriculum import Curriculum, Plan, plan
 from splatrl.envs import Robot, SplatEnv
 from splatrl.envs.drawing import SceneDrawing
 from splatrl.envs.tasks import Grid
-from splatrl.motions import LatticeMotion
+from splatrl.motions import LatticeMotion, Site
 from splatrl.renderers import Parts, ReferenceRenderer, Renderer, RenderOutput
 from splatrl.renderers.base import draw_only
 from splatrl.scenes import write_gaussians
@@ -239,3 +240,9 @@ def tiny_overrides(folder: Path, task: str = "grid") -> list[str]:
     if task in ("pointnav", "imagenav"):
         bounds += ["task.goals=5", "task.test_goals=4", "task.nearest=0.3", "task.cell=0.1", "robot.body.radius=0.1"]
     return overrides if task in ("circle", "polar_plane", "hemisphere") else [*overrides, *bounds]
+
+
+def bare_site() -> Site:
+    """Return a site without a scene, for motions and tasks that stand on level ground."""
+    nothing: Any = None
+    return Site(nothing, nothing, nothing, Box((0.1, 0.1, 0.1)), True)

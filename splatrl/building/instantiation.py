@@ -8,6 +8,7 @@ from hydra.errors import HydraException, InstantiationException
 from omegaconf.errors import OmegaConfBaseException
 
 from splatrl.configuration.search_path import group_node, options
+from splatrl.values import one_line
 
 KINDS = (FileNotFoundError, OSError, ImportError, ValueError)
 """Kinds of errors that stay what they are; any other becomes a ``ValueError``."""
@@ -38,7 +39,7 @@ def line(error: InstantiationException) -> str:
     """Format Hydra's wrapper around an exception from a constructor as one line, which begins with the key."""
     key = str(error).rpartition("full_key: ")[2].strip()
     cause = error.__cause__ or error
-    text = " ".join(str(cause).split()) or type(cause).__name__
+    text = one_line(cause)
     if isinstance(cause, TypeError) and (unknown := UNKNOWN.fullmatch(text)):
         return f"{key}.{unknown[2]}: no such key in {unknown[1]}{_motion_with(key, unknown[2])}"
     if not isinstance(cause, (*KINDS, HydraException, OmegaConfBaseException)):

@@ -14,6 +14,7 @@ from hydra.types import RunMode
 from omegaconf.errors import OmegaConfBaseException
 
 from splatrl.commands.entries import USERS
+from splatrl.values import one_line
 
 CONFIGURED = (*USERS, HydraException, OmegaConfBaseException)
 FULL = "HYDRA_FULL_ERROR"
@@ -41,7 +42,7 @@ def in_one_line(command: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
             except CONFIGURED as error:
                 if os.environ.get(FULL):
                     raise
-                text = f"{command}: {line(error)}"
+                text = f"{command}: {one_line(error)}"
             if HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN:
                 raise CompactHydraException(text)  # unchained: a cause would keep its scenes alive
             sys.exit(text)
@@ -68,8 +69,3 @@ def _warnings_in_one_line(command: str) -> Iterator[None]:
         yield
     finally:
         warnings.formatwarning = usual
-
-
-def line(error: BaseException) -> str:
-    """Format an error, one of ``CONFIGURED``, as one line."""
-    return " ".join(str(error).split()) or type(error).__name__

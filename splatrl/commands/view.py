@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from splatrl.building import build_one_world, check_place
 from splatrl.building.instantiation import instantiate
 from splatrl.commands.entries import view as main
-from splatrl.commands.faults import in_one_line, line
+from splatrl.commands.faults import in_one_line
 from splatrl.configuration import (
     check_config,
     check_constructors,
@@ -30,6 +30,7 @@ from splatrl.files import expanded
 from splatrl.runs import TrainedPolicy, load_policy
 from splatrl.scenes.description import SCENE_FILE
 from splatrl.scenes.scene import Scene
+from splatrl.values import one_line
 from splatrl.viewer.driving import Driving
 from splatrl.viewer.markdown import plain
 from splatrl.viewer.page import Page
@@ -102,8 +103,8 @@ def furnish(
     except ValueError as error:
         if trained is not None:
             raise
-        print(f"driving is not available: {line(error)}", flush=True)
-        gui.add_markdown(f"Driving is not available: {plain(line(error))}")
+        print(f"driving is not available: {one_line(error)}", flush=True)
+        gui.add_markdown(f"Driving is not available: {plain(one_line(error))}")
         page.show_occupancy(survey_occupancy(scene))
         return lambda: None
     page.show_occupancy(world.occupancy)
@@ -118,7 +119,7 @@ def furnish(
         try:
             Driving(page, world)
         except ValueError as error:
-            gui.add_markdown(f"Driving is not available: {plain(line(error))}")
+            gui.add_markdown(f"Driving is not available: {plain(one_line(error))}")
     with tabs.add_tab("place"):
         Placing(page, world, place_values(cfg, scene), folder, lambda stated: _check(cfg, scene, stated))
     return lambda: [each() for each in stop]

@@ -16,7 +16,7 @@ from splatrl.motions import DriveMotion, PhysicsMotion, Site
 from splatrl.physics import Terrain, Variation
 from splatrl.physics.robots import FOLDER, mjcf_path
 from splatrl.scenes import Scene, write_gaussians
-from tests.tiny import tiny_gaussians, tiny_overrides
+from tests.tiny import bare_site, tiny_gaussians, tiny_overrides
 from tests.two_rooms import in_both
 
 WALL = torch.tensor([[0.6, 0.0, 0.2, 0.1, 1.0, 0.2]], dtype=torch.float64)
@@ -190,7 +190,7 @@ def test_each_episode_uses_one_of_the_varied_models() -> None:
 
 
 def test_ranges_of_a_variation_need_variants_unless_the_task_makes_its_own() -> None:
-    site: Any = Site(None, None, None, Box((0.1, 0.1, 0.1)), True)  # type: ignore[arg-type]
+    site = bare_site()
     motion = wheels(ground="level", variation=Variation(friction=(0.1, 0.1)))
     message = r"^task\.motion\.variation\.models: expected more than 1 for ranges other than \[1, 1\], got 1$"
     with pytest.raises(ValueError, match=message):

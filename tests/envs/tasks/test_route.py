@@ -2,21 +2,19 @@
 
 import math
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
 
-from splatrl.bodies import Box
 from splatrl.building import build_one_world
 from splatrl.configuration import load_config
 from splatrl.envs.tasks import Outcome, Route
 from splatrl.misfits import check_height
-from splatrl.motions import PhysicsMotion, Site
+from splatrl.motions import PhysicsMotion
 from splatrl.physics import RouteSettings, Terrain
 from tests.envs.tasks.courses import NOTHING, PLANE, CourseContract, cache, judged, wander
 from tests.envs.test_configured_tasks import ConfiguredContract
-from tests.tiny import tiny_overrides
+from tests.tiny import bare_site, tiny_overrides
 
 __all__ = ["cache"]
 
@@ -100,7 +98,7 @@ def test_a_motion_settles_knowing_the_leeway_and_that_courses_are_variants(
 ) -> None:
     task, told = Route(car(), courses=1, test_courses=1, leeway=0.4), []
     monkeypatch.setattr(task.motion, "settle", lambda site, fits: told.append(site) or fits)
-    site: Any = Site(None, None, None, Box((0.1, 0.1, 0.1)), True)  # type: ignore[arg-type]
+    site = bare_site()
     task.settle(site, lambda poses: torch.ones(len(poses)).bool())
     assert site.leeway == 0.0 and [(each.leeway, each.varies) for each in told] == [(0.4, False)]
 
