@@ -1,6 +1,6 @@
 """Learning from a batch of frames: advantages, minibatches and gradient steps."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import torch
@@ -16,6 +16,9 @@ from splatrl.training.native_step import native_step
 from splatrl.training.repeats import first_alike
 from splatrl.training.settings import LossSettings, OptimSettings
 
+Capture = Callable[[Callable[[], None]], Callable[[], None]]
+"""Makes a call faster that has no arguments and works in place on the same tensors: ``CudaGraph``."""
+
 
 class Learner:
     """Adam on the clipped loss; a policy without memory learns from single frames, one with memory from sequences.
@@ -28,9 +31,13 @@ class Learner:
         model: actor and critic over a shared trunk.
         loss: settings of the loss.
         optim: settings of the optimiser.
+        capture: captures gradient steps; None takes them one operation after another, as do policies with memory,
+            whose sequences are cut where episodes end.
     """
 
-    def __init__(self, model: ActorValueOperator, loss: LossSettings, optim: OptimSettings):
+    def __init__(
+        self, model: ActorValueOperator, loss: LossSettings, optim: OptimSettings, capture: Capture | None = None
+    ):
         self.model, self.loss, self.optim = model, loss, optim
         self.entropy_coeff = loss.entropy_coeff
         self.parameters = list(model.parameters())
@@ -43,14 +50,24 @@ class Learner:
         compiled = not memory and not optim.compile
         parts = self._trunk, self._policy, self._value
         self._native = native_step(*parts, optim.max_grad_norm) if compiled else None
+        self._captured = CapturedSteps(self, capture) if capture is not None and not memory else None
 
     def anneal(self, left: float) -> None:
         """Set learning rate and entropy bonus for the point at which a fraction ``left`` of the training remains."""
         if self.optim.anneal_lr:
             for group in self.optimizer.param_groups:
-                group["lr"] = self.optim.lr * left
+                if isinstance(group["lr"], Tensor):
+                    group["lr"].fill_(self.optim.lr * left)  # a captured step reads this tensor
+                else:
+                    group["lr"] = self.optim.lr * left
         if self.loss.anneal_entropy:
             self.entropy_coeff = self.loss.entropy_coeff * left
+
+    def load_optimizer(self, state: dict[str, Any]) -> None:
+        """Continue with the optimiser's state of a checkpoint."""
+        self.optimizer.load_state_dict(state)
+        if self._captured is not None:
+            self._captured = CapturedSteps(self, self._captured.capture)
 
     def learn(self, batch: TensorDictBase) -> dict[str, float]:
         """Learn from a batch of frames [B, T], and return the means of ``STATISTICS`` over its gradient steps."""
@@ -92,7 +109,8 @@ class Learner:
 
     def alike(self, batch: TensorDictBase) -> Tensor | None:
         """Return, for each frame of a batch [B * T], the first with identical inputs; None if that would not help."""
-        if self._memory or self.optim.compile or batch["action"].device.type != "cpu" or not self._is_prepared(batch):
+        fixed = self._memory or self._captured is not None or self.optim.compile  # minibatches must keep their sizes
+        if fixed or batch["action"].device.type != "cpu" or not self._is_prepared(batch):
             return None
         return first_alike(*(batch[key].flatten(0, 1) for key in self._prepared))
 
@@ -139,7 +157,13 @@ class Learner:
         """
         if self._native is not None and self._native.suits(frames, self.optimizer):
             return self._native.step(frames, self.optimizer, self.loss, self.entropy_coeff)
-        loss, statistics = self._measured(frames, self._bonus(frames["action"].device))
+        if self._captured is not None:
+            return self._captured.step(frames)
+        return self.descend(frames, self._bonus(frames["action"].device))
+
+    def descend(self, frames: dict[str, Tensor], entropy_coeff: float | Tensor) -> Tensor:
+        """Take one gradient step with PyTorch; see ``step``."""
+        loss, statistics = self._measured(frames, entropy_coeff)
         self.optimizer.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(self.parameters, self.optim.max_grad_norm)
@@ -165,3 +189,44 @@ class Learner:
             with set_recurrent_mode(True):
                 hidden = module(TensorDict(known, hidden.shape[:2]))["hidden"]
         return hidden
+
+
+class CapturedSteps:
+    """Takes a learner's gradient steps by one call that is captured, for minibatches of the size of the first.
+
+    Minibatches of any other size, such as the rest of a batch, are not captured.
+
+    Args:
+        learner: the learner, whose optimiser must keep its state tensors from now on.
+        capture: captures a call.
+    """
+
+    def __init__(self, learner: Learner, capture: Capture):
+        self.learner, self.capture = learner, capture
+        device = learner.parameters[0].device
+        for group in learner.optimizer.param_groups:
+            group["lr"], group["capturable"] = torch.as_tensor(group["lr"], device=device), True
+        self._entropy_coeff = torch.zeros((), device=device)
+        self._statistics = torch.zeros(len(STATISTICS), device=device)
+        self._frames = dict[str, Tensor]()
+        self._call = capture(self._descend)
+
+    def step(self, frames: dict[str, Tensor]) -> Tensor:
+        """Take one gradient step on a minibatch; see ``Learner.step``."""
+        self._entropy_coeff.fill_(self.learner.entropy_coeff)
+        if not self._frames:
+            self._frames = {key: value.clone() for key, value in frames.items()}
+        elif _shapes(frames) != _shapes(self._frames):
+            return self.learner.descend(frames, self._entropy_coeff)
+        else:
+            for key, value in frames.items():
+                self._frames[key].copy_(value)
+        self._call()
+        return self._statistics.clone()
+
+    def _descend(self) -> None:
+        self._statistics.copy_(self.learner.descend(self._frames, self._entropy_coeff))
+
+
+def _shapes(frames: dict[str, Tensor]) -> dict[str, torch.Size]:
+    return {key: value.shape for key, value in frames.items()}

@@ -12,6 +12,7 @@ from splatrl.envs.tasks import Outcome
 from splatrl.faults import Faulty
 from splatrl.training.actor import Actor
 from splatrl.training.collectors import Collector, HostCollector, device_collector
+from splatrl.training.cuda_graph import CudaGraph
 from splatrl.training.learner import Learner
 from splatrl.training.settings import LossSettings, OptimSettings
 from splatrl.values import require_number
@@ -28,8 +29,8 @@ class PPO:
         optim: settings of the optimiser.
         frames_per_batch: frames between updates, a multiple of the env's batch size.
         total_frames: frames that the whole training may use; the last batch ends at or before this number.
-        cuda_graph: whether the steps of a rollout on a GPU are captured in a CUDA graph; None does so if renderer and
-            checker can be captured.
+        cuda_graph: whether the steps of a rollout and of learning on a GPU are each captured in a CUDA graph; None
+            captures those of a rollout if renderer and checker can be captured, and those of learning always.
         on_device: whether rollouts stay on the device (``DeviceCollector``); None keeps them there except on a CPU.
 
     Raises:
@@ -60,10 +61,12 @@ class PPO:
                 f"collector.total_frames: expected at least frames_per_batch = {frames_per_batch}, got {total_frames}"
             )
         check_layers(env)
-        self.env, self.model, self.learner = env, model, Learner(model, loss, optim)
+        self.env, self.model = env, model
         self.frames_per_batch, self.total_frames = frames_per_batch, total_frames
         self.frames = 0
         self.device = env.device or torch.device("cpu")
+        captured = self.device.type == "cuda" and cuda_graph is not False and not optim.compile
+        self.learner = Learner(model, loss, optim, CudaGraph if captured else None)
         steps = frames_per_batch // env.numel()
         self.collector: Collector
         if on_device is None:
@@ -131,7 +134,7 @@ class PPO:
             raise ValueError(f"device: expected {made_on}, on which the checkpoint was made, got {self.device.type}")
         self.frames = state["frames"]
         self.model.load_state_dict(state["model"])
-        self.learner.optimizer.load_state_dict(state["optimizer"])
+        self.learner.load_optimizer(state["optimizer"])
         base.load_state_dict(state["env"])
         levels = base.curriculum.starts.levels  # which may be fewer, with other settings
         base.curriculum.progress[0].clamp_(max=levels - 1)

@@ -84,6 +84,18 @@ def test_a_rollout_by_cuda_graph_equals_one_without(worlds: dict[str, World], na
     assert batches[0][-1]["next", "done"].any()
 
 
+@pytest.mark.parametrize("name", ["grid", "drive"])
+def test_learning_by_cuda_graph_equals_learning_without(worlds: dict[str, World], name: str) -> None:
+    found = []
+    for cuda_graph in (False, None):
+        ppo = learner(worlds[name], memory_of(name), cuda_graph=cuda_graph)
+        torch.manual_seed(3)
+        reports = [ppo.iterate() for _ in range(4)]
+        found.append((reports[-1]["loss_critic"], parameters(ppo)))
+    torch.testing.assert_close(*(weights for _, weights in found), atol=1e-4, rtol=1e-3)
+    assert found[1][0] == pytest.approx(found[0][0], rel=1e-2)
+
+
 @pytest.mark.parametrize("name", WORLDS)
 def test_a_few_hundred_frames_change_the_weights_and_advance_the_curriculum(
     worlds: dict[str, World], name: str
