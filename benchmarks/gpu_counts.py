@@ -30,7 +30,7 @@ SIZE = 64
 INSTRUCTIONS = {
     "node": 175,
     "groups": 126,
-    "test": 194,
+    "test": 164,
     "key": 21,
     "slab": 250,
     "place": 30,
@@ -40,7 +40,7 @@ INSTRUCTIONS = {
     "row": 44,
     "cell": 20,
     "chunk": 13,
-    "pair": 35,
+    "pair": 72,
 }
 """Instructions of a warp per pass through each loop."""
 BYTES = {"node": 44, "groups": 24 + 4, "test": 16, "project": 48, "color": 16}

@@ -17,7 +17,7 @@ enum class Pass {
     row,      // go through a row of cells that a splat may meet
     cell,     // note a cell
     chunk,    // fetch a chunk of splats on a cell
-    pair,     // blend a splat over a cell
+    pair,     // blend up to two splats over a cell
     count
 };
 

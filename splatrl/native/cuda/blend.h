@@ -201,13 +201,17 @@ struct Pixels {
         }
     }
 
+    // The opacity of a splat at a pixel, if its log2 opacity were this one.
+    INLINE_MEMBER float alpha_of(const Record& record, float x, float y, float log2_opacity) const {
+        return alpha_at(x - record.x, y - record.y, record.l11, record.l12, record.l22, log2_opacity,
+                        low_half(record.peak_red), log2_invisible);
+    }
+
     // Blend one splat over a pixel, and return its blending weight. The weight is 0 once the transmittance has fallen
     // to `finished`, or in an exact image once the splat would lower it that far; the transmittance itself keeps
     // falling.
-    INLINE_MEMBER float blend(const Record& record, float x, float y, Pixel& pixel) const {
-        const float before = pixel.transmittance;
-        const float share = before * alpha_at(x - record.x, y - record.y, record.l11, record.l12, record.l22,
-                                              record.log2_opacity, low_half(record.peak_red), log2_invisible);
+    INLINE_MEMBER float blend(const Record& record, float alpha, Pixel& pixel) const {
+        const float before = pixel.transmittance, share = before * alpha;
         pixel.transmittance = before - share;
         const float tested = finished > MIN_TRANSMITTANCE ? before : pixel.transmittance;
         const float counted = tested > finished ? share : 0.0f;
@@ -218,7 +222,8 @@ struct Pixels {
     }
 
     // Blend a slab, nearest first. A quarter of a warp goes through the chunks that have splats on a cell, through
-    // those splats by their bits, and then takes its next cell: quarters do not wait for each other.
+    // those splats by their bits, and then takes its next cell: quarters do not wait for each other. Two splats are
+    // evaluated together, since neither has to wait for the other.
     INLINE_MEMBER void blend_slab(SharedMemory& shared) {
         const int first = quarter() * BANDS;  // number of the first of its cells
         uint32_t chunks = 0, splats = 0;
@@ -243,10 +248,20 @@ struct Pixels {
                 chunks &= ~(FIRST >> chunk), blended += __popc(splats);
             }
             PASS(pair);
-            const int next = __clz(splats);
-            const float share = blend(shared.records[begin + next], x, y, pixel);
-            if constexpr (WITH_DEPTH) behind.depth += share * shared.depths[begin + next], behind.alpha += share;
-            splats &= ~(FIRST >> next);
+            const int first_bit = __clz(splats);
+            splats &= ~(FIRST >> first_bit);
+            const bool another = splats != 0;
+            const int second_bit = another ? __clz(splats) : first_bit;
+            splats &= ~(FIRST >> second_bit);
+            const Record &one = shared.records[begin + first_bit], &two = shared.records[begin + second_bit];
+            const float alpha_of_one = alpha_of(one, x, y, one.log2_opacity);
+            const float alpha_of_two = alpha_of(two, x, y, another ? two.log2_opacity : log2_invisible - 1.0f);
+            const float share_of_one = blend(one, alpha_of_one, pixel);
+            const float share_of_two = blend(two, alpha_of_two, pixel);
+            if constexpr (WITH_DEPTH) {
+                behind.depth += share_of_one * shared.depths[begin + first_bit], behind.alpha += share_of_one;
+                behind.depth += share_of_two * shared.depths[begin + second_bit], behind.alpha += share_of_two;
+            }
         }
         __syncwarp();
         find_active();

@@ -70,11 +70,11 @@ SPLAT_INLINE Key key_of(double depth, uint32_t index) {
     return (steps < FARTHEST ? steps : FARTHEST) << INDEX_BITS | index;
 }
 
-// The key of the Gaussian in a slot of a part; NO_KEY if it cannot be visible on the tile. Depths are computed in
-// double precision, as on the CPU, because the order of two Gaussians must not depend on rounding.
-SPLAT_INLINE Key candidate(const SceneArrays& scene, const Shared& shared, int part, uint32_t slot) {
+// The key of a Gaussian of a part, given its sphere and its index in the model; NO_KEY if it cannot be visible on the
+// tile. Depths are computed in double precision, as on the CPU, because the order of two Gaussians must not depend on
+// rounding.
+SPLAT_INLINE Key candidate(const Shared& shared, int part, const float4& sphere, uint32_t index) {
     const View& view = shared.views[part];
-    const float4 sphere = scene.spheres[slot];
     const uint32_t reaches = __float_as_uint(sphere.w);
     if (reaches == 0) return NO_KEY;
     const float center[3] = {sphere.x, sphere.y, sphere.z};
@@ -85,7 +85,7 @@ SPLAT_INLINE Key candidate(const SceneArrays& scene, const Shared& shared, int p
     for (int axis = 0; axis < 3; ++axis)
         depth += double(view.frustum.forward[axis]) * (double(center[axis]) - double(position[axis]));
     const uint32_t base = WITH_PARTS ? shared.bases[part] : 0;
-    return depth > 0.0 ? key_of(depth, base + scene.indices[slot]) : NO_KEY;
+    return depth > 0.0 ? key_of(depth, base + index) : NO_KEY;
 }
 
 // Whether a group of a cluster may be visible on the tile: each of sixteen lanes tests its own `group`.
@@ -108,12 +108,14 @@ SPLAT_INLINE void append(Shared& shared, Key* keys, uint32_t room, Key key) {
 }
 
 // Write the keys of all Gaussians that may be visible, from the nodes that `cull` left. Half a warp takes a node: it
-// first tests its groups, then the sixteen Gaussians of each group in view.
+// first tests its groups, then the sixteen Gaussians of each group in view, two groups at a time, so that it waits for
+// memory only once for both.
 SPLAT_INLINE void find_candidates(const SceneArrays& scene, const Workspace& workspace, Shared& shared,
                                   const uint32_t* nodes, Key* keys) {
     const uint32_t* accepted = nodes + 2 * size_t(workspace.node_capacity);
     if (thread() == 0) shared.count = 0;
     __syncthreads();
+    constexpr int AT_ONCE = 2;
     const uint32_t half = lane() / GROUP, member = lane() % GROUP;
     Key low = NO_KEY, high = 0;
     for (uint32_t first = 2 * warp(); first < shared.accepted; first += 2 * WARPS) {
@@ -129,14 +131,22 @@ SPLAT_INLINE void find_candidates(const SceneArrays& scene, const Workspace& wor
         }
         uint32_t left = __ballot_sync(ALL_LANES, seen) >> (half * GROUP) & 0xffffu;
         while (__any_sync(ALL_LANES, left != 0)) {
-            Key key = NO_KEY;
-            if (left != 0) {
-                PASS(test);
-                key = candidate(scene, shared, part, (first_group + __ffs(left) - 1) * GROUP + member);
+            float4 spheres[AT_ONCE];
+            uint32_t indices[AT_ONCE];
+#pragma unroll
+            for (int i = 0; i < AT_ONCE; ++i) {
+                const uint32_t slot = (first_group + __ffs(left) - 1) * GROUP + member;
+                spheres[i] = left != 0 ? scene.spheres[slot] : float4{0.0f, 0.0f, 0.0f, 0.0f};  // never visible
+                indices[i] = left != 0 ? scene.indices[slot] : 0;
+                left &= left - 1;
             }
-            left &= left - 1;
-            append(shared, keys, uint32_t(workspace.key_capacity), key);
-            if (key != NO_KEY) low = key < low ? key : low, high = key > high ? key : high;
+#pragma unroll
+            for (int i = 0; i < AT_ONCE; ++i) {
+                PASS(test);
+                const Key key = candidate(shared, part, spheres[i], indices[i]);
+                append(shared, keys, uint32_t(workspace.key_capacity), key);
+                if (key != NO_KEY) low = key < low ? key : low, high = key > high ? key : high;
+            }
         }
     }
     find_range(shared, low, high);
