@@ -154,8 +154,9 @@ class Run:
         print_tables(self.bench, reach)
         size = self.bench.sizes.pixels
         title = f"{machine_of(self.bench).name}, {size}×{size} pixels, {today()}"
-        draw(self.bench, reach, f"{DRY}\n{title}" if self.dry else title, path.with_suffix(".png"))
-        print(f"{path} and {path.with_suffix('.png').name}")
+        picture = path.with_suffix(".png")
+        draw(self.bench, reach, f"{DRY}\n{title}" if self.dry else title, picture)
+        print(f"{path} and {picture.name}" if picture.is_file() else path)
 
 
 def parsed() -> argparse.Namespace:

@@ -1,7 +1,7 @@
 """Figure of a run of gpu.py."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from figure import COLORS, MARKERS, tolerance_name
@@ -26,18 +26,26 @@ def draw(bench: Bench, targets: Sequence[Target], title: str, path: Path) -> Non
     """Draw speed by batch size, quality by speed, collision queries, and the results relative to the targets.
 
     Args:
-        bench: holds the results; panels without results stay empty.
+        bench: holds the results; there is no panel for what was not measured.
         targets: the targets of ``gpu_reach``.
         title: what was measured.
-        path: file to write; its suffix selects the format.
+        path: file to write, unless nothing was measured; its suffix selects the format.
     """
-    figure = Figure(figsize=(15, 10), dpi=DPI, layout="constrained")
+    measured = [target for target in targets if not math.isnan(target.found)]
+    panels: list[tuple[bool, Callable[[Axes], None]]] = [
+        (bool(bench.found(Rendering)), lambda axes: _speeds(axes, bench.found(Rendering))),
+        (bool(bench.found(Likeness, against="exact")), lambda axes: _qualities(axes, bench)),
+        (bool(bench.found(Collision)), lambda axes: _queries(axes, bench.found(Collision))),
+        (bool(measured), lambda axes: _reach(axes, measured)),
+    ]
+    drawn = [panel for any_results, panel in panels if any_results]
+    if not drawn:
+        return
+    down, across = math.ceil(len(drawn) / 2), min(2, len(drawn))
+    figure = Figure(figsize=(7.5 * across, 5 * down), dpi=DPI, layout="constrained")
     figure.suptitle(title)
-    (speeds, qualities), (queries, reach) = figure.subplots(2, 2)
-    _speeds(speeds, bench.found(Rendering))
-    _qualities(qualities, bench)
-    _queries(queries, bench.found(Collision))
-    _reach(reach, targets)
+    for place, panel in enumerate(drawn):
+        panel(figure.add_subplot(down, across, place + 1))
     FigureCanvasAgg(figure)
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as stream:
@@ -60,7 +68,7 @@ def _speeds(axes: Axes, rows: Sequence[Rendering]) -> None:
     axes.set_xticks(batches, [f"{batch:,}" for batch in batches], minor=False)
     axes.xaxis.set_minor_locator(NullLocator())
     _plain(axes.yaxis)
-    _finish(axes, legend=bool(rows), beside=True)
+    _finish(axes, beside=True)
 
 
 def _qualities(axes: Axes, bench: Bench) -> None:
@@ -80,11 +88,11 @@ def _qualities(axes: Axes, bench: Bench) -> None:
     axes.axhline(WORST_DB, color="0.6", linewidth=1, linestyle="--", label="required worst view")
     axes.set(xscale="log", xlabel="frames/s at the best batch", ylabel="PSNR to exact (dB)", title="Level of detail")
     _plain(axes.xaxis)
-    _finish(axes, legend=bool(rows), beside=True)
+    _finish(axes, beside=True)
 
 
 def _queries(axes: Axes, rows: Sequence[Collision]) -> None:
-    most = max((row.batch for row in rows), default=0)
+    most = max(row.batch for row in rows)
     mine = [row for row in rows if row.batch == most]
     names = list(dict.fromkeys((row.query, row.voxels, row.poses) for row in mine))
     for row in mine:
@@ -96,13 +104,12 @@ def _queries(axes: Axes, rows: Sequence[Collision]) -> None:
     axes.set(xlabel=f"million queries/s, {most:,} per call", title="Collision")
     for body, color in BODY_COLORS.items():
         axes.barh(0, 0, color=color, label=body)
-    _finish(axes, legend=bool(rows))
+    _finish(axes)
 
 
 def _reach(axes: Axes, targets: Sequence[Target]) -> None:
     for place, target in enumerate(targets):
-        if not math.isnan(target.found):
-            axes.barh(place, target.score, 0.6, color=REACHED if target.score >= 1 else MISSED)
+        axes.barh(place, target.score, 0.6, color=REACHED if target.score >= 1 else MISSED)
         aim = target.least / target.aim if target.unit == "s" else target.aim / target.least
         axes.plot([aim, aim], [place - 0.4, place + 0.4], color=INK, linewidth=2)
         found = number(target.found, target.unit)
@@ -111,7 +118,7 @@ def _reach(axes: Axes, targets: Sequence[Target]) -> None:
     axes.set_yticks(range(len(targets)), [target.name.replace(", ", ",\n", 1) for target in targets], fontsize=9)
     axes.set_ylim(len(targets) - 0.5, -0.5)
     axes.set(xscale="log", xlabel="multiple of the required minimum; marks show the aims", title="Targets")
-    scores = [1.0, *(target.score for target in targets if not math.isnan(target.found))]
+    scores = [1.0, *(target.score for target in targets)]
     axes.set_xlim(0.7 * min(scores), 1.5 * max(6.0, *scores))
     _plain(axes.xaxis, "{x:g}")
     _finish(axes, legend=False)
@@ -122,15 +129,13 @@ def _scenes(rows: Sequence[Rendering] | Sequence[Likeness]) -> list[str]:
 
 
 def _plain(axis: Axis, form: str = "{x:,.0f}") -> None:
-    """Write the numbers along a logarithmic axis in full; an axis without data begins at 1."""
-    if axis.get_view_interval()[0] <= 0.0:
-        axis.set_view_interval(1.0, 10.0, ignore=True)
+    """Write the numbers along a logarithmic axis in full."""
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(StrMethodFormatter(form))
     axis.set_minor_locator(NullLocator())
 
 
-def _finish(axes: Axes, legend: bool, beside: bool = False) -> None:
+def _finish(axes: Axes, legend: bool = True, beside: bool = False) -> None:
     axes.grid(color="0.9", linewidth=0.8, which="major")
     axes.set_axisbelow(True)
     if legend:

@@ -135,6 +135,7 @@ SPLAT_INLINE void find_candidates(const SceneArrays& scene, const Workspace& wor
             uint32_t indices[AT_ONCE];
 #pragma unroll
             for (int i = 0; i < AT_ONCE; ++i) {
+                if (left != 0) { PASS(test); }
                 const uint32_t slot = (first_group + __ffs(left) - 1) * GROUP + member;
                 spheres[i] = left != 0 ? scene.spheres[slot] : float4{0.0f, 0.0f, 0.0f, 0.0f};  // never visible
                 indices[i] = left != 0 ? scene.indices[slot] : 0;
@@ -142,7 +143,6 @@ SPLAT_INLINE void find_candidates(const SceneArrays& scene, const Workspace& wor
             }
 #pragma unroll
             for (int i = 0; i < AT_ONCE; ++i) {
-                PASS(test);
                 const Key key = candidate(shared, part, spheres[i], indices[i]);
                 append(shared, keys, uint32_t(workspace.key_capacity), key);
                 if (key != NO_KEY) low = key < low ? key : low, high = key > high ? key : high;
