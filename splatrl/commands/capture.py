@@ -2,7 +2,6 @@
 
 import argparse
 import shlex
-import signal
 import sys
 from contextlib import suppress
 from importlib import import_module
@@ -14,8 +13,9 @@ from splatrl.capture.fit import FitSettings
 from splatrl.capture.marker import MARKER_SIDE, write_marker_page
 from splatrl.capture.pipeline import CaptureSettings, capture
 from splatrl.capture.resolution import Resolution
-from splatrl.commands.entries import INTERRUPTED, USERS
+from splatrl.commands.entries import USERS
 from splatrl.commands.entries import capture as main
+from splatrl.commands.stopping import stoppable
 from splatrl.device import chosen_device, device_line
 from splatrl.envs.robot import Robot
 from splatrl.files import expanded
@@ -35,24 +35,15 @@ def run(options: argparse.Namespace) -> None:
             return
         source = expanded(options.source)
         folder, splat = scene_folder(expanded(options.out or _beside(source)))
-        _interrupt_on_sigterm()
+        with suppress(ImportError):  # the capture says how to install the extra
+            import_module("pycolmap")  # its own handler of SIGTERM, which prints a stack trace, must come first
         device = chosen_device(options.device)
         print(device_line(device))
-        with Bars() as bars:
+        with stoppable("run the same command again to continue"), Bars() as bars:
             capture(source, folder, _settings(options, side, splat, str(device)), bars, bars.say)
     except USERS as error:
         sys.exit(f"splatrl-capture: {error}")
-    except KeyboardInterrupt:
-        print("\nstopped; finished work is kept; run the same command again to continue", file=sys.stderr)
-        sys.exit(INTERRUPTED)
     print(f"report: {folder / 'report.html'}\ntrain in it: splatrl-train {shlex.quote(f'scene={folder}/')}")
-
-
-def _interrupt_on_sigterm() -> None:
-    """Let SIGTERM end a capture as Ctrl-C does; pycolmap's handler, which its import installs, prints a stack trace."""
-    with suppress(ImportError):  # the capture says how to install the extra
-        import_module("pycolmap")
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 def _beside(source: Path) -> Path:

@@ -3,7 +3,6 @@
 import difflib
 import re
 import shlex
-import signal
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,9 +14,9 @@ from hydra.utils import get_method
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from splatrl.commands.entries import INTERRUPTED
 from splatrl.commands.entries import experiment as main
 from splatrl.commands.faults import in_one_line
+from splatrl.commands.stopping import stoppable
 from splatrl.configuration import conf_dir, load_config, quoted
 from splatrl.experiments import Run, Selection, budget, check_settings, planned, report_all, score, statement, train_all
 from splatrl.experiments.machine import machine
@@ -33,13 +32,8 @@ REFERENCE = re.compile(r"\$\{(\w+)\}")
 @in_one_line("splatrl-experiment")
 def run(cfg: DictConfig) -> None:
     """Train and report the experiment ``cfg.name``, or all experiments."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
+    with stoppable(f"continue with: {shlex.join(['splatrl-experiment', *sys.argv[1:]])}"):
         experiment(cfg)
-    except KeyboardInterrupt:
-        command = shlex.join(["splatrl-experiment", *sys.argv[1:]])
-        print(f"\nstopped; finished work is kept; continue with: {command}", file=sys.stderr)
-        sys.exit(INTERRUPTED)
 
 
 def experiment(cfg: DictConfig) -> None:

@@ -1,7 +1,6 @@
 """``splatrl-train``: train a policy, evaluate it, and write pictures to the run folder."""
 
 import gc
-import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
@@ -14,10 +13,10 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from splatrl.building import build_trainer, build_world
-from splatrl.commands.entries import INTERRUPTED
 from splatrl.commands.entries import train as main
 from splatrl.commands.evaluate import evaluate_run
 from splatrl.commands.faults import CONFIGURED, in_one_line
+from splatrl.commands.stopping import stoppable
 from splatrl.configuration import (
     RUN_CONFIG,
     check_config,
@@ -54,13 +53,8 @@ def run(cfg: DictConfig) -> float:
             check_new(folder)
         new = not cfg.resume and not (folder / RUN_CONFIG).exists()
         try:
-            return train(cfg, folder)
-        except KeyboardInterrupt:
-            print(
-                f"\nstopped; finished work is kept; continue with: splatrl-train {quoted(f'resume={folder}')}",
-                file=sys.stderr,
-            )
-            sys.exit(INTERRUPTED)
+            with stoppable(f"continue with: splatrl-train {quoted(f'resume={folder}')}"):
+                return train(cfg, folder)
         except CONFIGURED:
             if new and not any(folder.glob("checkpoints/*.pt")):
                 forget_run(folder)

@@ -30,8 +30,8 @@ class Trainer:
     """Runs PPO for its total number of frames, and leaves a run folder from which training can be resumed.
 
     Writes ``checkpoints/last.pt``, ``checkpoints/best.pt`` and ``progress.csv``, each under a temporary name first. The
-    last checkpoint but one is kept as ``checkpoints/previous.pt``. An interrupt (Ctrl-C) ends the training once the
-    current batch has been learned from and saved; a second one ends it at once.
+    last checkpoint but one is kept as ``checkpoints/previous.pt``. An interrupt (Ctrl-C or SIGTERM) ends the training
+    once the current batch has been learned from and saved; a second one ends it at once.
 
     Args:
         ppo: the learner.
@@ -226,7 +226,10 @@ class Trainer:
 
 @contextmanager
 def _interrupts() -> Iterator[list[int]]:
-    """Collect the interrupts of a block in a list; the second one raises ``KeyboardInterrupt`` at once."""
+    """Collect the interrupts of a block in a list; the second one raises ``KeyboardInterrupt`` at once.
+
+    A termination (SIGTERM) is treated likewise, if it would have interrupted the block.
+    """
     found: list[int] = []
 
     def note(number: int, frame: Any) -> None:
@@ -238,11 +241,15 @@ def _interrupts() -> Iterator[list[int]]:
     if threading.current_thread() is not threading.main_thread():
         yield found  # only the main thread can handle signals
         return
-    before = signal.signal(signal.SIGINT, note)
+    numbers = [signal.SIGINT]
+    if signal.getsignal(signal.SIGTERM) is signal.default_int_handler:
+        numbers.append(signal.SIGTERM)
+    before = [signal.signal(number, note) for number in numbers]
     try:
         yield found
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
 
 
 def _crossed(before: int, after: int, interval: int) -> bool:

@@ -24,6 +24,7 @@ from splatrl.capture.progress import Progress
 from splatrl.capture.scale import Click, Distance
 from splatrl.capture.stereo import Depths
 from splatrl.commands import capture
+from splatrl.commands.entries import INTERRUPTED
 from splatrl.files import alone_in, remove_stale
 from splatrl.renderers import NativeRenderer
 from tests.capture.walks import HEIGHT, WIDTH, K, strewn, walk
@@ -435,9 +436,7 @@ def test_an_interrupt_says_how_to_continue(
     monkeypatch.setattr(pipeline, "read_photos", interrupted)
     with pytest.raises(SystemExit) as ended:
         capture.main(["walk.mp4", "--out", str(tmp_path / "walk")])
-    assert (
-        ended.value.code == capture.INTERRUPTED and "run the same command again to continue" in capsys.readouterr().err
-    )
+    assert ended.value.code == INTERRUPTED and "run the same command again to continue" in capsys.readouterr().err
 
 
 def test_a_termination_says_how_to_continue(
@@ -455,7 +454,7 @@ def test_a_termination_says_how_to_continue(
             capture.main(["walk.mp4", "--out", str(tmp_path / "walk")])
     finally:
         signal.signal(signal.SIGTERM, before)
-    assert ended.value.code == capture.INTERRUPTED and "to continue" in capsys.readouterr().err
+    assert ended.value.code == INTERRUPTED and "to continue" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

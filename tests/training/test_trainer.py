@@ -110,20 +110,25 @@ def test_resuming_restores_the_table_and_removes_temporary_files(tmp_path: Path)
     assert kept.exists() and not any(path.exists() for path in stale)
 
 
-def test_an_interrupt_ends_the_training_after_the_batch_is_saved(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_ends_the_training_after_the_batch_is_saved(tmp_path: Path, number: signal.Signals) -> None:
     loop = trainer(tmp_path, [0.4, 0.9, 0.6])
-    collect = loop.ppo.collect
+    collect, before = loop.ppo.collect, signal.getsignal(signal.SIGTERM)
 
     def interrupted() -> TensorDictBase:
         if loop.ppo.frames == 64:
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(number)
         return collect()
 
     loop.ppo.collect = interrupted  # type: ignore[method-assign]
-    with pytest.raises(KeyboardInterrupt):
-        loop.fit()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as the commands set it
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            loop.fit()
+        assert signal.getsignal(signal.SIGTERM) is signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGTERM, before)
     assert load_checkpoint(tmp_path / "checkpoints" / "last.pt")["ppo"]["frames"] == 128
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_an_interrupt_in_the_last_batch_ends_the_command_with_the_training_saved(tmp_path: Path) -> None:

@@ -1,0 +1,43 @@
+"""Ends a long command that is interrupted by Ctrl-C, or terminated as by a cluster, with its finished work kept."""
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from splatrl.commands.entries import INTERRUPTED
+
+
+@contextmanager
+def stoppable(how_to_continue: str) -> Iterator[None]:
+    """Turn an interrupt of the block, or a SIGTERM, into one line and the exit code of interrupted commands.
+
+    SIGTERM counts as an interrupt, unless somebody else handles it, as launchers for clusters do.
+
+    Args:
+        how_to_continue: the end of the line, such as ``"run the same command again to continue"``.
+
+    Raises:
+        SystemExit: after an interrupt.
+    """
+    try:
+        with _terminations_as_interrupts():
+            yield
+    except KeyboardInterrupt:
+        print(f"\nstopped; finished work is kept; {how_to_continue}", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+
+
+@contextmanager
+def _terminations_as_interrupts() -> Iterator[None]:
+    before = signal.getsignal(signal.SIGTERM)
+    alone = threading.current_thread() is threading.main_thread()  # no other thread can handle signals
+    if before is not signal.SIG_DFL or not alone:
+        yield
+        return
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,40 @@
+"""How long commands end when they are interrupted or terminated."""
+
+import signal
+from collections.abc import Iterator
+
+import pytest
+
+from splatrl.commands.entries import INTERRUPTED
+from splatrl.commands.stopping import stoppable
+
+NUMBERS = (signal.SIGINT, signal.SIGTERM)
+
+
+@pytest.fixture(autouse=True)
+def default_handlers() -> Iterator[None]:
+    """The handlers that a program starts with."""
+    before = [signal.getsignal(number) for number in NUMBERS]
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    yield
+    for number, handler in zip(NUMBERS, before, strict=True):
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_a_stopped_command_says_how_to_continue(number: signal.Signals, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended, stoppable("type it again"):
+        assert signal.getsignal(signal.SIGTERM) is signal.default_int_handler, "or it would end the tests"
+        signal.raise_signal(number)
+    assert ended.value.code == INTERRUPTED
+    assert capsys.readouterr().err == "\nstopped; finished work is kept; type it again\n"
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+def test_terminations_are_left_to_whoever_handles_them_already(capsys: pytest.CaptureFixture[str]) -> None:
+    found: list[int] = []
+    signal.signal(signal.SIGTERM, lambda number, frame: found.append(number))
+    with stoppable("type it again"):
+        signal.raise_signal(signal.SIGTERM)
+    assert found == [signal.SIGTERM] and capsys.readouterr().err == ""
