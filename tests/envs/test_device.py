@@ -44,11 +44,12 @@ WORLDS = {
     "poster": ["poster"],
     "shaken sim2real": ["sim2real", *SHAKEN],
     "rainy fps": ["fps", "transforms/appearance=weather"],
-    "remembering fps": ["fps", "memory=gru"],
+    "remembering fps": ["fps", "memory=gru", "transforms/appearance=weather"],
     "stacking grid": ["grid", "memory=stack"],
     "skipping grid": ["grid", "transforms/pose_noise=unsteady", "transforms/skip=four"],
+    "skipping snake": ["snake", "transforms/pose_noise=unsteady", "transforms/skip=four"],
 }
-SIMILAR = ("fps", "circle", "hemisphere", "apple", "poster", "stacking grid")
+SIMILAR = ("fps", "circle", "hemisphere", "apple", "snake", "poster", "rainy fps", "stacking grid", "skipping grid")
 """Worlds of which every part also occurs in another one; they are tested with ``-m slow``."""
 NAMES = [pytest.param(name, marks=[pytest.mark.slow] if name in SIMILAR else []) for name in WORLDS]
 
