@@ -249,7 +249,7 @@ def test_every_task_builds_an_env_that_steps(path: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("path", TASKS, ids=lambda path: path.stem)
-@pytest.mark.parametrize("robot", ["round", "wheels"])
+@pytest.mark.parametrize("robot", ["round", pytest.param("wheels", marks=pytest.mark.slow)])
 def test_a_robot_that_is_typed_keeps_its_body_in_every_task(path: Path, robot: str) -> None:
     typed = load_config([f"task={path.stem}", f"robot={robot}"])
     assert typed.robot.body == load_config([f"robot={robot}"]).robot.body

@@ -14,7 +14,7 @@ import splatrl
 from splatrl.envs import GymnasiumEnv, GymnasiumVectorEnv
 from tests.two_rooms import in_both, overrides, two_rooms
 
-TASKS = ["grid", "fps", "drive", "apple", "snake"]
+TASKS = ["grid", "fps", "drive", pytest.param("apple", marks=pytest.mark.slow), "snake"]
 
 
 @pytest.fixture(scope="module", params=TASKS)
