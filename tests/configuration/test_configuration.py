@@ -45,7 +45,7 @@ from splatrl.renderers import (
 )
 from splatrl.scenes import write_gaussians
 from tests.envs.devices import pretend_device
-from tests.tiny import tiny_gaussians, tiny_overrides
+from tests.tiny import LONG_STEPS, WALKING, tiny_gaussians, tiny_overrides
 
 TASKS = sorted((conf_dir() / "task").glob("*.yaml"))
 SCENES = sorted((conf_dir() / "scene").glob("*.yaml"))
@@ -244,7 +244,8 @@ def test_a_task_moves_to_the_device_of_its_env_and_the_plan_stays(
 
 @pytest.mark.parametrize("path", TASKS, ids=lambda path: path.stem)
 def test_every_task_builds_an_env_that_steps(path: Path, tmp_path: Path) -> None:
-    env = make_env(tiny_overrides(tmp_path, path.stem), batch_size=[2])
+    steps = LONG_STEPS if path.stem in WALKING else ()
+    env = make_env([*tiny_overrides(tmp_path, path.stem), *steps], batch_size=[2])
     assert env.rollout(2)["next", "reward"].shape[0] == 2
 
 
