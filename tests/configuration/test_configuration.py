@@ -257,7 +257,9 @@ def test_a_robot_that_is_typed_keeps_its_body_in_every_task(path: Path, robot: s
 
 
 def test_a_task_published_with_a_point_takes_a_sphere_too(tmp_path: Path) -> None:
-    world = build_world(load_config([*tiny_overrides(tmp_path, "fps"), "robot=round", "robot.body.radius=0.1"]))
+    world = build_world(
+        load_config([*tiny_overrides(tmp_path, "fps"), *LONG_STEPS, "robot=round", "robot.body.radius=0.1"])
+    )
     assert world.robot.body == Sphere(0.1)
 
 
@@ -476,7 +478,7 @@ def test_a_snake_is_tested_by_the_number_of_its_apples(
     settings = ["task.red_share=0.001", "task.reach=9.0", "env.num_envs=8", "logger.num_test_episodes=4"]
     settings += ["task.motion.step=0.25", "task.motion.angle_step_deg=45.0", "task.apples=2", "logger.video=false"]
     settings += ["collector.total_frames=128", "collector.frames_per_batch=128", "evaluation.starts=16"]
-    cfg = load_config([*tiny_overrides(tmp_path, "snake"), *settings])
+    cfg = load_config([*tiny_overrides(tmp_path, "snake"), *LONG_STEPS, *settings])
     world = build_world(cfg)
     trainer = build_trainer(cfg, world, tmp_path)
     trainer.fit()
