@@ -1,4 +1,6 @@
-"""Results that processes share: compiled files, across all runs, and measurements, among the workers of one run."""
+"""Results that processes share: files, across all runs, and measurements, among the workers of one run."""
+
+from __future__ import annotations
 
 import fcntl
 import json
@@ -7,9 +9,10 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pytest
+if TYPE_CHECKING:
+    import pytest
 
 
 def built(name: str, build: Callable[[Path], object]) -> Path:

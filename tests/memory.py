@@ -110,8 +110,8 @@ def _sog() -> bytes:
 
 
 def _bomb(name: str, compression: int) -> Callable[[], bytes]:
-    """Return what makes an archive whose entry declares 100 bytes but unpacks to 256 MiB."""
-    return lambda: lying_zip(name, bytes(256 * MIB), 100, compression)
+    """Return what makes an archive whose entry declares 100 bytes but unpacks to twice the memory that is allowed."""
+    return lambda: lying_zip(name, bytes(96 * MIB), 100, compression)
 
 
 def _compressed() -> bytes:

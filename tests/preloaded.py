@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import gc
 import importlib
+import io
 import json
 import os
 import runpy
@@ -202,6 +203,16 @@ def _begun(request: Mapping[str, Any], link_number: int, printed: int) -> list[s
     return request["words"]
 
 
+def _prepare() -> None:
+    """Do once what most programs would otherwise do again, from finding Hydra's plugins to loading the fonts."""
+    load_config = importlib.import_module("splatrl.configuration").load_config
+    importlib.import_module("splatrl.configuration.checking").check_config(load_config())  # reads all of conf/
+    load_config(["task=grid", "scene=file", "scene.path=room.ply"])
+    figure = importlib.import_module("matplotlib.figure").Figure()
+    figure.subplots().set_title("title")
+    figure.savefig(io.BytesIO())
+
+
 def _run(kind: str, what: str, *arguments: str) -> None:
     """Run a module or code as the main module."""
     if kind == "-m":
@@ -226,8 +237,7 @@ if __name__ == "__main__":
         asking.close()
         for name in IMPORTED:
             importlib.import_module(name)
-        config = importlib.import_module("splatrl.configuration").load_config()  # Hydra finds its plugins once
-        importlib.import_module("splatrl.configuration.checking").check_config(config)  # reads all of conf/ once
+        _prepare()
         words = _requested([listener.accept()[0]], listener, bare)
     if words:
         _run(*words)

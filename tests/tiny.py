@@ -29,6 +29,10 @@ HEIGHT = 0.5
 BLOCK = 0.2
 """Half the side of the block in the middle of the room, metres."""
 BODY = Box((0.3, 0.3, 0.2))
+LONG_STEPS = ("task.motion.step=0.25", "task.motion.angle_step_deg=45.0", "task.motion.spacing=0.25")
+"""Overrides of tasks that walk along their heading, with which paths are found in a tenth of the time."""
+WALKING = ("fps", "apple", "sim2real", "snake", "poster")
+"""Tasks to which they apply."""
 
 
 def tiny_gaussians() -> Gaussians:

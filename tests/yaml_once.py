@@ -5,21 +5,29 @@ import functools
 import io
 import operator
 import pickle
+import sys
+from collections.abc import Callable
 from contextlib import suppress
+from hashlib import blake2b
 from itertools import takewhile
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import hydra
 import omegaconf
 from hydra._internal import config_loader_impl, defaults_list
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.config_repository import CachingConfigRepository, ConfigRepository
+from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf, flag_override, grammar_parser
 from omegaconf.errors import OmegaConfBaseException
 
-SHIPPED = {"pkg://hydra.conf", "structured://", f"file://{Path(__file__).parents[1] / 'conf'}"}
+from tests.builds import built
+
+CONF = Path(__file__).parents[1] / "conf"
+SHIPPED = {"pkg://hydra.conf", "structured://", f"file://{CONF}"}
 """Sources of configs that no test changes."""
 
 
@@ -30,7 +38,7 @@ def parse_once() -> None:
     that defaults may refer to only if one of them is an interpolation, not for each of the forty files, and does not
     copy schemas with its list of folders. It caches parsed overrides and, for files that no test changes, their
     content, the files that groups choose and the merged config: a command composes its config twice, to learn whether
-    it is one run or a sweep, and to run.
+    it is one run or a sweep, and to run. The last two take longest, so all processes and runs share them.
     """
     load, gather = OmegaConf.load, defaults_list._create_interpolation_map
 
@@ -77,6 +85,22 @@ def _shipped(repo: Any) -> tuple[str, ...]:
     return places if SHIPPED.issuperset(places) else ()
 
 
+@functools.cache
+def _sources() -> bytes:
+    """Return a digest of all that a config composed from ``SHIPPED`` depends on, apart from what is chosen in it."""
+    libraries = sys.version, hydra.__version__, omegaconf.__version__, ConfigStore.instance().repo
+    digest = blake2b(repr(libraries).encode())
+    for path in sorted([Path(__file__), *CONF.rglob("*.yaml")]):
+        digest.update(path.relative_to(CONF.parent).as_posix().encode() + path.read_bytes())
+    return digest.digest()
+
+
+def _shared(key: str, make: Callable[[], object]) -> bytes:
+    """Return a pickled object that depends only on a key and on ``_sources``; the first process that asks makes it."""
+    name = blake2b(key.encode(), key=_sources(), digest_size=16).hexdigest()
+    return built(f"config-{name}.pickle", lambda made: made.write_bytes(pickle.dumps(make()))).read_bytes()
+
+
 def _read_once() -> None:
     """Cache the content of files."""
     load, known = ConfigRepository.load_config, dict[tuple[str, ...], bytes]()
@@ -102,7 +126,7 @@ def _choose_once() -> None:
         groups = [each for each in overrides_list if all(each is not value for value in values)]
         key = repr((places, config_name, [each.input_line for each in groups], prepend_hydra, skip_missing))
         if key not in known:
-            known[key] = pickle.dumps(choose(repo, config_name, groups, prepend_hydra, skip_missing))
+            known[key] = _shared(key, lambda: choose(repo, config_name, groups, prepend_hydra, skip_missing))
         result = pickle.loads(known[key])
         result.config_overrides = values
         return result
@@ -136,7 +160,7 @@ def _merge_once() -> None:
         key = tuple(repr((places, each, each.override_key)) for each in defaults)
         if key not in known:
             with suppress(OmegaConfBaseException):  # merging below lets Hydra name the file
-                known[key] = pickle.dumps(merge(self, [begin(self, defaults, repo, key)], repo))
+                known[key] = _shared(repr(key), lambda: merge(self, [begin(self, defaults, repo, key)], repo))
         return pickle.loads(known[key]) if key in known else merge(self, defaults, repo)
 
     ConfigLoaderImpl._load_single_config = loaded

@@ -1,11 +1,15 @@
 """How unevenly the camera of a film moved: where a part was joined wrongly to the rest, it seems to leap."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splatrl.capture.base import Reconstruction
+if TYPE_CHECKING:  # the process that runs COLMAP needs no PyTorch, whose import takes seconds
+    from splatrl.capture.base import Reconstruction
 
 Floats = NDArray[np.float64]
 

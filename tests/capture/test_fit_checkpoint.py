@@ -86,7 +86,7 @@ def test_a_killed_fit_resumes_with_the_same_bytes(tmp_path: Path, whole: Gaussia
     assert same_bytes(found, whole)
 
 
-@pytest.mark.parametrize("last", [4, 40, 42, 118])
+@pytest.mark.parametrize("last", [40, 118, *(pytest.param(last, marks=pytest.mark.slow) for last in (4, 42))])
 def test_a_fit_resumes_from_any_step_with_the_same_bytes(
     capture: Reconstruction, whole: Gaussians, last: int, tmp_path: Path
 ) -> None:

@@ -2,6 +2,7 @@
 
 import functools
 import json
+import os
 import shlex
 import signal
 import sys
@@ -64,13 +65,29 @@ def test_every_experiment_composes_and_states_its_budget(
     assert (tmp_path / "report.md").is_file()
 
 
+STOPPED = """
+import functools
+from splatrl.commands import experiment
+from splatrl.experiments import conduct, running
+from tests.preloaded import start
+
+def begin(run, cores, program):
+    return start(*running.command(run, program)[1:])
+
+conduct.train = functools.partial(running.train, begin=begin)
+experiment.main()
+"""
+"""Runs ``splatrl-experiment``, with libraries already imported in its trainings."""
+
+
 def test_ctrl_c_keeps_what_was_trained_and_says_how_to_continue(tmp_path: Path) -> None:
     settings = [setting for setting in SETTINGS if not setting.startswith("collector.total_frames")]
     settings += ["logger.video=false", "evaluation.starts=8"]
     quoted = ",".join(f"'{override}'" for override in [*tiny_overrides(tmp_path), *settings])
     words = ["name=grid", f"folder={tmp_path}/asked for", f"scene_overrides.backyard=[{quoted}]", "seeds=[3]", "jobs=1"]
     words += ["~experiments.grid.arms.none", "~experiments.grid.arms.long", "frames=100000"]
-    process = start("-m", "splatrl.commands.experiment", *words)
+    run = os.environ.get("PYTEST_XDIST_TESTRUNUID", str(os.getpid()))  # the program uses this run's interpreter
+    process = start("-c", STOPPED, *words, env=os.environ | {"PYTEST_XDIST_TESTRUNUID": run})
     last = tmp_path / "asked for" / "grid" / "backyard-distance-s3" / "checkpoints" / "last.pt"
     while not last.exists() and process.poll() is None:
         time.sleep(0.01)

@@ -208,7 +208,7 @@ def taught(demos: Path, scene: list[str], tmp_path_factory: pytest.TempPathFacto
     return cfg, world, folder
 
 
-@pytest.mark.parametrize("rows", [1, 2, 3])
+@pytest.mark.parametrize("rows", [pytest.param(1, marks=pytest.mark.slow), 2, pytest.param(3, marks=pytest.mark.slow)])
 def test_a_training_killed_during_imitation_restarts_with_the_same_bytes(
     rows: int, taught: tuple[DictConfig, World, Path], tmp_path: Path
 ) -> None:

@@ -191,6 +191,7 @@ def test_doubles_are_copied_as_they_are_whatever_the_case_of_the_extension(tmp_p
     assert (tmp_path / "out" / name).read_bytes() == splat.read_bytes()
 
 
+@pytest.mark.usefixtures("ungrounded")
 def test_a_large_place_has_longer_steps_coarser_voxels_and_a_larger_object(tmp_path: Path) -> None:
     file, _ = turned(place("courtyard", spacing=0.6), 3, tilt_deg=6.0)
     write_gaussians(tmp_path / "yard.ply", file)

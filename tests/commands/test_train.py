@@ -111,7 +111,8 @@ def untimed(table: list[str]) -> list[list[str]]:
     return [cells[:place] + cells[place + 1 :] for cells in (line.split(",") for line in table)]
 
 
-@pytest.mark.parametrize("count", [1, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [100])
 def test_kills_at_random_times_do_not_change_the_results(
     run: tuple[Path, str], scene: list[str], count: int, tmp_path: Path
 ) -> None:

@@ -120,7 +120,7 @@ ERRORS = [
         f"train {GRID} landmarks.goal=[9,9,0]",
         "task.goal: expected a point in the walkable area, x from -1 to 1 and",
     ),
-    (f"train {ROOM} robot.body.size=[9.0,9.0,0.1]", "scene: expected free poses, got"),
+    (f"train {ROOM} robot.body.size=[4.0,4.0,0.1]", "scene: expected free poses, got"),
     (
         "train scene=vast landmarks.goal=[0.5,1.0,0.0]",
         "task.motion: expected at most 16,777,216 states, got 160,003,200,016 (100,001 × 100,001 × 16) from "

@@ -103,11 +103,12 @@ def test_the_page_opens_even_for_a_robot_that_keys_cannot_drive(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("mujoco", reason="needs the extra physics")
-    monkeypatch.setattr(sys, "argv", ["splatrl-record", "task=gates", "by=keys", "port=70000", f"out={tmp_path}/new"])
+    gates = tiny_overrides(tmp_path, "gates")
+    monkeypatch.setattr(sys, "argv", ["splatrl-record", *gates, "by=keys", "port=70000", f"out={tmp_path}/new"])
     told = "task: expected actions that keys can express, a speed and a turn, got 4 numbers per action"
     with pytest.raises(SystemExit, match=told):
         record.main()
-    cfg = load_config(["task=gates"], "view")
+    cfg = load_config(gates, "view")
     page = Page(view.instantiate(cfg.scene), port=0)
     furnish(page, cfg)()
     visitor = Visitor(page.address)

@@ -45,7 +45,7 @@ from splatrl.renderers import (
 )
 from splatrl.scenes import write_gaussians
 from tests.envs.devices import pretend_device
-from tests.tiny import tiny_gaussians, tiny_overrides
+from tests.tiny import LONG_STEPS, WALKING, tiny_gaussians, tiny_overrides
 
 TASKS = sorted((conf_dir() / "task").glob("*.yaml"))
 SCENES = sorted((conf_dir() / "scene").glob("*.yaml"))
@@ -244,19 +244,22 @@ def test_a_task_moves_to_the_device_of_its_env_and_the_plan_stays(
 
 @pytest.mark.parametrize("path", TASKS, ids=lambda path: path.stem)
 def test_every_task_builds_an_env_that_steps(path: Path, tmp_path: Path) -> None:
-    env = make_env(tiny_overrides(tmp_path, path.stem), batch_size=[2])
+    steps = LONG_STEPS if path.stem in WALKING else ()
+    env = make_env([*tiny_overrides(tmp_path, path.stem), *steps], batch_size=[2])
     assert env.rollout(2)["next", "reward"].shape[0] == 2
 
 
 @pytest.mark.parametrize("path", TASKS, ids=lambda path: path.stem)
-@pytest.mark.parametrize("robot", ["round", "wheels"])
+@pytest.mark.parametrize("robot", ["round", pytest.param("wheels", marks=pytest.mark.slow)])
 def test_a_robot_that_is_typed_keeps_its_body_in_every_task(path: Path, robot: str) -> None:
     typed = load_config([f"task={path.stem}", f"robot={robot}"])
     assert typed.robot.body == load_config([f"robot={robot}"]).robot.body
 
 
 def test_a_task_published_with_a_point_takes_a_sphere_too(tmp_path: Path) -> None:
-    world = build_world(load_config([*tiny_overrides(tmp_path, "fps"), "robot=round", "robot.body.radius=0.1"]))
+    world = build_world(
+        load_config([*tiny_overrides(tmp_path, "fps"), *LONG_STEPS, "robot=round", "robot.body.radius=0.1"])
+    )
     assert world.robot.body == Sphere(0.1)
 
 
@@ -475,7 +478,7 @@ def test_a_snake_is_tested_by_the_number_of_its_apples(
     settings = ["task.red_share=0.001", "task.reach=9.0", "env.num_envs=8", "logger.num_test_episodes=4"]
     settings += ["task.motion.step=0.25", "task.motion.angle_step_deg=45.0", "task.apples=2", "logger.video=false"]
     settings += ["collector.total_frames=128", "collector.frames_per_batch=128", "evaluation.starts=16"]
-    cfg = load_config([*tiny_overrides(tmp_path, "snake"), *settings])
+    cfg = load_config([*tiny_overrides(tmp_path, "snake"), *LONG_STEPS, *settings])
     world = build_world(cfg)
     trainer = build_trainer(cfg, world, tmp_path)
     trainer.fit()

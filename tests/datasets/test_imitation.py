@@ -18,7 +18,7 @@ from splatrl.datasets import (
 )
 from splatrl.envs.world import World
 from splatrl.training import PPO, Cloner, CloningSettings, DaggerSettings, LossSettings, OptimSettings
-from tests.tiny import tiny_overrides
+from tests.tiny import LONG_STEPS, tiny_overrides
 
 SENSORS = "sensors=[rgb,depth,gps,heading]"
 LOSS = LossSettings(0.97, 0.9, 0.2, 1, 64, 0.5, 0.01, True, 0.1)
@@ -78,7 +78,7 @@ def cfg_overrides(cfg: DictConfig) -> list[str]:
 
 
 def test_a_task_that_continues_after_its_goals_has_no_planner_to_learn_from(tmp_path: Path) -> None:
-    cfg = load_config([*tiny_overrides(tmp_path, "snake"), "demos=2", "dagger.rounds=1"])
+    cfg = load_config([*tiny_overrides(tmp_path, "snake"), *LONG_STEPS, "demos=2", "dagger.rounds=1"])
     world = build_world(cfg)
     assert world.plan.field is not None and not world.planned
     with pytest.raises(ValueError, match="planner: expected a task whose episodes end at goal states, got Snake"):

@@ -30,7 +30,7 @@ def fresh() -> Iterator[None]:
     torch._dynamo.reset()
 
 
-@pytest.mark.parametrize("task", CHOICES)
+@pytest.mark.parametrize("task", ["grid", pytest.param("snake", marks=pytest.mark.slow)])
 def test_a_compiled_step_gives_the_same_bytes(task: str, tmp_path: Path) -> None:
     env = make_env([*tiny_overrides(tmp_path, task), *CHOICES[task]], [3])
     runs = []

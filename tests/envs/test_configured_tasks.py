@@ -14,9 +14,7 @@ from splatrl.envs import SplatEnv
 from splatrl.envs.tasks import Outcome
 from splatrl.envs.world import World
 from tests.envs.contract import EnvContract, base_env, seeded_rollout
-from tests.tiny import tiny_overrides
-
-WALK = ("task.motion.step=0.25", "task.motion.angle_step_deg=45.0", "task.motion.spacing=0.25")
+from tests.tiny import LONG_STEPS, tiny_overrides
 
 
 class ConfiguredContract(EnvContract):
@@ -48,7 +46,7 @@ class ConfiguredContract(EnvContract):
 class TestFps(ConfiguredContract):
     @classmethod
     def overrides(cls) -> tuple[str, ...]:
-        return ("fps", *WALK)
+        return ("fps", *LONG_STEPS)
 
     def test_it_has_no_transform(self) -> None:
         assert isinstance(self.make((1,)), SplatEnv)
@@ -69,7 +67,7 @@ class TestDrive(ConfiguredContract):
 class TestApple(ConfiguredContract):
     @classmethod
     def overrides(cls) -> tuple[str, ...]:
-        return ("apple", *WALK, "landmarks.object=[-0.75,-1.0,0.5]")  # where nothing else is red
+        return ("apple", *LONG_STEPS, "landmarks.object=[-0.75,-1.0,0.5]")  # where nothing else is red
 
     def test_goals_are_reached_only_near_the_apple_and_with_it_in_view(self) -> None:
         env = self.make((64,))

@@ -30,7 +30,7 @@ from tests.envs.devices import (
     pretend_device,
 )
 from tests.envs.transforms.views import transformed
-from tests.tiny import CountingRenderer, tiny_env, tiny_overrides
+from tests.tiny import LONG_STEPS, WALKING, CountingRenderer, tiny_env, tiny_overrides
 
 SHAKEN = ["transforms/pose_noise=unsteady", "transforms/appearance=varied"]
 WORLDS = {
@@ -44,11 +44,12 @@ WORLDS = {
     "poster": ["poster"],
     "shaken sim2real": ["sim2real", *SHAKEN],
     "rainy fps": ["fps", "transforms/appearance=weather"],
-    "remembering fps": ["fps", "memory=gru"],
+    "remembering fps": ["fps", "memory=gru", "transforms/appearance=weather"],
     "stacking grid": ["grid", "memory=stack"],
     "skipping grid": ["grid", "transforms/pose_noise=unsteady", "transforms/skip=four"],
+    "skipping snake": ["snake", "transforms/pose_noise=unsteady", "transforms/skip=four"],
 }
-SIMILAR = ("fps", "circle", "hemisphere", "apple", "poster", "stacking grid")
+SIMILAR = ("fps", "circle", "hemisphere", "apple", "snake", "poster", "rainy fps", "stacking grid", "skipping grid")
 """Worlds of which every part also occurs in another one; they are tested with ``-m slow``."""
 NAMES = [pytest.param(name, marks=[pytest.mark.slow] if name in SIMILAR else []) for name in WORLDS]
 
@@ -58,7 +59,8 @@ def world(name: str) -> World:
     """Build the tiny room with the task of this name."""
     task, *more = WORLDS[name]
     with TemporaryDirectory() as folder:
-        return build_world(load_config([*tiny_overrides(Path(folder), task), *more, "task.max_steps=5"]))
+        steps = LONG_STEPS if task in WALKING else ()
+        return build_world(load_config([*tiny_overrides(Path(folder), task), *more, *steps, "task.max_steps=5"]))
 
 
 def made(name: str, batch: int = 5, device: str = "cpu") -> EnvBase:

@@ -1,6 +1,7 @@
 """Several scenes in one batch: each row equals the same row in its scene alone."""
 
 import pickle
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,15 @@ from torchrl.envs.utils import check_env_specs
 
 import splatrl
 from splatrl.envs import GymnasiumEnv, GymnasiumVectorEnv
+from tests.tiny import LONG_STEPS, WALKING
 from tests.two_rooms import in_both, overrides, two_rooms
 
-TASKS = ["grid", "fps", "drive", "apple", "snake"]
+TASKS = ["grid", "fps", "drive", pytest.param("apple", marks=pytest.mark.slow), "snake"]
+
+
+def steps(task: str) -> Sequence[str]:
+    """Return the overrides with which a task's paths are found sooner."""
+    return LONG_STEPS if task in WALKING else ()
 
 
 @pytest.fixture(scope="module", params=TASKS)
@@ -24,13 +31,15 @@ def task(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="module")
 def both(task: str, tmp_path_factory: pytest.TempPathFactory) -> EnvBase:
-    return splatrl.make_env(in_both(tmp_path_factory.mktemp("both"), task), batch_size=[12], seed=3)
+    return splatrl.make_env([*in_both(tmp_path_factory.mktemp("both"), task), *steps(task)], batch_size=[12], seed=3)
 
 
 @pytest.fixture(scope="module")
 def alone(task: str, tmp_path_factory: pytest.TempPathFactory) -> list[EnvBase]:
     rooms = two_rooms(tmp_path_factory.mktemp("alone"))
-    return [splatrl.make_env([*overrides(task), f"scene={room}"], batch_size=[12], seed=3) for room in rooms]
+    return [
+        splatrl.make_env([*overrides(task), *steps(task), f"scene={room}"], batch_size=[12], seed=3) for room in rooms
+    ]
 
 
 def test_outputs_match_the_specs(both: EnvBase) -> None:

@@ -34,8 +34,7 @@ def test_a_scene_without_extent_is_refused_with_its_name() -> None:
         survey_occupancy(point)
 
 
-@pytest.mark.parametrize("boxes", [True, False], ids=["boxes", "flat"])
-@pytest.mark.parametrize("scale", [0.05, 1.0])
+@pytest.mark.parametrize(("scale", "boxes"), [(0.05, False), (1.0, True)], ids=["small and flat", "large with boxes"])
 def test_each_of_the_three_pictures_shows_more_than_one_colour(scale: float, boxes: bool, tmp_path: Path) -> None:
     seen = scene(scale, boxes)
     files = draw_scene(seen, survey_occupancy(seen), 0.0, 0.4, tmp_path / "new")

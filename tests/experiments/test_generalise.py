@@ -12,6 +12,7 @@ from splatrl.experiments.tables import transfer_sentences, transfer_table
 from splatrl.experiments.transfer import score_in
 from tests.experiments.made_up import NODE, SCENES, compose
 from tests.experiments.trained import save_run
+from tests.tiny import LONG_STEPS
 from tests.two_rooms import overrides, two_rooms
 
 
@@ -22,7 +23,7 @@ def test_places_are_the_test_places_whose_scenes_are_given(tmp_path: Path) -> No
 
 def test_a_policy_is_tested_in_several_scenes_at_once_and_in_one(tmp_path: Path) -> None:
     west, east = two_rooms(tmp_path)
-    words = [*overrides("fps"), "evaluation.starts=6", "task.max_steps=8"]
+    words = [*overrides("fps"), *LONG_STEPS, "evaluation.starts=6", "task.max_steps=8"]
     cfg = load_config([*words, f"scene={west}"])
     save_run(tmp_path / "west-a-s0", cfg, 2)
     config = OmegaConf.to_container(cfg)

@@ -14,12 +14,12 @@ from splatrl.experiments.tables import transfer_sentences, transfer_table
 from splatrl.experiments.transfer import score_everywhere
 from tests.experiments.made_up import NODE, SCENES, compose, finish
 from tests.experiments.trained import save_run
-from tests.tiny import tiny_overrides
+from tests.tiny import LONG_STEPS, tiny_overrides
 
 
 def run_of(folder: Path, scene: str, *more: str) -> Run:
     """Return a run of the first-person task in the tiny room, as if trained."""
-    cfg = load_config([*tiny_overrides(folder, "fps"), *more])
+    cfg = load_config([*tiny_overrides(folder, "fps"), *LONG_STEPS, *more])
     save_run(folder / f"{scene}-a-s0", cfg, 2)
     config = OmegaConf.to_container(cfg)
     assert isinstance(config, dict)

@@ -34,9 +34,15 @@ from tests.renderers.parts_cases import (
 )
 
 Make = Callable[..., CudaRenderer]
-MODES = [((0, 0, 0), True), ((1, 1, 1), False), ((2, 2, 2), True), ((3, 0, 1), False)]
-"""Degrees of models, and whether images are antialiased. All tests together draw each degree both ways, with parts and
-without, and with level of detail and without; no single test does, since each combination takes seconds to compile."""
+MODES = [
+    ((0, 0, 0), True),
+    pytest.param((1, 1, 1), False, marks=pytest.mark.slow),
+    ((2, 2, 2), True),
+    ((3, 0, 1), False),
+]
+"""Degrees of models, and whether images are antialiased. All tests together, those with ``-m slow`` included, draw each
+degree both ways, with parts and without, and with level of detail and without; no single test does, since each
+combination takes seconds to compile."""
 
 
 @pytest.fixture(params=["emulated", pytest.param("gpu", marks=pytest.mark.gpu)])
@@ -94,7 +100,9 @@ def test_one_part_that_is_not_moved_has_the_same_bytes_as_the_scene_itself(
     assert_equal(second, images(make(models[1:], **settings), cameras))
 
 
-@pytest.mark.parametrize(("degrees", "antialiased"), [((1, 1, 1), True), ((0, 2, 0), False)])
+@pytest.mark.parametrize(
+    ("degrees", "antialiased"), [((1, 1, 1), True), pytest.param((0, 2, 0), False, marks=pytest.mark.slow)]
+)
 def test_a_part_is_drawn_at_the_level_of_detail_of_its_own_model(
     make: Make, degrees: tuple[int, ...], antialiased: bool
 ) -> None:
@@ -109,7 +117,9 @@ def test_a_part_is_drawn_at_the_level_of_detail_of_its_own_model(
     assert (renderer.efforts(cameras, parts)[:, 0] < 0.8 * finer).any()
 
 
-@pytest.mark.parametrize(("degrees", "antialiased"), [((1, 3, 0), True), ((2, 0, 1), False)])
+@pytest.mark.parametrize(
+    ("degrees", "antialiased"), [pytest.param((1, 3, 0), True, marks=pytest.mark.slow), ((2, 0, 1), False)]
+)
 def test_parts_with_level_of_detail_look_the_same_as_on_the_cpu(
     make: Make, degrees: tuple[int, ...], antialiased: bool
 ) -> None:

@@ -20,7 +20,7 @@ from tests.tiny import tiny_overrides
 SETTINGS = CloningSettings(epochs=30, mini_batch_size=64, lr=1e-3, critic_coeff=0.5)
 
 
-@pytest.mark.parametrize("memory", [pytest.param("none", marks=pytest.mark.slow), "gru", "stack"])
+@pytest.mark.parametrize("memory", ["gru", *(pytest.param(name, marks=pytest.mark.slow) for name in ("none", "stack"))])
 def test_a_cloned_policy_reaches_the_goal_as_demonstrated(memory: str, tmp_path: Path) -> None:
     cfg = load_config([*tiny_overrides(tmp_path), f"memory={memory}"])
     world = build_world(cfg)

@@ -23,7 +23,14 @@ def fresh(seed: int, stack: int, memory: int, nested: bool = False) -> PPO:
     return learner(env, seed, total_frames=64 * 8, memory=memory, anneal_lr=True, anneal_entropy=True)
 
 
-@pytest.mark.parametrize(("stack", "memory", "nested"), [(0, 0, False), (3, 6, False), (3, 6, True)])
+@pytest.mark.parametrize(
+    ("stack", "memory", "nested"),
+    [
+        pytest.param(0, 0, False, marks=pytest.mark.slow),
+        pytest.param(3, 6, False, marks=pytest.mark.slow),
+        (3, 6, True),
+    ],
+)
 def test_a_resumed_training_is_byte_for_byte_the_same(tmp_path: Path, stack: int, memory: int, nested: bool) -> None:
     whole = fresh(0, stack, memory, nested)
     for _ in range(2):

@@ -26,7 +26,7 @@ def drive(driver: Driver, world: World, most: int = 60) -> None:
         "grid",
         pytest.param("fps", marks=pytest.mark.slow),
         "drive",
-        "apple",
+        pytest.param("apple", marks=pytest.mark.slow),
         pytest.param("polar_plane", marks=pytest.mark.slow),
     ],
 )
