@@ -31,6 +31,7 @@ from splatrl.capture.stages import Stages, fingerprint
 from splatrl.capture.stereo import Depths, find_depths
 from splatrl.capture.upright_check import why_not_upright
 from splatrl.capture.world import FEWEST, Placed, place
+from splatrl.capture.zoom import REFUSED, zoomed
 from splatrl.files import alone_in, remove_stale
 from splatrl.native import _core
 from splatrl.scenes import Gaussians, read_gaussians, write_gaussians
@@ -166,6 +167,9 @@ def reconstruct(
         )
     if photos.up is None and (rotated := why_not_upright(found, photos)) is not None:
         notes.append(_unless_forced(rotated, settings.force, "poses", say))
+    if (changed := zoomed(found)) is not None:
+        slightly = zoomed(found, REFUSED) is None
+        notes.append(_unless_forced(changed, settings.force or slightly, "poses", say))
     placed = place(found, photos.up, photos.metric, settings.marker, settings.distance, settings.camera_height)
     if placed.up_from == "cameras" and (torn := leap(placed)) is not None:  # with force, the report says both
         _unless_forced(f"{torn} No floor was found, either: the scale may be far off.", settings.force, "world", say)
