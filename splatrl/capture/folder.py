@@ -108,7 +108,9 @@ def problems(placed: Placed, found: Suggestions, quality: Quality) -> list[str]:
         "The up direction comes from how the camera was held, because too little of the floor was seen: it may be off "
         f"by {placed.up_error_deg:.0f}°, and the floor may be lower.": placed.up_from == "cameras",
         "Its scale may be far off: it rests on a floor that was hardly seen, or on parts that may be joined wrongly. "
-        "Film a printed marker, or measure a distance in the scene.": placed.metric and placed.scale_error is None,
+        "Film a printed marker, or measure a distance in the scene.": placed.metric
+        and placed.scale_error is None
+        and placed.contradicted is None,
         "GPS positions of the photos do not give the scale: there are fewer than five, or they do not fit the camera's "
         "path.": not placed.metric and placed.reconstruction.gps is not None,
         f"{100 * missing:.0f} % of the images have no pose, among them {', '.join(placed.reconstruction.lost)}.": (
@@ -126,8 +128,8 @@ def problems(placed: Placed, found: Suggestions, quality: Quality) -> list[str]:
         "No image was held out, so the image quality is unknown.": quality.held_out == 0,
         "No free pose with something to see was found on the path: set landmarks.goal yourself.": not found.goals,
     }
-    drifts = [said for said in (lost_scale(placed), leap(placed)) if said]
-    return [*drifts, *(text for text, wrong in checks.items() if wrong)]
+    serious = [said for said in (lost_scale(placed), leap(placed), placed.contradicted) if said]
+    return [*serious, *(text for text, wrong in checks.items() if wrong)]
 
 
 def _proposals(placed: Placed, area: Area, found: Suggestions, quality: Quality) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.ground import Ground, UpFrom, find_ground
 from splatrl.capture.jerks import TORN, camera_leaps, jerks
 from splatrl.capture.marker import MARKER_SIDE, scale_by_marker
-from splatrl.capture.scale import Distance, ScaleFrom, scale_by_distance, scale_by_gps
+from splatrl.capture.scale import Distance, ScaleFrom, contradiction, scale_by_distance, scale_by_gps
 from splatrl.capture.upright import entropy
 from splatrl.values import require_number
 
@@ -38,11 +38,14 @@ class Placed:
         world_from_capture: [4, 4] float64 similarity that brought it there.
         scale_from: source of the scale.
         scale_error: possible relative error of the scale; None where it is unknown, as without a scale, with the
-            camera's height above a floor that was hardly seen, or where parts may be joined wrongly.
+            camera's height above a floor that was hardly seen, or where parts may be joined wrongly or something else
+            that was stated contradicts it.
         up_from: source of the upward direction.
         up_error_deg: possible error of the upward direction, degrees.
         camera_height: mean height of the cameras above the floor, as defined by ``mean_height``, metres.
         floor_points: number of points of the reconstruction that lie on the floor.
+        contradicted: how a stated height or distance contradicts the source of the scale, in sentences; None where
+            nothing does.
     """
 
     reconstruction: Reconstruction
@@ -53,6 +56,7 @@ class Placed:
     up_error_deg: float
     camera_height: float
     floor_points: int
+    contradicted: str | None = None
 
     @property
     def metric(self) -> bool:
@@ -71,6 +75,7 @@ def place(
     """Place a reconstruction in the world.
 
     The scale comes from the first of: recorded poses, a printed marker, a known distance, a known camera height, GPS.
+    A distance or height that does not set it is compared with it.
 
     Args:
         reconstruction: a reconstruction in any frame and unit.
@@ -97,21 +102,23 @@ def place(
     above = mean_height(poses[:, :3, 3] @ ground.up, reconstruction.seconds) - ground.height
     if not above > 0:
         raise CaptureError("expected a floor below the cameras, found none; film so that the floor is visible")
-    scale, scale_from, error = _scale(
-        reconstruction, ground, above + ground.below, metric, marker, distance, camera_height
-    )
+    above += ground.below
+    scale, scale_from, error = _scale(reconstruction, ground, above, metric, marker, distance, camera_height)
     if scale_from != "recorded" and jerks(camera_leaps(reconstruction)) >= TORN:
         error = None  # parts may be joined wrongly
+    compared = None if ground.up_from == "cameras" else camera_height
+    contradicted = contradiction(reconstruction, scale, scale_from, scale * above, distance, compared)
     transform = _world_from_capture(poses, points, ground, scale)
     return Placed(
         moved(reconstruction, transform),
         torch.from_numpy(transform),
         scale_from,
-        error,
+        error if contradicted is None else None,
         ground.up_from,
         ground.error_deg,
-        scale * (above + ground.below),
+        scale * above,
         ground.inliers,
+        contradicted,
     )
 
 
