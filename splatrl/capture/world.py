@@ -24,6 +24,8 @@ SCALE_ERROR = {"recorded": 0.01, "distance": 0.03, "camera_height": 0.05}
 """Largest relative errors found in trials, by the source of the scale; a marker's own views tell its error."""
 FEWEST = 20
 """Minimum number of points among which a floor is sought."""
+UNEVEN = 3.0
+"""Maximum time from one image of a film to the next, in usual times; the sharpest images lie unevenly."""
 OUTERMOST = (0.05, 0.95)
 """Quantiles of the cameras' heights beyond which heights count as wrong."""
 _TURNS = np.radians(np.arange(0.0, 90.0, 0.5))
@@ -99,7 +101,8 @@ def place(
             f"expected at least 2 cameras and {FEWEST} points to find the floor, got {len(poses)} and {len(points)}"
         )
     ground = find_ground(held_poses(reconstruction), points, None if up is None else up.double().numpy())
-    above = mean_height(poses[:, :3, 3] @ ground.up, reconstruction.seconds) - ground.height
+    missing = len(poses) * reconstruction.missing / (1.0 - reconstruction.missing)
+    above = mean_height(poses[:, :3, 3] @ ground.up, reconstruction.seconds, missing) - ground.height
     if not above > 0:
         raise CaptureError("expected a floor below the cameras, found none; film so that the floor is visible")
     above += ground.below
@@ -122,21 +125,25 @@ def place(
     )
 
 
-def mean_height(heights: Floats, seconds: Tensor | None) -> float:
+def mean_height(heights: Floats, seconds: Tensor | None, missing: float = 0) -> float:
     """Return the mean height of the cameras over the time of the film.
 
     Between images with poses, the camera counts as having moved evenly: the median of these images' heights is several
     per cent off where somebody raises and lowers the camera. A few heights that are far off are clamped to the
-    outermost of the others.
+    outermost of the others. A time without images that is longer than those without a pose explain is a pause of the
+    recorder, and counts no longer than they do.
 
     Args:
         heights: [N] heights of the cameras.
         seconds: [N] times at which they took their images, ascending; None where unknown.
+        missing: number of images without a pose.
     """
     held = np.clip(heights, *np.quantile(heights, OUTERMOST))
     if seconds is None or not seconds[-1] > seconds[0]:
         return float(held.mean())
-    return float(np.trapezoid(held, seconds.numpy()) / float(seconds[-1] - seconds[0]))
+    steps = np.diff(seconds.numpy())
+    steps = np.minimum(steps, (UNEVEN + missing) * np.median(steps[steps > 0]))
+    return float((0.5 * (held[1:] + held[:-1])) @ steps / steps.sum())
 
 
 def moved(reconstruction: Reconstruction, transform: Floats) -> Reconstruction:

@@ -19,7 +19,7 @@ from splatrl.capture.marker import MarkerScale
 from splatrl.capture.scale import Click, Distance, clicked_point
 from splatrl.capture.suggestions import NOTHING
 from splatrl.capture.upright_check import why_not_upright
-from splatrl.capture.world import SCALE_ERROR, Placed, place, wall_direction
+from splatrl.capture.world import SCALE_ERROR, Placed, mean_height, place, wall_direction
 from splatrl.evaluation.phone_walk import camera_poses
 from tests.capture.walks import ABOVE, CAMERAS, K, strewn, walk, without_points
 
@@ -130,11 +130,21 @@ def test_the_height_of_a_camera_that_moves_up_and_down_gives_the_scale_despite_m
     poses[5, 2, 3] = 80.0  # an outlier
     kept = torch.ones(CAMERAS, dtype=torch.bool)
     kept[first : first + 5] = False
-    partly = replace(walk(), camera_to_world=poses[kept], seconds=seconds[kept])
+    partly = replace(walk(), camera_to_world=poses[kept], seconds=seconds[kept], missing=5 / CAMERAS)
     true = float((walk().camera_to_world[:, 2, 3] + 0.5 * torch.sin(2 * seconds)).mean())
     placed = place(partly, marker=None, camera_height=true)
     assert scale_error(placed, np.eye(4)) < 0.04  # the median over the posed images alone is off by up to 0.06
     assert placed.camera_height == pytest.approx(true)
+
+
+@pytest.mark.parametrize("lost", [0, 9])
+def test_a_pause_of_the_recorder_hardly_counts_for_the_mean_height(lost: int) -> None:
+    take = torch.arange(0, 10, 0.125).double()
+    heights = 1.5 + 0.15 * np.sin(2 * take.numpy())
+    heights[-1] = 1.36  # lowered, to stop the recorder
+    seconds, both = torch.cat([take, 600 + take]), np.concatenate([heights, heights[::-1]])
+    kept = (torch.arange(len(both)) < 20) | (torch.arange(len(both)) >= 20 + lost)
+    assert mean_height(both[kept], seconds[kept], lost) == pytest.approx(both.mean(), rel=0.01)
 
 
 def test_placing_the_same_reconstruction_twice_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
