@@ -32,7 +32,7 @@ from splatrl.capture.stereo import Depths, find_depths
 from splatrl.capture.upright_check import why_not_upright
 from splatrl.capture.world import FEWEST, Placed, place
 from splatrl.capture.zoom import REFUSED, zoomed
-from splatrl.files import alone_in, remove_stale
+from splatrl.files import alone_in, remove_stale, require_room
 from splatrl.native import _core
 from splatrl.scenes import Gaussians, read_gaussians, write_gaussians
 from splatrl.scenes.description import SCENE_FILE, SMALL_SPLAT, SPLAT, check_absent
@@ -97,11 +97,17 @@ def capture(
         CaptureError: for a capture that cannot work; says why, and what to do.
         FileExistsError: for an existing scene, without ``force``.
         ImportError: without the extra ``capture``.
+        OSError: where the folder cannot be written.
         ValueError: where another process works in the folder.
     """
     if folder.resolve() == source.resolve():  # the next capture would take its pictures for photos
         raise CaptureError(
             f"{folder}: expected a scene folder other than the source, got the source; choose one with --out"
+        )
+    if (source / SCENE_FILE).is_file() and not is_recording(source):
+        raise CaptureError(
+            f"{source}: expected a video or a folder of photos, got a scene that was captured already; name its film, "
+            f"or train in it: splatrl-train scene={source}/"
         )
     if folder.is_file():
         raise CaptureError(f"{folder}: expected a folder for the scene, got a file; choose another one with --out")
@@ -112,6 +118,7 @@ def capture(
     made = [each for each in (stages, folder) if not each.exists()]
     stages.mkdir(parents=True, exist_ok=True)
     try:
+        require_room(folder)
         with alone_in(stages):
             remove_stale(stages)
             placed, notes = reconstruct(source, folder, settings, progress, say)
