@@ -16,6 +16,7 @@ from splatrl.capture.check import COMPARISON, MAP, Quality, check
 from splatrl.capture.drift import leap, lost_scale
 from splatrl.capture.page import report_page
 from splatrl.capture.pictures import GOALS, draw_cameras, draw_goals, draw_moving
+from splatrl.capture.progress import Progress, silent
 from splatrl.capture.suggestions import Suggestions, place_proposals, seen_by_cameras, suggest
 from splatrl.capture.world import Placed
 from splatrl.collision.point_clouds import write_points
@@ -46,6 +47,7 @@ def write_scene(
     splat: str = SPLAT,
     moving: Tensor | None = None,
     work: Path | None = None,
+    progress: Progress = silent,
 ) -> Quality:
     """Check a fitted capture and write it as a scene folder: splat, ``scene.yaml``, report and pictures.
 
@@ -62,6 +64,7 @@ def write_scene(
         moving: [N, h, w] bool, pixels of the photos that show moving things and were left out; None where unknown.
         work: folder on the same disk in which the scene is made before its files move, where ``remove_stale`` removes
             what a killed process left; None takes the parent of ``folder``.
+        progress: called for every held-out image.
 
     Raises:
         CaptureError: for a held-out image that cannot be read.
@@ -69,12 +72,13 @@ def write_scene(
     """
     name = name or folder.resolve().name
     check_absent(folder / SCENE_FILE, force)
+    progress("check", 0, len(held_out))
     with _whole(folder, work or folder.parent) as fresh:
         write_gaussians(fresh / splat, gaussians)
         gaussians = read_gaussians(fresh / splat)  # check exactly what was written
         area = survey_area(gaussians, placed, known)
         found = suggest(seen_by_cameras(placed), area)
-        quality = check(gaussians, placed, held_out, fresh, area, found)
+        quality = check(gaussians, placed, held_out, fresh, area, found, progress)
         quality = replace(quality, problems=tuple(problems(placed, found, quality)))
         draw_cameras(placed, area, fresh / CAMERAS)
         if found.goals:

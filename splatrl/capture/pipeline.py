@@ -177,7 +177,8 @@ def reconstruct(
     if (changed := zoomed(found)) is not None:
         slightly = zoomed(found, REFUSED) is None
         notes.append(_unless_forced(changed, settings.force or slightly, "poses", say))
-    placed = place(found, photos.up, photos.metric, settings.marker, settings.distance, settings.camera_height)
+    stated = settings.marker, settings.distance, settings.camera_height
+    placed = place(found, photos.up, photos.metric, *stated, progress=progress)
     if placed.up_from == "cameras" and (torn := leap(placed)) is not None:  # with force, the report says both
         _unless_forced(f"{torn} No floor was found, either: the scale may be far off.", settings.force, "world", say)
     say(f"world       up from {placed.up_from}, scale from {placed.scale_from}, camera at {placed.camera_height:.2f} m")
@@ -199,7 +200,7 @@ def build_scene(
         folder: the scene's folder.
         settings: settings of the capture.
         notes: remarks for the report.
-        progress: called with the progress of the fit.
+        progress: called with the progress of each stage.
         say: called with the outcome of each stage.
 
     Raises:
@@ -231,6 +232,7 @@ def build_scene(
         splat=settings.splat,
         moving=depths.moving,
         work=stages.place,
+        progress=progress,
     )
     say("\n".join([f"check       {_words(quality)}", *(f"            {problem}" for problem in quality.problems)]))
     return quality

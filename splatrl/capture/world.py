@@ -12,6 +12,7 @@ from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.ground import Ground, UpFrom, find_ground
 from splatrl.capture.jerks import TORN, camera_leaps, jerks
 from splatrl.capture.marker import MARKER_SIDE, scale_by_marker
+from splatrl.capture.progress import Progress, silent
 from splatrl.capture.scale import Distance, ScaleFrom, contradiction, scale_by_distance, scale_by_gps
 from splatrl.capture.upright import entropy
 from splatrl.values import require_number
@@ -73,6 +74,7 @@ def place(
     marker: float | None = MARKER_SIDE,
     distance: Distance | None = None,
     camera_height: float | None = None,
+    progress: Progress = silent,
 ) -> Placed:
     """Place a reconstruction in the world.
 
@@ -86,6 +88,7 @@ def place(
         marker: side of the printed markers to look for in the images, metres; None looks for none.
         distance: two clicked points with the metres between them.
         camera_height: mean height of the cameras above the floor over the time of the film, metres.
+        progress: called for every image in which markers are looked for.
 
     Raises:
         CaptureError: for too few cameras or points, or a distance that cannot be measured.
@@ -106,7 +109,7 @@ def place(
     if not above > 0:
         raise CaptureError("expected a floor below the cameras, found none; film so that the floor is visible")
     above += ground.below
-    scale, scale_from, error = _scale(reconstruction, ground, above, metric, marker, distance, camera_height)
+    scale, scale_from, error = _scale(reconstruction, ground, above, metric, marker, distance, camera_height, progress)
     if scale_from != "recorded" and jerks(camera_leaps(reconstruction)) >= TORN:
         error = None  # parts may be joined wrongly
     compared = None if ground.up_from == "cameras" else camera_height
@@ -174,11 +177,12 @@ def _scale(
     marker: float | None,
     distance: Distance | None,
     camera_height: float | None,
+    progress: Progress,
 ) -> tuple[float, ScaleFrom, float | None]:
     """Return metres per unit, their source, and their possible relative error."""
     if metric:
         return 1.0, "recorded", SCALE_ERROR["recorded"]
-    found = None if marker is None else scale_by_marker(reconstruction, marker)
+    found = None if marker is None else scale_by_marker(reconstruction, marker, progress)
     if found is not None:
         return found.metres_per_unit, "marker", found.error
     if distance is not None:

@@ -32,7 +32,9 @@ def surveyed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Placed, Area]:
 
 def test_a_perfect_fit_scores_high_and_its_path_is_free(tmp_path: Path) -> None:
     placed = tiny_capture(tmp_path / "images")
-    quality = check(tiny_gaussians(), placed, HELD_OUT, tmp_path)
+    told: list[tuple[str, int, int]] = []
+    quality = check(tiny_gaussians(), placed, HELD_OUT, tmp_path, progress=lambda *far: told.append(far))
+    assert told == [("check", 1, 3), ("check", 2, 3), ("check", 3, 3)]
     assert quality.psnr is not None and quality.psnr > 50 and quality.ssim == pytest.approx(1.0, abs=1e-3)
     assert (quality.held_out, quality.path_free) == (3, 1.0)
     assert quality.floating < 5, "a few at the soft edge of the red thing, through which the wall is seen"

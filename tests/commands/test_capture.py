@@ -81,7 +81,7 @@ def stages(
             known[key] = find()
         return known[key]
 
-    def place(found: Reconstruction, *settings: object) -> Any:
+    def place(found: Reconstruction, *settings: object, progress: Progress) -> Any:
         return once(f"{pipeline._key(found)} {settings}", lambda: real_place(found, *settings))
 
     def find_depths(found: Reconstruction, frame: Frame, rows: torch.Tensor, progress: Progress) -> Any:
@@ -389,7 +389,7 @@ def test_a_film_that_seems_torn_and_shows_no_floor_is_refused_before_the_fit(
     up_from: str, tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     placed, said = pipeline.place, []
-    monkeypatch.setattr(pipeline, "place", lambda *given: replace(placed(*given), up_from=up_from))
+    monkeypatch.setattr(pipeline, "place", lambda *given, **told: replace(placed(*given, **told), up_from=up_from))
     monkeypatch.setattr(pipeline, "leap", lambda _: "The camera seems to jump at 3 s.")
     folder, settings = tmp_path / "garden", pipeline.CaptureSettings()
     if up_from == "floor":
