@@ -82,8 +82,8 @@ def new_folder(path: Path) -> Iterator[Path]:
     if path.exists():
         raise ValueError(f"{path}: expected a new folder, got one that already exists")
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
-    temporary.mkdir()
     try:
+        temporary.mkdir()
         yield temporary
         os.rename(temporary, path)
     except OSError as error:  # the error for a full disk names no file

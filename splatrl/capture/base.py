@@ -75,6 +75,8 @@ class Reconstruction:
         gps: [N, 2] float64, as in ``Photos``.
         turned: [N] bool, as in ``Photos``.
         cuts: times at which another take begins, as in ``Photos``.
+        focal_lengths: [N] float64, focal length of each image of a film, pixels, where its parts have their own (see
+            ``zoom``); None where these were not sought.
     """
 
     paths: list[Path]
@@ -94,6 +96,7 @@ class Reconstruction:
     gps: Tensor | None = None
     turned: Tensor | None = None
     cuts: tuple[float, ...] = ()
+    focal_lengths: Tensor | None = None
 
     def K_at(self, width: int, height: int) -> Tensor:
         """Return the intrinsics [3, 3] float64 for these images at another size."""

@@ -14,6 +14,7 @@ from splatrl.capture.area import Area, path_is_free, survey_area
 from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.floaters import seen_through
 from splatrl.capture.pictures import comparison_line, comparison_rows, draw_comparison, draw_map
+from splatrl.capture.progress import Progress, silent
 from splatrl.capture.suggestions import NOTHING, Suggestions
 from splatrl.capture.videos import shrunk, shrunk_size
 from splatrl.capture.world import Placed
@@ -73,6 +74,7 @@ def check(
     folder: Path,
     area: Area | None = None,
     found: Suggestions = NOTHING,
+    progress: Progress = silent,
 ) -> Quality:
     """Compare a fitted capture with what its cameras saw, and draw ``held_out.png`` and ``map.png``.
 
@@ -83,6 +85,7 @@ def check(
         folder: folder for the pictures; it must exist.
         area: the result of ``survey_area``; None computes it.
         found: suggested goals and object position, to mark on the map.
+        progress: called for every held-out image.
 
     Raises:
         CaptureError: for an image that cannot be read, or whose size differs from the reconstruction's.
@@ -97,6 +100,7 @@ def check(
         )
         if row in drawn:
             lines.append(comparison_line(photo, render, scores[row][0]))
+        progress("check", row + 1, len(held_out))
     if lines:
         draw_comparison(lines, folder / COMPARISON)
     draw_map(gaussians, placed, area, free.numpy(), folder / MAP, found.goals, found.thing)

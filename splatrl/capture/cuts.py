@@ -28,6 +28,11 @@ def pattern(grey: NDArray[np.uint8]) -> Floats:
     return np.asarray(small / max(float(np.linalg.norm(small)), 1e-9))
 
 
+def takes(seconds: Floats, cuts: Sequence[float]) -> NDArray[np.int64]:
+    """Return the number of the take, from 0, to which each of some times [N] belongs, given the ``cuts`` between."""
+    return np.searchsorted(np.asarray(cuts, np.float64), seconds, side="right")
+
+
 def cuts(seconds: Sequence[float], patterns: Sequence[Floats]) -> list[float]:
     """Return the times at which another take begins: those of frames that suddenly differ from the frame before.
 

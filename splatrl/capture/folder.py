@@ -16,6 +16,7 @@ from splatrl.capture.check import COMPARISON, MAP, Quality, check
 from splatrl.capture.drift import leap, lost_scale
 from splatrl.capture.page import report_page
 from splatrl.capture.pictures import GOALS, draw_cameras, draw_goals, draw_moving
+from splatrl.capture.progress import Progress, silent
 from splatrl.capture.suggestions import Suggestions, place_proposals, seen_by_cameras, suggest
 from splatrl.capture.world import Placed
 from splatrl.collision.point_clouds import write_points
@@ -46,6 +47,7 @@ def write_scene(
     splat: str = SPLAT,
     moving: Tensor | None = None,
     work: Path | None = None,
+    progress: Progress = silent,
 ) -> Quality:
     """Check a fitted capture and write it as a scene folder: splat, ``scene.yaml``, report and pictures.
 
@@ -62,6 +64,7 @@ def write_scene(
         moving: [N, h, w] bool, pixels of the photos that show moving things and were left out; None where unknown.
         work: folder on the same disk in which the scene is made before its files move, where ``remove_stale`` removes
             what a killed process left; None takes the parent of ``folder``.
+        progress: called for every held-out image.
 
     Raises:
         CaptureError: for a held-out image that cannot be read.
@@ -69,12 +72,13 @@ def write_scene(
     """
     name = name or folder.resolve().name
     check_absent(folder / SCENE_FILE, force)
+    progress("check", 0, len(held_out))
     with _whole(folder, work or folder.parent) as fresh:
         write_gaussians(fresh / splat, gaussians)
         gaussians = read_gaussians(fresh / splat)  # check exactly what was written
         area = survey_area(gaussians, placed, known)
         found = suggest(seen_by_cameras(placed), area)
-        quality = check(gaussians, placed, held_out, fresh, area, found)
+        quality = check(gaussians, placed, held_out, fresh, area, found, progress)
         quality = replace(quality, problems=tuple(problems(placed, found, quality)))
         draw_cameras(placed, area, fresh / CAMERAS)
         if found.goals:
@@ -108,7 +112,9 @@ def problems(placed: Placed, found: Suggestions, quality: Quality) -> list[str]:
         "The up direction comes from how the camera was held, because too little of the floor was seen: it may be off "
         f"by {placed.up_error_deg:.0f}°, and the floor may be lower.": placed.up_from == "cameras",
         "Its scale may be far off: it rests on a floor that was hardly seen, or on parts that may be joined wrongly. "
-        "Film a printed marker, or measure a distance in the scene.": placed.metric and placed.scale_error is None,
+        "Film a printed marker, or measure a distance in the scene.": placed.metric
+        and placed.scale_error is None
+        and placed.contradicted is None,
         "GPS positions of the photos do not give the scale: there are fewer than five, or they do not fit the camera's "
         "path.": not placed.metric and placed.reconstruction.gps is not None,
         f"{100 * missing:.0f} % of the images have no pose, among them {', '.join(placed.reconstruction.lost)}.": (
@@ -126,8 +132,8 @@ def problems(placed: Placed, found: Suggestions, quality: Quality) -> list[str]:
         "No image was held out, so the image quality is unknown.": quality.held_out == 0,
         "No free pose with something to see was found on the path: set landmarks.goal yourself.": not found.goals,
     }
-    drifts = [said for said in (lost_scale(placed), leap(placed)) if said]
-    return [*drifts, *(text for text, wrong in checks.items() if wrong)]
+    serious = [said for said in (lost_scale(placed), leap(placed), placed.contradicted) if said]
+    return [*serious, *(text for text, wrong in checks.items() if wrong)]
 
 
 def _proposals(placed: Placed, area: Area, found: Suggestions, quality: Quality) -> dict[str, Any]:

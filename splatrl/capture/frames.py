@@ -100,6 +100,8 @@ def sharpness(grey: np.ndarray) -> float:
 def buckets(times: np.ndarray, count: tuple[int, int]) -> np.ndarray:
     """Split a video into stretches of equal duration.
 
+    From one frame to the next, at most 1 / ``PER_SECOND`` counts: a longer time is a pause of the recorder.
+
     Args:
         times: [N] timestamps of its frames, seconds, ascending.
         count: minimum and maximum number of stretches.
@@ -107,9 +109,14 @@ def buckets(times: np.ndarray, count: tuple[int, int]) -> np.ndarray:
     Returns:
         [M - 1] end times of all stretches but the last; M is at most the number of frames.
     """
-    length = times[-1] - times[0]
+    steps, longest = np.diff(times), 1.0 / PER_SECOND
+    clock = times
+    if (steps > longest).any():
+        clock = times[0] + np.append(0.0, np.cumsum(np.minimum(steps, longest)))
+    length = clock[-1] - clock[0]
     most = min(max(count[0], math.ceil(PER_SECOND * length)), count[1], len(times))
-    return times[0] + length * np.arange(1, most) / most
+    ends: np.ndarray = clock[0] + length * np.arange(1, most) / most
+    return ends if clock is times else np.interp(ends, clock, times)
 
 
 def sharpest(graded: Iterable[tuple[int, Thing, float]]) -> Iterator[Thing]:

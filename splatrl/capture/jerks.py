@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from splatrl.capture.cuts import takes
+
 if TYPE_CHECKING:  # the process that runs COLMAP needs no PyTorch, whose import takes seconds
     from splatrl.capture.base import Reconstruction
 
@@ -35,7 +37,7 @@ def leaps(places: Floats, seconds: Floats, cuts: Sequence[float] = ()) -> Floats
     Returns:
         [N − 2], for the second position to the last but one; 0 where the positions around it are of several takes.
     """
-    take = np.searchsorted(np.asarray(cuts, np.float64), seconds, side="right")
+    take = takes(seconds, cuts)
     whole = take[2:] == take[:-2]
     if not whole.any():
         return np.zeros(len(whole))

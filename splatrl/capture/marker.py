@@ -10,6 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.photo_files import read_photo
+from splatrl.capture.progress import Progress, silent
 from splatrl.capture.scale import triangulate
 from splatrl.extras import require
 from splatrl.files import replacing
@@ -47,20 +48,23 @@ class MarkerScale:
     views: int
 
 
-def scale_by_marker(reconstruction: Reconstruction, side: float = MARKER_SIDE) -> MarkerScale | None:
+def scale_by_marker(
+    reconstruction: Reconstruction, side: float = MARKER_SIDE, progress: Progress = silent
+) -> MarkerScale | None:
     """Measure the markers in a reconstruction's images; return None where none can be trusted.
 
     Args:
         reconstruction: cameras and images; the images must be without lens distortion.
         side: side of the markers' black squares, metres.
+        progress: called for every image.
 
     Raises:
         ImportError: without the extra ``capture``.
     """
-    return scale_by_corners(reconstruction, find_markers(reconstruction.paths), side)
+    return scale_by_corners(reconstruction, find_markers(reconstruction.paths, progress), side)
 
 
-def find_markers(paths: list[Path]) -> dict[int, dict[int, Floats]]:
+def find_markers(paths: list[Path], progress: Progress = silent) -> dict[int, dict[int, Floats]]:
     """Look for markers in images.
 
     Returns:
@@ -79,6 +83,7 @@ def find_markers(paths: list[Path]) -> dict[int, dict[int, Floats]]:
     exact = cv2.aruco.ArucoDetector(_dictionary(cv2), parameters)
     found: dict[int, dict[int, Floats]] = {}
     for number, path in enumerate(paths):
+        progress("markers", number, len(paths))
         grey = np.array(read_photo(path).convert("L"))
         if quick.detectMarkers(grey)[1] is None:
             continue

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.capture.area import Area
+from splatrl.capture.cuts import takes
 from splatrl.capture.photo_files import read_photo
 from splatrl.capture.world import Placed
 from splatrl.collision.pictures import FREE, SOLID
@@ -173,7 +174,7 @@ def draw_map(
     right.set_title(f"free space (green) at {area.robot_height:.2f} m, and points")
     (x0, y0), (x1, y1) = area.walk
     for axis in (left, right):
-        axis.plot(*cameras[:, :2].T, color=PATH, linewidth=1.2)
+        axis.plot(*camera_path(placed)[:, :2].T, color=PATH, linewidth=1.2)
         axis.scatter(*cameras[~free, :2].T, s=14, c=BLOCKED, zorder=3)
         axis.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color="white" if axis is left else "black", ls="--", lw=1)
         for rank, (x, y, yaw) in enumerate(goals):
@@ -208,7 +209,7 @@ def draw_cameras(placed: Placed, area: Area, path: Path) -> None:
     above, beside = figure.subplots(2, 1, sharex=True, height_ratios=[y1 - y0, z1 - z0])
     for axis, other, (low, high) in ((above, 1, (y0, y1)), (beside, 2, (min(z0, -0.2), z1))):
         axis.scatter(points[:, 0], points[:, other], s=1.0, c=colors / 255.0, linewidths=0)
-        axis.plot(poses[:, 0, 3], poses[:, other, 3], color=PATH, linewidth=1.2)
+        axis.plot(*camera_path(placed)[:, [0, other]].T, color=PATH, linewidth=1.2)
         some = poses[:: max(1, len(poses) // 40)]
         axis.quiver(
             some[:, 0, 3], some[:, other, 3], some[:, 0, 2], some[:, other, 2], color=PATH, width=0.002, scale=30
@@ -218,6 +219,16 @@ def draw_cameras(placed: Placed, area: Area, path: Path) -> None:
     beside.set_xlabel("x, m")
     with replacing(path) as stream:
         canvas.print_png(stream)
+
+
+def camera_path(placed: Placed) -> Floats:
+    """Return the camera's positions [N + C, 3], world, with a row of NaN where each of C further takes begins."""
+    found = placed.reconstruction
+    places: Floats = found.camera_to_world[:, :3, 3].numpy()
+    if found.seconds is None:
+        return places
+    begins = np.flatnonzero(np.diff(takes(found.seconds.numpy(), found.cuts))) + 1
+    return np.insert(places, begins, np.nan, axis=0)
 
 
 def _some(values: NDArray[np.float64]) -> NDArray[np.float64]:

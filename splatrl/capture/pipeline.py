@@ -31,7 +31,8 @@ from splatrl.capture.stages import Stages, fingerprint
 from splatrl.capture.stereo import Depths, find_depths
 from splatrl.capture.upright_check import why_not_upright
 from splatrl.capture.world import FEWEST, Placed, place
-from splatrl.files import alone_in, remove_stale
+from splatrl.capture.zoom import REFUSED, zoomed
+from splatrl.files import alone_in, remove_stale, require_room
 from splatrl.native import _core
 from splatrl.scenes import Gaussians, read_gaussians, write_gaussians
 from splatrl.scenes.description import SCENE_FILE, SMALL_SPLAT, SPLAT, check_absent
@@ -96,11 +97,17 @@ def capture(
         CaptureError: for a capture that cannot work; says why, and what to do.
         FileExistsError: for an existing scene, without ``force``.
         ImportError: without the extra ``capture``.
+        OSError: where the folder cannot be written.
         ValueError: where another process works in the folder.
     """
     if folder.resolve() == source.resolve():  # the next capture would take its pictures for photos
         raise CaptureError(
             f"{folder}: expected a scene folder other than the source, got the source; choose one with --out"
+        )
+    if (source / SCENE_FILE).is_file() and not is_recording(source):
+        raise CaptureError(
+            f"{source}: expected a video or a folder of photos, got a scene that was captured already; name its film, "
+            f"or train in it: splatrl-train scene={source}/"
         )
     if folder.is_file():
         raise CaptureError(f"{folder}: expected a folder for the scene, got a file; choose another one with --out")
@@ -111,6 +118,7 @@ def capture(
     made = [each for each in (stages, folder) if not each.exists()]
     stages.mkdir(parents=True, exist_ok=True)
     try:
+        require_room(folder)
         with alone_in(stages):
             remove_stale(stages)
             placed, notes = reconstruct(source, folder, settings, progress, say)
@@ -166,7 +174,11 @@ def reconstruct(
         )
     if photos.up is None and (rotated := why_not_upright(found, photos)) is not None:
         notes.append(_unless_forced(rotated, settings.force, "poses", say))
-    placed = place(found, photos.up, photos.metric, settings.marker, settings.distance, settings.camera_height)
+    if (changed := zoomed(found)) is not None:
+        slightly = zoomed(found, REFUSED) is None
+        notes.append(_unless_forced(changed, settings.force or slightly, "poses", say))
+    stated = settings.marker, settings.distance, settings.camera_height
+    placed = place(found, photos.up, photos.metric, *stated, progress=progress)
     if placed.up_from == "cameras" and (torn := leap(placed)) is not None:  # with force, the report says both
         _unless_forced(f"{torn} No floor was found, either: the scale may be far off.", settings.force, "world", say)
     say(f"world       up from {placed.up_from}, scale from {placed.scale_from}, camera at {placed.camera_height:.2f} m")
@@ -188,7 +200,7 @@ def build_scene(
         folder: the scene's folder.
         settings: settings of the capture.
         notes: remarks for the report.
-        progress: called with the progress of the fit.
+        progress: called with the progress of each stage.
         say: called with the outcome of each stage.
 
     Raises:
@@ -220,6 +232,7 @@ def build_scene(
         splat=settings.splat,
         moving=depths.moving,
         work=stages.place,
+        progress=progress,
     )
     say("\n".join([f"check       {_words(quality)}", *(f"            {problem}" for problem in quality.problems)]))
     return quality

@@ -161,6 +161,7 @@ def _reconstruction(
         gps=None if photos.gps is None else photos.gps[torch.tensor(images, dtype=torch.int64)],
         turned=None if photos.turned is None else photos.turned[torch.tensor(images, dtype=torch.int64)],
         cuts=photos.cuts,
+        focal_lengths=_tensor(model, "focal_lengths") if len(model["focal_lengths"]) else None,
     )
 
 

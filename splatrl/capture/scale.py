@@ -1,4 +1,4 @@
-"""Metres per unit of a reconstruction, from two clicked points or from GPS."""
+"""Metres per unit of a reconstruction, from two clicked points or from GPS, compared with what else was stated."""
 
 import math
 from collections.abc import Sequence
@@ -27,6 +27,15 @@ DEGREE = 111_195.0
 """Metres per degree of latitude."""
 LEAST_PLACES, MOST_ERROR = 5, 0.1
 """Minimum number of photos with a GPS position, and maximum relative error of GPS, for it to set the scale."""
+
+AGREE = 1.2
+"""Maximum ratio of a stated length to the same length by the source of the scale."""
+SCALED_BY = {
+    "recorded": ("recorded", "Check what you stated, or leave it out."),
+    "marker": ("from the marker", "Was the page printed at 100 %? Give --marker-side as measured."),
+    "distance": ("from --distance", "Measure both again."),
+}
+"""How the scale is known, in words, and what to check where a stated length contradicts it."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +124,37 @@ def scale_by_gps(gps: Tensor | None, plan: Floats) -> tuple[float, float] | None
     factor = np.vdot(a, b) / np.vdot(a, a)
     error = float(np.linalg.norm(b - factor * a) / np.linalg.norm(b))
     return (float(abs(factor)), error) if error <= MOST_ERROR else None
+
+
+def contradiction(
+    reconstruction: Reconstruction,
+    scale: float,
+    scale_from: ScaleFrom,
+    height: float,
+    distance: Distance | None,
+    camera_height: float | None,
+) -> str | None:
+    """Return how a stated distance or height differs from what it is by the source of the scale; None if it does not.
+
+    Args:
+        reconstruction: cameras and points in any frame.
+        scale: metres per unit.
+        scale_from: source of the scale.
+        height: height of the cameras above the floor by that scale, metres.
+        distance: two clicked points with the metres between them, if stated.
+        camera_height: the height that was stated, metres; None where it cannot be compared.
+    """
+    told = []
+    if camera_height is not None:
+        told.append((f"the camera was {height:.2f} m above the floor; --camera-height", height, camera_height))
+    if distance is not None:
+        apart = distance.metres * scale / scale_by_distance(reconstruction, distance)
+        told.append((f"the two clicked points are {apart:.2f} m apart; --distance", apart, distance.metres))
+    for words, measured, stated in told:
+        if max(measured / stated, stated / measured) > AGREE:
+            source, advice = SCALED_BY[scale_from]
+            return f"The scale is {source}, by which {words} said {stated:g} m. {advice}"
+    return None
 
 
 def clicked_point(reconstruction: Reconstruction, clicks: Sequence[Click]) -> Floats:

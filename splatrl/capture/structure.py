@@ -18,6 +18,7 @@ import numpy as np
 from splatrl.capture.job import DATABASE, Job, read_job, tell
 from splatrl.capture.loops import loop_pairs
 from splatrl.capture.mapping import find_cameras, joined, mapping_options
+from splatrl.capture.zoom import focal_lengths
 from splatrl.files import replacing
 
 MODEL, PAIRS, SEARCHED = "model.npz", "pairs.txt", "searched"
@@ -62,7 +63,8 @@ def run(folder: Path) -> None:
     match_images(pycolmap, folder, job)
     tell("map", 0, len(job.names))
     model = find_cameras(pycolmap, folder, job) if job.camera_to_world is None else _triangulate(pycolmap, folder, job)
-    _keep(folder, job, model)
+    film = model is not None and job.seconds is not None and not job.fixed
+    _keep(folder, job, model, focal_lengths(pycolmap, model, job) if film else None)
 
 
 def match_images(pycolmap: Any, folder: Path, job: Job) -> None:
@@ -167,7 +169,7 @@ def _triangulate(pycolmap: Any, folder: Path, job: Job) -> Any:
     )
 
 
-def _keep(folder: Path, job: Job, model: Any) -> None:
+def _keep(folder: Path, job: Job, model: Any, focal: dict[str, float] | None = None) -> None:
     if model is None:
         found = {}
     elif job.camera_to_world is not None:
@@ -192,6 +194,7 @@ def _keep(folder: Path, job: Job, model: Any) -> None:
             images=np.array(images, np.int64),
             camera_to_world=camera_to_world,
             camera=np.zeros(0) if model is None else _opencv(next(iter(model.cameras.values()))),
+            focal_lengths=np.array([focal[job.names[number]] for number in images] if focal else [], np.float64),
             points=np.array([point.xyz for point in points]).reshape(-1, 3),
             colors=np.array([point.color for point in points], np.uint8).reshape(-1, 3),
             seen_point=np.repeat(np.arange(len(points)), [len(cameras) for cameras in sightings]),

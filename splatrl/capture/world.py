@@ -12,7 +12,8 @@ from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.ground import Ground, UpFrom, find_ground
 from splatrl.capture.jerks import TORN, camera_leaps, jerks
 from splatrl.capture.marker import MARKER_SIDE, scale_by_marker
-from splatrl.capture.scale import Distance, ScaleFrom, scale_by_distance, scale_by_gps
+from splatrl.capture.progress import Progress, silent
+from splatrl.capture.scale import Distance, ScaleFrom, contradiction, scale_by_distance, scale_by_gps
 from splatrl.capture.upright import entropy
 from splatrl.values import require_number
 
@@ -24,6 +25,8 @@ SCALE_ERROR = {"recorded": 0.01, "distance": 0.03, "camera_height": 0.05}
 """Largest relative errors found in trials, by the source of the scale; a marker's own views tell its error."""
 FEWEST = 20
 """Minimum number of points among which a floor is sought."""
+UNEVEN = 3.0
+"""Maximum time from one image of a film to the next, in usual times; the sharpest images lie unevenly."""
 OUTERMOST = (0.05, 0.95)
 """Quantiles of the cameras' heights beyond which heights count as wrong."""
 _TURNS = np.radians(np.arange(0.0, 90.0, 0.5))
@@ -38,11 +41,14 @@ class Placed:
         world_from_capture: [4, 4] float64 similarity that brought it there.
         scale_from: source of the scale.
         scale_error: possible relative error of the scale; None where it is unknown, as without a scale, with the
-            camera's height above a floor that was hardly seen, or where parts may be joined wrongly.
+            camera's height above a floor that was hardly seen, or where parts may be joined wrongly or something else
+            that was stated contradicts it.
         up_from: source of the upward direction.
         up_error_deg: possible error of the upward direction, degrees.
         camera_height: mean height of the cameras above the floor, as defined by ``mean_height``, metres.
         floor_points: number of points of the reconstruction that lie on the floor.
+        contradicted: how a stated height or distance contradicts the source of the scale, in sentences; None where
+            nothing does.
     """
 
     reconstruction: Reconstruction
@@ -53,6 +59,7 @@ class Placed:
     up_error_deg: float
     camera_height: float
     floor_points: int
+    contradicted: str | None = None
 
     @property
     def metric(self) -> bool:
@@ -67,10 +74,12 @@ def place(
     marker: float | None = MARKER_SIDE,
     distance: Distance | None = None,
     camera_height: float | None = None,
+    progress: Progress = silent,
 ) -> Placed:
     """Place a reconstruction in the world.
 
     The scale comes from the first of: recorded poses, a printed marker, a known distance, a known camera height, GPS.
+    A distance or height that does not set it is compared with it.
 
     Args:
         reconstruction: a reconstruction in any frame and unit.
@@ -79,6 +88,7 @@ def place(
         marker: side of the printed markers to look for in the images, metres; None looks for none.
         distance: two clicked points with the metres between them.
         camera_height: mean height of the cameras above the floor over the time of the film, metres.
+        progress: called for every image in which markers are looked for.
 
     Raises:
         CaptureError: for too few cameras or points, or a distance that cannot be measured.
@@ -94,42 +104,49 @@ def place(
             f"expected at least 2 cameras and {FEWEST} points to find the floor, got {len(poses)} and {len(points)}"
         )
     ground = find_ground(held_poses(reconstruction), points, None if up is None else up.double().numpy())
-    above = mean_height(poses[:, :3, 3] @ ground.up, reconstruction.seconds) - ground.height
+    missing = len(poses) * reconstruction.missing / (1.0 - reconstruction.missing)
+    above = mean_height(poses[:, :3, 3] @ ground.up, reconstruction.seconds, missing) - ground.height
     if not above > 0:
         raise CaptureError("expected a floor below the cameras, found none; film so that the floor is visible")
-    scale, scale_from, error = _scale(
-        reconstruction, ground, above + ground.below, metric, marker, distance, camera_height
-    )
+    above += ground.below
+    scale, scale_from, error = _scale(reconstruction, ground, above, metric, marker, distance, camera_height, progress)
     if scale_from != "recorded" and jerks(camera_leaps(reconstruction)) >= TORN:
         error = None  # parts may be joined wrongly
+    compared = None if ground.up_from == "cameras" else camera_height
+    contradicted = contradiction(reconstruction, scale, scale_from, scale * above, distance, compared)
     transform = _world_from_capture(poses, points, ground, scale)
     return Placed(
         moved(reconstruction, transform),
         torch.from_numpy(transform),
         scale_from,
-        error,
+        error if contradicted is None else None,
         ground.up_from,
         ground.error_deg,
-        scale * (above + ground.below),
+        scale * above,
         ground.inliers,
+        contradicted,
     )
 
 
-def mean_height(heights: Floats, seconds: Tensor | None) -> float:
+def mean_height(heights: Floats, seconds: Tensor | None, missing: float = 0) -> float:
     """Return the mean height of the cameras over the time of the film.
 
     Between images with poses, the camera counts as having moved evenly: the median of these images' heights is several
     per cent off where somebody raises and lowers the camera. A few heights that are far off are clamped to the
-    outermost of the others.
+    outermost of the others. A time without images that is longer than those without a pose explain is a pause of the
+    recorder, and counts no longer than they do.
 
     Args:
         heights: [N] heights of the cameras.
         seconds: [N] times at which they took their images, ascending; None where unknown.
+        missing: number of images without a pose.
     """
     held = np.clip(heights, *np.quantile(heights, OUTERMOST))
     if seconds is None or not seconds[-1] > seconds[0]:
         return float(held.mean())
-    return float(np.trapezoid(held, seconds.numpy()) / float(seconds[-1] - seconds[0]))
+    steps = np.diff(seconds.numpy())
+    steps = np.minimum(steps, (UNEVEN + missing) * np.median(steps[steps > 0]))
+    return float((0.5 * (held[1:] + held[:-1])) @ steps / steps.sum())
 
 
 def moved(reconstruction: Reconstruction, transform: Floats) -> Reconstruction:
@@ -160,11 +177,12 @@ def _scale(
     marker: float | None,
     distance: Distance | None,
     camera_height: float | None,
+    progress: Progress,
 ) -> tuple[float, ScaleFrom, float | None]:
     """Return metres per unit, their source, and their possible relative error."""
     if metric:
         return 1.0, "recorded", SCALE_ERROR["recorded"]
-    found = None if marker is None else scale_by_marker(reconstruction, marker)
+    found = None if marker is None else scale_by_marker(reconstruction, marker, progress)
     if found is not None:
         return found.metres_per_unit, "marker", found.error
     if distance is not None:

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from splatrl.capture.area import Area, dense_voxels, survey_area
 from splatrl.capture.base import CaptureError
 from splatrl.capture.check import check, colour_corrected, psnr, ssim
 from splatrl.capture.floaters import hazy_voxels, seen_through, without_floaters
-from splatrl.capture.pictures import draw_map
+from splatrl.capture.pictures import camera_path, draw_map
 from splatrl.capture.world import Placed
 from splatrl.collision.occupancy import Occupancy
 from tests.capture.rooms import CAMERAS, FLOATER, HAZE, tiny_capture, with_floater, with_haze
@@ -31,7 +32,9 @@ def surveyed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Placed, Area]:
 
 def test_a_perfect_fit_scores_high_and_its_path_is_free(tmp_path: Path) -> None:
     placed = tiny_capture(tmp_path / "images")
-    quality = check(tiny_gaussians(), placed, HELD_OUT, tmp_path)
+    told: list[tuple[str, int, int]] = []
+    quality = check(tiny_gaussians(), placed, HELD_OUT, tmp_path, progress=lambda *far: told.append(far))
+    assert told == [("check", 1, 3), ("check", 2, 3), ("check", 3, 3)]
     assert quality.psnr is not None and quality.psnr > 50 and quality.ssim == pytest.approx(1.0, abs=1e-3)
     assert (quality.held_out, quality.path_free) == (3, 1.0)
     assert quality.floating < 5, "a few at the soft edge of the red thing, through which the wall is seen"
@@ -80,6 +83,13 @@ def test_the_maps_fill_their_picture_however_long_the_place_is(
     with Image.open(tmp_path / "map.png") as image:
         empty = (np.asarray(image.convert("RGB")) == 255).all(2)
     assert empty.mean() < 0.5
+
+
+def test_the_way_from_one_take_to_the_next_is_not_drawn(surveyed: tuple[Placed, Area]) -> None:
+    found = replace(surveyed[0].reconstruction, seconds=torch.arange(CAMERAS).double(), cuts=(7.5, 8.0, 20.5))
+    path = camera_path(replace(surveyed[0], reconstruction=found))
+    assert np.flatnonzero(np.isnan(path).all(1)).tolist() == [8, 22]
+    np.testing.assert_array_equal(path[~np.isnan(path).any(1)], found.camera_to_world[:, :3, 3])
 
 
 def test_the_map_shows_the_ground_far_below_a_drone(tmp_path: Path, surveyed: tuple[Placed, Area]) -> None:

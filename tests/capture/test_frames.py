@@ -316,6 +316,15 @@ def test_buckets_are_four_per_second_within_the_bounds() -> None:
     assert len(buckets(np.arange(7) / 30, (120, 200))) + 1 == 7
 
 
+def test_a_pause_of_the_recorder_costs_no_images() -> None:
+    whole, paused = np.arange(0, 20, 0.033), np.r_[0:10:0.033, 600:610:0.033]
+    ends = buckets(paused, (120, 200))
+    assert len(ends) == len(buckets(whole, (120, 200))) == 119
+    assert np.bincount(np.searchsorted(ends, paused, side="right"), minlength=120).min() > 0
+    lapse = np.arange(0, 500, 1.0)
+    np.testing.assert_allclose(buckets(lapse, (120, 200)), 499 * np.arange(1, 200) / 200)
+
+
 def test_a_blurred_image_is_less_sharp() -> None:
     image = Image.fromarray(_images(1)[0]).convert("L")
     assert sharpness(np.asarray(image)) > 4 * sharpness(np.asarray(image.filter(ImageFilter.GaussianBlur(2))))

@@ -82,8 +82,9 @@ def test_a_marker_is_found_in_images_and_gives_the_scale(tmp_path: Path) -> None
     assert list(found) == [7] and len(found[7]) == 8
     for image, corners in found[7].items():
         assert np.abs(corners - scale * sightings(0.0)[image]).max() < 1.0
-    placed = place(few)
-    assert placed.scale_from == "marker"
+    told: list[tuple[str, int, int]] = []
+    placed = place(few, progress=lambda *far: told.append(far))
+    assert placed.scale_from == "marker" and told == [("markers", number, 8) for number in range(8)]
     metres = np.cbrt(np.linalg.det(placed.world_from_capture.numpy()[:3, :3] @ transform[:3, :3]))
     assert metres == pytest.approx(1.0, abs=0.01)
 

@@ -1,6 +1,7 @@
 """A walk in an arbitrary frame is placed upright, to scale and with its floor at z = 0."""
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -11,10 +12,14 @@ import torch
 
 from splatrl.capture import world
 from splatrl.capture.base import CaptureError, Photos
+from splatrl.capture.check import Quality
+from splatrl.capture.folder import problems
 from splatrl.capture.ground import Ground, cameras_up, find_ground, on_its_side, upside_down
+from splatrl.capture.marker import MarkerScale
 from splatrl.capture.scale import Click, Distance, clicked_point
+from splatrl.capture.suggestions import NOTHING
 from splatrl.capture.upright_check import why_not_upright
-from splatrl.capture.world import SCALE_ERROR, Placed, place, wall_direction
+from splatrl.capture.world import SCALE_ERROR, Placed, mean_height, place, wall_direction
 from splatrl.evaluation.phone_walk import camera_poses
 from tests.capture.walks import ABOVE, CAMERAS, K, strewn, walk, without_points
 
@@ -125,11 +130,21 @@ def test_the_height_of_a_camera_that_moves_up_and_down_gives_the_scale_despite_m
     poses[5, 2, 3] = 80.0  # an outlier
     kept = torch.ones(CAMERAS, dtype=torch.bool)
     kept[first : first + 5] = False
-    partly = replace(walk(), camera_to_world=poses[kept], seconds=seconds[kept])
+    partly = replace(walk(), camera_to_world=poses[kept], seconds=seconds[kept], missing=5 / CAMERAS)
     true = float((walk().camera_to_world[:, 2, 3] + 0.5 * torch.sin(2 * seconds)).mean())
     placed = place(partly, marker=None, camera_height=true)
     assert scale_error(placed, np.eye(4)) < 0.04  # the median over the posed images alone is off by up to 0.06
     assert placed.camera_height == pytest.approx(true)
+
+
+@pytest.mark.parametrize("lost", [0, 9])
+def test_a_pause_of_the_recorder_hardly_counts_for_the_mean_height(lost: int) -> None:
+    take = torch.arange(0, 10, 0.125).double()
+    heights = 1.5 + 0.15 * np.sin(2 * take.numpy())
+    heights[-1] = 1.36  # lowered, to stop the recorder
+    seconds, both = torch.cat([take, 600 + take]), np.concatenate([heights, heights[::-1]])
+    kept = (torch.arange(len(both)) < 20) | (torch.arange(len(both)) >= 20 + lost)
+    assert mean_height(both[kept], seconds[kept], lost) == pytest.approx(both.mean(), rel=0.01)
 
 
 def test_placing_the_same_reconstruction_twice_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -336,6 +351,44 @@ def test_the_scale_has_no_known_error_without_a_floor_or_where_the_camera_leaps(
         poses[CAMERAS // 2 :, 1, 3] += leap
         film = replace(walk(), camera_to_world=poses.clone(), seconds=seconds)
         assert place(film, marker=None, camera_height=ABOVE).scale_error == error
+
+
+def test_a_stated_height_or_distance_that_contradicts_the_source_of_the_scale_is_a_problem(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    points = two_points(3)
+    (x0, y0), (x1, y1) = pixels(3, points).tolist()
+    metres = float((points[0] - points[1]).norm())
+    distance = Distance.between(Click(3, x0, y0), Click(3, x1, y1), metres)
+    half = replace(distance, metres=0.5 * metres)
+    cases: list[tuple[float | None, dict[str, Any], str | None]] = [
+        (1.0, {"camera_height": 1.15 * ABOVE, "distance": distance}, None),
+        (
+            2.0,
+            {"camera_height": ABOVE},
+            r"The scale is from the marker, .* was 2\.8\d m .* --camera-height said 1\.4 m\. ",
+        ),
+        (
+            2.0,
+            {"distance": distance},
+            r"marker, by which the two clicked points are \d.* m apart; --distance said .* 100 %",
+        ),
+        (None, {"camera_height": ABOVE, "distance": half}, r"from --distance, .* was 0\.\d+ m above .* said 1\.4 m\."),
+    ]
+    for size, stated, told in cases:
+        measured = None if size is None else MarkerScale(size, 0.01, 1, 9)
+        monkeypatch.setattr(world, "scale_by_marker", lambda *_, measured=measured: measured)
+        placed = place(walk(), **stated)
+        listed = problems(placed, NOTHING, Quality(30.0, 0.9, 30.0, 0.9, 15, 1.0, 1000, 0, 0.05))
+        if told is None:
+            assert placed.contradicted is None and placed.scale_error == 0.01
+        else:
+            assert re.search(told, str(placed.contradicted)) and placed.scale_error is None
+            assert placed.contradicted in listed and not any("hardly seen" in text for text in listed)
+    bare = replace(walk(), points=torch.from_numpy(np.random.default_rng(0).normal(size=(3000, 3))))
+    recorded = place(bare, metric=True, camera_height=9.0)
+    assert recorded.up_from == "cameras" and recorded.contradicted is None, "the floor was hardly seen"
+    assert "Check what you stated" in str(place(walk(), metric=True, camera_height=9.0).contradicted)
 
 
 def test_impossible_heights_distances_and_clicks_are_refused() -> None:

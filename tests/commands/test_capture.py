@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -81,7 +82,7 @@ def stages(
             known[key] = find()
         return known[key]
 
-    def place(found: Reconstruction, *settings: object) -> Any:
+    def place(found: Reconstruction, *settings: object, progress: Progress) -> Any:
         return once(f"{pipeline._key(found)} {settings}", lambda: real_place(found, *settings))
 
     def find_depths(found: Reconstruction, frame: Frame, rows: torch.Tensor, progress: Progress) -> Any:
@@ -389,7 +390,7 @@ def test_a_film_that_seems_torn_and_shows_no_floor_is_refused_before_the_fit(
     up_from: str, tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     placed, said = pipeline.place, []
-    monkeypatch.setattr(pipeline, "place", lambda *given: replace(placed(*given), up_from=up_from))
+    monkeypatch.setattr(pipeline, "place", lambda *given, **told: replace(placed(*given, **told), up_from=up_from))
     monkeypatch.setattr(pipeline, "leap", lambda _: "The camera seems to jump at 3 s.")
     folder, settings = tmp_path / "garden", pipeline.CaptureSettings()
     if up_from == "floor":
@@ -538,6 +539,29 @@ def test_a_file_in_the_place_of_the_scene_is_refused(tmp_path: Path, stages: lis
     with pytest.raises(SystemExit, match=r"garden: expected a folder for the scene, got a file; .*--out"):
         capture.main(["garden.mp4", "--out", str(tmp_path / "garden")])
     assert (tmp_path / "garden").read_text() == "theirs" and not stages
+
+
+def test_a_finished_scene_is_not_taken_for_a_folder_of_photos(tmp_path: Path, stages: list[str]) -> None:
+    garden = tmp_path / "garden"
+    garden.mkdir()
+    for name in ("scene.yaml", "map.png"):
+        (garden / name).touch()
+    with pytest.raises(SystemExit, match=r"garden: expected a video .*got a scene .*: splatrl-train scene=.*garden/$"):
+        capture.main([str(garden), "--out", str(tmp_path / "again")])
+    assert not stages and not (tmp_path / "again").exists()
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_capture(
+    tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(dir: Path, **_: object) -> None:
+        if dir == tmp_path / "garden":
+            raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", refuse)
+    with pytest.raises(SystemExit, match=r"cannot write: Permission denied: '.*garden'$"):
+        capture.main(["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK])
+    assert not stages and not (tmp_path / "garden").exists()
 
 
 def test_a_page_with_a_marker_is_written_without_a_capture(tmp_path: Path) -> None:

@@ -231,6 +231,8 @@ def test_a_failed_edit_of_a_scene_in_the_viewer_leaves_it_unchanged(
 def test_an_error_in_a_new_folder_names_it_by_its_final_name(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"cannot write: No space left.*demos"), new_folder(tmp_path / "demos"):
         raise OSError(28, "Error writing bytes to file")
+    with pytest.raises(FileNotFoundError, match=r"'.*/absent/demos'$"), new_folder(tmp_path / "absent" / "demos"):
+        pass
     with pytest.raises(OSError, match=r"demos/a/b\.bin'$"), new_folder(tmp_path / "demos") as made:
         raise OSError(28, "cannot write: No space left on device", str(made / "a" / "b.bin"))
     assert not list(tmp_path.iterdir())

@@ -1,0 +1,111 @@
+"""Whether the lens of a film changed: the focal length of each part, from one more bundle adjustment.
+
+One camera is fitted to all images, so a zoom or another lens of the phone bends cameras and points, and nothing else
+shows it: the bent place agrees with itself.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splatrl.capture.cuts import takes
+from splatrl.capture.job import Job
+
+if TYPE_CHECKING:  # the process that runs COLMAP needs no PyTorch, whose import takes seconds
+    from splatrl.capture.base import Reconstruction
+
+Floats = NDArray[np.float64]
+
+PART = 10
+"""Number of consecutive images that share a focal length."""
+LESS = 0.01
+"""Minimum relative decrease of the mean reprojection error by which several focal lengths are better than one. It is
+0.1 % or less in films of one lens, and 6 % where the focal length changes by a tenth. Where a camera walks straight
+towards a wall, hardly any error tells a longer lens from a nearer camera."""
+NOTED, REFUSED = 1.07, 1.15
+"""Ratio of the longest focal length to the shortest from which a film counts as zoomed, and from which it is refused.
+It is at most 1.02 in films of one lens."""
+STEPS, CLOSE = 50, 1e-4
+"""Maximum number of steps of the bundle adjustment, and the relative decrease of its cost below which it ends."""
+
+
+def focal_lengths(pycolmap: Any, model: Any, job: Job) -> dict[str, float]:
+    """Return the focal length of each image of a film, pixels, where each ``PART`` images have one of their own.
+
+    Distortion is that of the common camera: together with it, a focal length is less certain.
+
+    Args:
+        pycolmap: the module.
+        model: COLMAP's model, with one camera for all images; it is not changed.
+        job: the job description, of a film.
+
+    Returns:
+        By name of each image with a pose; the common focal length where more than one do not fit clearly better.
+    """
+    assert job.seconds is not None
+    at = dict(zip(job.names, job.seconds, strict=True))
+    images = sorted((image for image in model.images.values() if image.has_pose), key=lambda image: at[image.name])
+    common = next(iter(model.cameras.values()))
+    several, camera_of = pycolmap.Reconstruction(), {}
+    seconds = np.array([at[image.name] for image in images])
+    for number, rows in enumerate(_parts(takes(seconds, job.cuts)), 1):
+        camera = pycolmap.Camera(
+            model=common.model, width=common.width, height=common.height, params=common.params, camera_id=number
+        )
+        several.add_camera_with_trivial_rig(camera)
+        for image in (images[row] for row in rows):
+            pixels = pycolmap.Point2DList([pycolmap.Point2D(point.xy) for point in image.points2D])
+            same = pycolmap.Image(name=image.name, points2D=pixels, camera_id=number, image_id=image.image_id)
+            several.add_image_with_trivial_frame(same, image.cam_from_world())
+            camera_of[image.name] = number
+    for _, point in sorted(model.points3D.items()):
+        several.add_point3D(point.xyz, point.track, point.color)
+    before = _error(several)
+    options = pycolmap.BundleAdjustmentOptions(refine_extra_params=False, print_summary=False)
+    solver = options.ceres.solver_options
+    solver.num_threads, solver.max_num_iterations, solver.function_tolerance = 1, STEPS, CLOSE
+    pycolmap.bundle_adjustment(several, options)
+    better = _error(several) <= (1.0 - LESS) * before
+    return {
+        name: float((several.cameras[number] if better else common).focal_length) for name, number in camera_of.items()
+    }
+
+
+def zoomed(found: Reconstruction, least: float = NOTED) -> str | None:
+    """Return a warning where the focal length changes within a film; None where nothing suggests that.
+
+    Args:
+        found: a reconstruction in any frame.
+        least: minimum ratio of the longest focal length to the shortest.
+    """
+    if found.focal_lengths is None or found.seconds is None:
+        return None
+    focal = found.focal_lengths.numpy()
+    ratio = float(focal.max() / focal.min())
+    if ratio < least:
+        return None
+    when = float(found.seconds[1 + int(np.abs(np.diff(np.log(focal))).argmax())])
+    return (
+        f"zoomed: the focal length changes by {100 * (ratio - 1):.0f} % at about {when:.0f} s, but all images must be "
+        "of one lens; film without zooming and without switching lenses, or cut that part out."
+    )
+
+
+def _parts(take: NDArray[np.int64]) -> list[list[int]]:
+    """Split images, given by their takes [N], into parts of one take with about ``PART`` images each."""
+    ends = [0, *(np.flatnonzero(np.diff(take)) + 1).tolist(), len(take)]
+    return [
+        rows.tolist()
+        for first, last in pairwise(ends)
+        for rows in np.array_split(np.arange(first, last), max(1, round((last - first) / PART)))
+    ]
+
+
+def _error(model: Any) -> float:
+    """Return the mean reprojection error of a COLMAP model, pixels."""
+    model.update_point_3d_errors()
+    return float(model.compute_mean_reprojection_error())
