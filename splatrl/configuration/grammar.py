@@ -80,15 +80,6 @@ def last_typed(overrides: Sequence[str], key: str, usual: object) -> Any:
     return unquoted(parsed.value())
 
 
-def is_swept(overrides: Sequence[str], key: str) -> bool:
-    """Whether the last value that was typed for a key is a sweep; False if it is not in Hydra's grammar."""
-    given = [override for override in overrides if override.startswith(f"{key}=")]
-    try:
-        return bool(given) and OverridesParser.create().parse_override(given[-1]).is_sweep_override()
-    except HydraException:
-        return False
-
-
 def unquoted(value: object) -> object:
     """Turn a quoted string from Hydra's parser into a plain one; return any other value unchanged."""
     return value.text if isinstance(value, QuotedString) else value

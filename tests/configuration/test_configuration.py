@@ -314,9 +314,9 @@ def test_valid_overrides_sweeps_and_hydra_options_are_accepted_unchanged(argumen
 def test_options_precede_what_a_scene_proposes_so_that_hydra_accepts_both(tmp_path: Path) -> None:
     write_gaussians(tmp_path / "room.ply", tiny_gaussians())
     (tmp_path / "scene.yaml").write_text("splat: room.ply\nrobot_height: 0.5\n")
-    words = command_line("train", ["seed=0,1", "-m", f"scene={tmp_path}", "--cfg", "job"])
-    assert words[:3] == ["-m", "--cfg", "job"]
-    assert words[3:] == ["robot.height=0.5", "seed=0,1", "scene=file", f"scene.path='{tmp_path}'"]
+    words = command_line("train", ["seed=1", f"scene={tmp_path}", "--cfg", "job"])
+    assert words[:2] == ["--cfg", "job"]
+    assert words[2:] == ["robot.height=0.5", "seed=1", "scene=file", f"scene.path='{tmp_path}'"]
 
 
 @pytest.mark.parametrize(
