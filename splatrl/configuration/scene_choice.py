@@ -10,6 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from hydra import compose
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
@@ -43,13 +46,18 @@ def job_config(cfg: DictConfig, overrides: Sequence[str]) -> DictConfig:
         cfg: the job's config as Hydra composed it.
         overrides: the job's overrides.
     """
-    if {"scene=yard", "scene=yards", "scene=many"}.intersection(overrides):
-        return load_config(overrides)
     paths = [override for override in overrides if override.startswith("scene.path=")]
-    if "scene=file" not in overrides or not paths:
+    if "scene=file" in overrides and paths:
+        others = [override for override in overrides if override not in ("scene=file", *paths)]
+        overrides = [*others, f"scene={last_typed(paths, 'scene.path', '')}"]
+    elif not {"scene=yard", "scene=yards", "scene=many"}.intersection(overrides):
         return cfg
-    others = [override for override in overrides if override not in ("scene=file", *paths)]
-    return load_config([*others, f"scene={last_typed(paths, 'scene.path', '')}"])
+    if not GlobalHydra.instance().is_initialized():
+        return load_config(overrides)
+    hydra = HydraConfig.get()  # it also searches what --config-dir, --config-name and hydra.searchpath name
+    search = [override for override in hydra.overrides.hydra if override.startswith("hydra.searchpath=")]
+    words = with_scene_paths([readable(override) for override in overrides])
+    return compose(hydra.job.config_name, [*search, *words])
 
 
 def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]:
