@@ -9,6 +9,8 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import QuotedString
 from hydra.errors import HydraException
 
+from splatrl.files import expanded
+
 HOME = re.compile(r"(?<=[=\[,:'\"])~(?=/|$)")
 """The tilde at the beginning of a path in an override."""
 
@@ -21,7 +23,7 @@ def readable(word: str) -> str:
     """
     if word.startswith("-"):
         return word
-    word = HOME.sub(lambda _: str(Path.home()), word)
+    word = HOME.sub(lambda _: str(expanded("~")), word)
     key, equals, value = word.partition("=")
     try:
         OverridesParser.create().parse_override(word)
