@@ -17,7 +17,7 @@ from splatrl.files import digest_of
 from splatrl.physics.room import Floats, Room
 from splatrl.physics.terrain import Terrain
 from splatrl.scenes.cache import cached_arrays
-from splatrl.values import require_number
+from splatrl.values import are_numbers, require_number
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,8 @@ class CourseSettings(ABC):
     def _require_range(self, name: str) -> None:
         """Refuse a value that is not a range of metres above 0."""
         value = getattr(self, name)
-        if not (len(value) == 2 and 0.0 < value[0] <= value[1] <= 1e3):
-            raise ValueError(f"task.course.{name}: expected 0 < lowest ≤ highest, got {list(value)}")
+        if not (are_numbers(value, 2) and 0.0 < value[0] <= value[1] <= 1e3):
+            raise ValueError(f"task.course.{name}: expected 0 < lowest ≤ highest, got {value}")
 
 
 def draw_courses(

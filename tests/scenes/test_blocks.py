@@ -142,6 +142,10 @@ MALFORMED = {
         LINE.replace("1, 1, 1", "1, 1, -1"),
         r"blocks\[0\].bounds: expected lower below upper along z",
     ),
+    "bounds beyond any place": (
+        LINE.replace("[1, 1, 1]", "[1.7e308, 1, 1]"),
+        r"blocks.yaml: blocks\[0\].bounds: expected numbers from -1e\+15 to 1e\+15, got",
+    ),
     "no bounds": ("blocks: [{splat: a.ply}]", r"blocks\[0\].bounds: expected a lower and an upper corner"),
     "bounds with a string": (
         LINE.replace("1, 1, 1", "1, 1, high"),
