@@ -207,6 +207,18 @@ def natural(path: Path) -> list[tuple[int, str]]:
 
 
 def cache_dir() -> Path:
-    """Return the folder for caches: $SPLATRL_CACHE, or splatrl in $XDG_CACHE_HOME or ~/.cache."""
-    chosen = os.environ.get("SPLATRL_CACHE")
-    return Path(chosen) if chosen else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "splatrl"
+    """Return the folder for caches: $SPLATRL_CACHE, or splatrl in $XDG_CACHE_HOME or ~/.cache.
+
+    Raises:
+        ValueError: without either variable, for a user without a home folder, as in some containers.
+    """
+    if chosen := os.environ.get("SPLATRL_CACHE"):
+        return Path(chosen)
+    if caches := os.environ.get("XDG_CACHE_HOME"):
+        return Path(caches) / "splatrl"
+    try:
+        return Path.home() / ".cache" / "splatrl"
+    except RuntimeError as error:
+        raise ValueError(
+            "SPLATRL_CACHE: expected a folder for caches where there is no home folder, got none"
+        ) from error

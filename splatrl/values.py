@@ -44,6 +44,14 @@ def require_number(
     raise ValueError(f"{name}: expected a {kind}{limit}, got {value!r}")
 
 
+def are_numbers(values: object, count: int) -> bool:
+    """Return whether something is a sequence of ``count`` finite numbers, not text or anything else in its place."""
+    try:
+        return len(values) == count and all(math.isfinite(value) for value in values)  # type: ignore[arg-type, attr-defined]
+    except TypeError:
+        return False
+
+
 def require_rgb(name: str, value: Sequence[float]) -> None:
     """Refuse anything but a colour of three numbers in [0, 1].
 

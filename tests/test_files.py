@@ -1,4 +1,4 @@
-"""Paths as people type them, and entries of untrusted ZIP archives: none unpacks to more than it declares."""
+"""Paths as people type them, the folder for caches, and entries of untrusted ZIP archives."""
 
 import io
 import struct
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from splatrl.files import expanded, read_entry
+from splatrl.files import cache_dir, expanded, read_entry
 from tests.scenes.samples import lying_zip, zip_bytes
 
 MIB = 1 << 20
@@ -19,6 +19,21 @@ def test_a_tilde_is_a_home_folder_only_where_it_names_a_user() -> None:
     assert expanded("~/a.ply") == Path.home() / "a.ply"
     assert expanded(Path("~t.ply")) == Path("~t.ply")
     assert expanded("~nobody-of-this-name/a.ply") == Path("~nobody-of-this-name/a.ply")
+
+
+def test_a_user_without_a_home_folder_is_asked_for_a_folder_for_caches(monkeypatch: pytest.MonkeyPatch) -> None:
+    def homeless() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", homeless)
+    for name in ("SPLATRL_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(ValueError, match=r"^SPLATRL_CACHE: expected a folder for caches where there is no home folder"):
+        cache_dir()
+    monkeypatch.setenv("XDG_CACHE_HOME", "caches")
+    assert cache_dir() == Path("caches/splatrl")
+    monkeypatch.setenv("SPLATRL_CACHE", "mine")
+    assert cache_dir() == Path("mine")
 
 
 def _read(archive: bytes, most: int = MIB) -> bytes:

@@ -21,7 +21,7 @@ from splatrl.configuration.run_configs import RUN_CONFIG, run_config, typed_targ
 from splatrl.configuration.scene_choice import SEEDED, SWEEP, load_config, with_scene_paths
 from splatrl.configuration.search_path import choice_keys, group_choices, is_group, options
 from splatrl.configuration.spelling import SPELLED, viewed_run
-from splatrl.configuration.sweeps import check_sweeps, choices, compositions, values
+from splatrl.configuration.sweeps import check_sweeps, choices, compositions, directed, values
 
 OWN_CONFIG = ("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp")
 """Hydra options that select a config other than ours."""
@@ -70,7 +70,8 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
         _check_words(name, arguments)
         if name == "view" and (folder := viewed_run(arguments)):
             _check_beside_run(folder, arguments)
-        result = _options_first(with_scene_paths(arguments, name))
+        words = with_scene_paths(arguments, name)
+        result = _options_first(directed(words) if name == "train" else words)
         if any(argument.partition("=")[0] in OWN_CONFIG for argument in arguments):
             return result  # the user's own config: Hydra reports unknown keys
         sweeps = any(argument in SWEEP for argument in arguments)

@@ -1,6 +1,7 @@
 """Moves the config of a run to a place other than the one in which its policy was trained."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
 
@@ -11,7 +12,7 @@ from splatrl.configuration.checking import check_constructors
 from splatrl.configuration.grammar import quoted, written
 from splatrl.configuration.places import place_configs
 from splatrl.configuration.run_configs import PATHS, run_config, with_absolute_paths
-from splatrl.configuration.scene_choice import has_key, load_config, without_proposals
+from splatrl.configuration.scene_choice import has_key, job_config, load_config, without_proposals
 from splatrl.configuration.search_path import composed
 from splatrl.documents import read_yaml
 from splatrl.values import flat
@@ -87,10 +88,13 @@ def _changed_later(own: DictConfig, typed: Sequence[str]) -> dict[str, Any]:
 
     Args:
         own: the config of the run.
-        typed: the overrides with which the run began, including what its scene proposed.
+        typed: the overrides with which the run began; those of a job of a sweep lack what its scene proposed.
     """
     try:
-        then = with_absolute_paths(composed(typed, "train"))
+        then = composed(typed, "train")
+        with suppress(OSError, ValueError, HydraException):  # the scene has gone
+            then = job_config(then, typed)
+        then = with_absolute_paths(then)
     except HydraException:  # typed for other configs than those of today
         return {}
     nodes = [

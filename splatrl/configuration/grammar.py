@@ -9,6 +9,8 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import QuotedString
 from hydra.errors import HydraException
 
+from splatrl.files import expanded
+
 HOME = re.compile(r"(?<=[=\[,:'\"])~(?=/|$)")
 """The tilde at the beginning of a path in an override."""
 
@@ -21,7 +23,7 @@ def readable(word: str) -> str:
     """
     if word.startswith("-"):
         return word
-    word = HOME.sub(lambda _: str(Path.home()), word)
+    word = HOME.sub(lambda _: str(expanded("~")), word)
     key, equals, value = word.partition("=")
     try:
         OverridesParser.create().parse_override(word)
@@ -78,15 +80,6 @@ def last_typed(overrides: Sequence[str], key: str, usual: object) -> Any:
             f"{key}: expected one value, got {typed}; run the command once per value, or sweep trainings with -m"
         )
     return unquoted(parsed.value())
-
-
-def is_swept(overrides: Sequence[str], key: str) -> bool:
-    """Whether the last value that was typed for a key is a sweep; False if it is not in Hydra's grammar."""
-    given = [override for override in overrides if override.startswith(f"{key}=")]
-    try:
-        return bool(given) and OverridesParser.create().parse_override(given[-1]).is_sweep_override()
-    except HydraException:
-        return False
 
 
 def unquoted(value: object) -> object:

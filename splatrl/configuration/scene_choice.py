@@ -10,11 +10,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from hydra import compose
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
-from splatrl.configuration.grammar import bare, is_swept, last_typed, nested, quoted, readable, unquoted
+from splatrl.configuration.grammar import bare, last_typed, nested, quoted, readable, unquoted
 from splatrl.configuration.scene_overrides import scene_overrides
 from splatrl.configuration.search_path import composed, group_choices, group_node, is_group, options
 from splatrl.values import flat, require_number
@@ -23,8 +26,6 @@ SWEEP = {"-m", "--multirun"}
 """Options that ask Hydra for a sweep."""
 SEEDED = re.compile(r"(\w+):(\d+)")
 """A scene's name with a seed, such as yard:3."""
-CHOOSING = ("scene.path", "scene.seed", "scene.paths", "scene.count", "scene.first")
-"""Keys that select scenes."""
 
 
 def load_config(overrides: Sequence[str] = (), name: str = "train") -> DictConfig:
@@ -39,26 +40,31 @@ def load_config(overrides: Sequence[str] = (), name: str = "train") -> DictConfi
 
 
 def job_config(cfg: DictConfig, overrides: Sequence[str]) -> DictConfig:
-    """Return the config of one job of a sweep, which in a sweep over scenes includes its own scene's proposals.
+    """Return the config of one job of a sweep, with the proposals of the job's own scene.
 
     Args:
         cfg: the job's config as Hydra composed it.
         overrides: the job's overrides.
     """
-    if {"scene=yard", "scene=yards", "scene=many"}.intersection(overrides):
-        return load_config(overrides)
     paths = [override for override in overrides if override.startswith("scene.path=")]
-    if "scene=file" not in overrides or not paths:
+    if "scene=file" in overrides and paths:
+        others = [override for override in overrides if override not in ("scene=file", *paths)]
+        overrides = [*others, f"scene={last_typed(paths, 'scene.path', '')}"]
+    elif not {"scene=yard", "scene=yards", "scene=many"}.intersection(overrides):
         return cfg
-    others = [override for override in overrides if override not in ("scene=file", *paths)]
-    return load_config([*others, f"scene={last_typed(paths, 'scene.path', '')}"])
+    if not GlobalHydra.instance().is_initialized():
+        return load_config(overrides)
+    hydra = HydraConfig.get()  # it also searches what --config-dir, --config-name and hydra.searchpath name
+    search = [override for override in hydra.overrides.hydra if override.startswith("hydra.searchpath=")]
+    words = with_scene_paths([readable(override) for override in overrides])
+    return compose(hydra.job.config_name, [*search, *words])
 
 
 def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]:
     """Rewrite a path after ``scene=`` as ``scene=file scene.path=...``, and add what the scene proposes.
 
-    In a sweep of trainings over scenes, each job takes one scene, or one list of scenes, with its proposals
-    (``job_config``).
+    In a sweep of trainings nothing is added, since a file may sweep over scenes too: each job adds the proposals of
+    its own scene (``job_config``).
 
     The name of a scene's config takes precedence over a file of the same name in the working directory. The proposals
     of a folder's ``scene.yaml`` come before all other overrides, so that anything typed takes precedence over them.
@@ -75,8 +81,8 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
     for override in overrides:
         key, typed, value = override.partition("=")
         result += _choosing(value, sweeps) if key == "scene" and typed else [override]
-    if sweeps and any(is_swept(result, key) for key in CHOOSING):
-        return result  # each job adds the proposals of its own scenes
+    if sweeps:
+        return result
     if _any_in_blocks(overrides, result) and not any(override.startswith("renderer=") for override in overrides):
         result.append("renderer=blocks")
     return [*_proposals(result, name), *result, *_places(result, name)]

@@ -1,10 +1,11 @@
-"""What an override sets in the jobs of a sweep, and the configs of these jobs."""
+"""What an override sets in the jobs of a sweep, the configs of these jobs, and what a sweeper looks for."""
 
 from collections.abc import Sequence
 
 from hydra.core.override_parser.types import Glob, Override
 from omegaconf import DictConfig
 
+from splatrl.configuration.grammar import bare
 from splatrl.configuration.search_path import composed, options
 
 
@@ -53,6 +54,20 @@ def compositions(chosen: Sequence[Sequence[str]], name: str) -> list[dict[str, D
     return swept or [{"": composed(first, name)}]
 
 
+def directed(overrides: Sequence[str]) -> list[str]:
+    """Let Optuna look for the highest success rate, which a training returns: its sweeper minimises by default.
+
+    Args:
+        overrides: overrides as they were typed.
+
+    Returns:
+        The same, after ``hydra.sweeper.direction=maximize`` if the sweeper is Optuna's; a direction that was typed
+        takes precedence, since it comes later.
+    """
+    sweepers = [bare(override.partition("=")[2]) for override in overrides if override.startswith("hydra/sweeper=")]
+    return [*(["hydra.sweeper.direction=maximize"] if sweepers[-1:] == ["optuna"] else []), *overrides]
+
+
 def check_sweeps(overrides: Sequence[Override]) -> None:
     """Refuse sweeps that Hydra's own sweeper cannot run.
 
@@ -64,7 +79,7 @@ def check_sweeps(overrides: Sequence[Override]) -> None:
         if override.is_interval_sweep():
             raise ValueError(
                 f"{key}: expected values such as 0.001,0.01 or range(...), since interval(...) needs a sweeper such as "
-                "hydra/sweeper=optuna (pip install hydra-optuna-sweeper)"
+                "hydra/sweeper=optuna (pip install hydra-optuna-sweeper), which looks for the highest success rate"
             )
         if isinstance(override.value(), Glob) and not options(key):
             raise ValueError(f"{key}: expected values such as 1,2, since glob(...) chooses from a group")

@@ -87,7 +87,9 @@ def check_seeds(seeds: Sequence[int | None], count: int) -> None:
 
 
 def check_actions(action: Tensor, spec: TensorSpec) -> None:
-    """Refuse the numbers of actions that do not exist, with a ValueError; actions of other kinds pass."""
+    """Refuse the numbers of actions that do not exist, and actions that are not finite, with a ValueError."""
+    if action.is_floating_point() and len(wrong := (~action.isfinite()).nonzero()):
+        raise ValueError(f"action: expected finite numbers, got {action[int(wrong[0, 0])].tolist()}")
     if isinstance(spec, Categorical) and len(wrong := action[(action < 0) | (action >= spec.n)]):
         raise ValueError(f"action: expected whole numbers from 0 to {spec.n - 1}, got {int(wrong[0])}")
 

@@ -286,7 +286,7 @@ class SplatEnv(EnvBase):
         taken = None if self.lattice_steps is None else self.lattice_steps.step(given)
         try:
             return self._stepped(given) if taken is None else self._shown(taken, given)
-        except IndexError:
+        except (IndexError, ValueError):
             check_actions(given["action"], self.action_spec)
             raise
 

@@ -9,6 +9,7 @@ from torch import Tensor
 from splatrl.geometry import axis_rotations, rigid
 from splatrl.motions.finite import FiniteMotion
 from splatrl.motions.lattice import whole_steps
+from splatrl.values import are_numbers
 
 
 class OrbitMotion(FiniteMotion):
@@ -42,8 +43,13 @@ class OrbitMotion(FiniteMotion):
         distance: Sequence[float] = (0.5, 1.5),
         elevation_deg: Sequence[float] = (0.0, 90.0),
     ):
-        if origin is None or len(origin) != 3 or not all(math.isfinite(value) for value in origin):
+        if not are_numbers(origin, 3):
             raise ValueError(f"task.motion.origin: expected x, y and z in metres, got {origin}")
+        for name, limits in (("distance", distance), ("elevation_deg", elevation_deg)):
+            if not are_numbers(limits, 2):
+                raise ValueError(
+                    f"task.motion.{name}: expected two finite numbers, the smallest and the largest, got {limits}"
+                )
         if not 0 < distance[0] <= distance[1] or not -90 <= elevation_deg[0] <= elevation_deg[1] <= 90:
             raise ValueError(
                 "task.motion: expected 0 < distance[0] ≤ distance[1] and −90 ≤ elevation_deg[0] ≤ elevation_deg[1] ≤ "

@@ -52,8 +52,8 @@ class PhysicsMotion(TwinMotion):
     sensors at the beginning of each substep.
 
     Shortest paths are those of a kinematic twin, a ``DriveMotion`` with the robot's speeds, so that starts and
-    distances work as for other motions. If the robot has actuators called forward and turn, which take its velocities,
-    it takes the same actions as the twin.
+    distances work as for other motions. If the robot has the actuators forward and turn, in this order, which take its
+    velocities, it takes the same actions as the twin.
 
     ``settle`` puts the robot into a scene, where episodes begin only if it touches nothing; until then, it stands on
     level ground.
@@ -81,8 +81,8 @@ class PhysicsMotion(TwinMotion):
     Raises:
         FileNotFoundError: for MJCF files that do not exist.
         ImportError: without the extra ``physics``.
-        ValueError: for MJCF that is refused or lacks a free joint, the camera or the range of an actuator, or a number
-            out of range; or for a robot whose physics fails within one action.
+        ValueError: for MJCF that is refused or lacks a free joint, the camera or the range of an actuator, or has turn
+            before forward; for a number out of range; or for a robot whose physics fails within one action.
     """
 
     action_names: tuple[str, ...] = ()
@@ -146,6 +146,8 @@ class PhysicsMotion(TwinMotion):
         if angular_deg is None:
             angular_deg = math.degrees(self._told(turn, TURN, "angular_deg")[1])
         self.driven = forward is not None and turn is not None and len(self.limits[0]) == 2
+        if self.driven and self.world.control(FORWARD) != 0:
+            raise ValueError(f"{self.path}: expected the actuator {FORWARD!r} before {TURN!r}, got it after")
         height = float(self.home[self.layout.position][2])
         self.twin = DriveMotion(height, time_step, linear, angular_deg, lower, upper, spacing, headings)
         self.step, self.angle_step, self.height = self.twin.step, self.twin.angle_step, None

@@ -4,9 +4,10 @@ import inspect
 import json
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from hashlib import blake2b
+from itertools import islice
 from pathlib import Path
 from typing import ClassVar
 
@@ -16,7 +17,7 @@ from splatrl.files import digest_of
 from splatrl.physics.room import Floats, Room
 from splatrl.physics.terrain import Terrain
 from splatrl.scenes.cache import cached_arrays
-from splatrl.values import require_number
+from splatrl.values import are_numbers, require_number
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class CourseSettings(ABC):
     clearance: float
 
     tries: ClassVar[int]
-    """Maximum number of attempts to draw each course."""
+    """Maximum number of draws for each course."""
     places: ClassVar[str]
     """Name of the attribute that holds the number of places."""
 
@@ -53,20 +54,20 @@ class CourseSettings(ABC):
         return int(getattr(self, self.places))
 
     @abstractmethod
-    def drawn(self, room: Room, draw: np.random.Generator) -> Floats | None:
-        """Draw one course in a room, or return None if this attempt leads to a dead end.
+    def drawn(self, room: Room, draw: np.random.Generator) -> Iterator[Floats | None]:
+        """Search a room for a course without end: yield the course once it is complete, and None after other draws.
 
-        The start faces the first place.
+        The start faces the first place. Whoever takes the course decides after how many draws to give up.
 
-        Returns:
+        Yields:
             [1 + P, 4] float64: x, y, z and yaw of the start and of each place.
         """
 
     def _require_range(self, name: str) -> None:
         """Refuse a value that is not a range of metres above 0."""
         value = getattr(self, name)
-        if not (len(value) == 2 and 0.0 < value[0] <= value[1] <= 1e3):
-            raise ValueError(f"task.course.{name}: expected 0 < lowest ≤ highest, got {list(value)}")
+        if not (are_numbers(value, 2) and 0.0 < value[0] <= value[1] <= 1e3):
+            raise ValueError(f"task.course.{name}: expected 0 < lowest ≤ highest, got {value}")
 
 
 def draw_courses(
@@ -96,8 +97,8 @@ def draw_courses(
         ValueError: if there is no room for a course.
     """
     complaint = (
-        f"task.course: expected room for {settings.length} {settings.places}, found none in {settings.tries} tries; "
-        f"type wider task.motion.lower and upper, or fewer task.course.{settings.places}"
+        f"task.course: expected room for {settings.length} {settings.places}, found none in {settings.tries:,} draws; "
+        f"type wider task.motion.lower and upper, a larger task.course.turn_deg, or fewer task.course.{settings.places}"
     )
     if math.isfinite(ceiling):
         complaint += ", or a higher task.motion.ceiling"
@@ -105,7 +106,7 @@ def draw_courses(
 
     def each(number: int) -> Floats:
         rng = np.random.default_rng([seed, number])
-        drawn = (settings.drawn(room, rng) for _ in range(settings.tries))
+        drawn = islice(settings.drawn(room, rng), settings.tries)
         if (course := next((course for course in drawn if course is not None), None)) is None:
             raise ValueError(complaint)
         return course

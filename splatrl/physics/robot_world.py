@@ -101,9 +101,14 @@ class RobotWorld:
 
     def control_range(self, actuator: str) -> list[float] | None:
         """Return the limits of one of the robot's actuators; None if it has no such actuator."""
+        number = self.control(actuator)
+        return None if number is None else [float(value) for value in self.model.actuator_ctrlrange[number]]
+
+    def control(self, actuator: str) -> int | None:
+        """Return which control sets one of the robot's actuators; None if it has no such actuator."""
         mujoco = needed()
         number = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"{ROBOT}{actuator}")
-        return None if number < 0 else [float(value) for value in self.model.actuator_ctrlrange[number]]
+        return None if number < 0 else int(number)
 
     def free_joint(self, thing: str) -> int | None:
         """Return where the free joint of a thing begins in ``qpos``; None if there is no such thing or joint."""

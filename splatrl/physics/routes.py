@@ -1,7 +1,7 @@
 """Draws routes of waypoints on the ground."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,17 +37,21 @@ class RouteSettings(CourseSettings):
     turn_deg: float = 75.0
     clearance: float = 0.25
 
-    tries = 2000
+    tries = 20_000
     places = "waypoints"
 
-    def drawn(self, room: Room, draw: np.random.Generator) -> Floats | None:
-        """Draw one route; see ``CourseSettings.drawn``."""
-        x, y = draw.uniform(room.lower + self.clearance, room.upper - self.clearance)
-        route = [np.array([x, y, room.ground(x, y), draw.uniform(-math.pi, math.pi)])]
-        return np.stack(route) if self._led_on(route, room, draw) else None
+    def drawn(self, room: Room, draw: np.random.Generator) -> Iterator[Floats | None]:
+        """Draw starts, and routes from each; see ``CourseSettings.drawn``. Every waypoint is a draw."""
+        while True:
+            x, y = draw.uniform(room.lower + self.clearance, room.upper - self.clearance)
+            route = [np.array([x, y, room.ground(x, y), draw.uniform(-math.pi, math.pi)])]
+            yield np.stack(route) if (yield from self._led_on(route, room, draw)) else None
 
-    def _led_on(self, route: list[Floats], room: Room, draw: np.random.Generator) -> bool:
-        """Complete a route by depth-first search; if no attempt succeeds, return False and leave it as it was."""
+    def _led_on(self, route: list[Floats], room: Room, draw: np.random.Generator) -> Generator[None, None, bool]:
+        """Complete a route by depth-first search; if no attempt succeeds, return False and leave it as it was.
+
+        Yields None after each waypoint that leads nowhere.
+        """
         if len(route) > self.waypoints:
             return True
         begin, heading = route[-1][:3], route[-1][3]
@@ -59,7 +63,8 @@ class RouteSettings(CourseSettings):
             way = between(begin, end) + np.array([0.0, 0.0, ABOVE])
             if inside.all() and room.beside(way, self.clearance).all():
                 route.append(np.array([*end[:2], room.ground(*end[:2]), yaw]))
-                if self._led_on(route, room, draw):
+                if (yield from self._led_on(route, room, draw)):
                     return True
                 route.pop()
+            yield None
         return False

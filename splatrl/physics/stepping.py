@@ -101,6 +101,9 @@ class Physics:
         Args:
             state: [B, n] float64.
             ctrl: [B, nu], the model's controls.
+
+        Raises:
+            ValueError: for controls that are not finite.
         """
         device = state.device
         if not len(state):  # MuJoCo's rollout crashes on an empty batch
@@ -125,6 +128,8 @@ class Physics:
             before[:, clock] + (self.substeps - 0.5) * self.model.opt.timestep > after[:, clock]
         )  # stops at warnings
         sound = np.isfinite(after).all(1) & np.isfinite(sensed).all((1, 2)) & ~short
+        if not sound.all() and len(wrong := np.flatnonzero(~np.isfinite(held).all((1, 2)))):
+            raise ValueError(f"ctrl: expected finite numbers, got {held[wrong[0], 0].tolist()} in row {wrong[0]}")
         after = np.where(sound[:, None], after, before)
         sensed = np.where(sound[:, None, None], sensed, 0.0)
         return Stepped(*(torch.from_numpy(np.ascontiguousarray(one)).to(device) for one in (after, sensed, sound)))

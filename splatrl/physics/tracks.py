@@ -1,7 +1,7 @@
 """Draws tracks of gates to fly through."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -59,9 +59,11 @@ class TrackSettings(CourseSettings):
                 f"task.course.opening: expected a size below task.course.frame ({self.frame} m), got {self.opening}"
             )
 
-    def drawn(self, room: Room, draw: np.random.Generator) -> Floats | None:
-        """Draw one track; see ``CourseSettings.drawn``."""
-        return _Tracks(room, self).track(draw)
+    def drawn(self, room: Room, draw: np.random.Generator) -> Iterator[Floats | None]:
+        """Draw tracks; see ``CourseSettings.drawn``. Every track is a draw."""
+        tracks = _Tracks(room, self)
+        while True:
+            yield tracks.track(draw)
 
 
 class _Tracks:

@@ -57,13 +57,19 @@ class Block:
 
         Raises:
             FileNotFoundError: if the file no longer exists.
-            ValueError: if the file is damaged.
+            ValueError: if the file is damaged, or is no longer the one that ``digest`` stands for.
         """
-        return read_gaussians(self.splat, self.max_inflation, self.world_from_splat)
+        gaussians = read_gaussians(self.splat, self.max_inflation, self.world_from_splat)
+        if "digest" in vars(self) and self._fingerprint() != self.digest:  # caches would keep it under the old digest
+            raise ValueError(f"{self.splat}: expected a file that stays as it is while it is in use, got a changed one")
+        return gaussians
 
     @cached_property
     def digest(self) -> str:
         """Fingerprint of the block's content: the bytes and format of its file, and its frame."""
+        return self._fingerprint()
+
+    def _fingerprint(self) -> str:
         frame = None if self.world_from_splat is None else self.world_from_splat.tolist()
         digest = blake2b(f"{self.splat.suffix} {frame};".encode(), digest_size=16)
         with self.splat.open("rb") as stream:

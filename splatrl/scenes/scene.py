@@ -1,8 +1,6 @@
 """A scene: Gaussians in a metric world frame, their bounds, and cached arrays derived from them."""
 
 import json
-import math
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,7 +13,7 @@ import numpy as np
 
 from splatrl.files import checked_name
 from splatrl.scenes.cache import Arrays, cached_arrays
-from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes.gaussians import LARGEST, Gaussians
 
 Point = tuple[float, float, float]
 Bounds = tuple[Point, Point]
@@ -136,16 +134,16 @@ def checked_bounds(corners: Sequence[Sequence[float]]) -> Bounds:
     """Check a lower and an upper corner, world frame, metres, and return them as bounds.
 
     Raises:
-        ValueError: for anything else, or for empty bounds.
+        ValueError: for anything else, for empty bounds, or for corners beyond ``LARGEST``.
     """
     plain = isinstance(corners, Sequence) and [len(c) if isinstance(c, Sequence) else 0 for c in corners] == [3, 3]
     if not plain or not all(isinstance(v, Real) and not isinstance(v, bool) for c in corners for v in c):
         raise ValueError(f"bounds: expected a lower and an upper corner of 3 numbers each, got {corners!r:.200}")
-    if any(isinstance(value, int) and abs(value) > sys.float_info.max for corner in corners for value in corner):
-        raise ValueError(f"bounds: expected finite numbers, got {corners!r:.200}")
+    if not all(abs(value) <= LARGEST for corner in corners for value in corner):
+        raise ValueError(f"bounds: expected numbers from -{LARGEST:g} to {LARGEST:g}, got {corners!r:.200}")
     lower, upper = (_point(corner) for corner in corners)
     for axis, low, high in zip("xyz", lower, upper, strict=True):
-        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        if not low < high:
             raise ValueError(f"bounds: expected lower below upper along {axis}, got {low} and {high}")
     return lower, upper
 

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 import torch
 from hydra.errors import HydraException
+from omegaconf import DictConfig
 
 from splatrl.building import build_world
 from splatrl.commands import evaluate, train
@@ -289,3 +290,23 @@ def test_resuming_a_missing_run_is_refused(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(sys, "argv", ["splatrl-train", f"resume={tmp_path / 'nowhere'}"])
     with pytest.raises(SystemExit, match="resume: expected a run folder"):
         train.main()
+
+
+def test_each_job_of_a_sweep_given_in_a_file_has_the_settings_of_its_scene_and_of_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rooms = ",".join(f"'{room}'" for room in two_rooms(tmp_path))
+    sweep = f'hydra: {{sweeper: {{params: {{scene.path: "{rooms}"}}}}}}'
+    (tmp_path / "mine.yaml").write_text(f"defaults: [train, _self_]\ntask: {{max_steps: 7}}\n{sweep}\n")
+    given = list[DictConfig]()
+
+    def trained(cfg: DictConfig, folder: Path) -> float:
+        given.append(cfg)
+        return 1.0
+
+    monkeypatch.setattr(train, "train", trained)
+    chosen = ["--config-dir", str(tmp_path), "--config-name", "mine", f"hydra.sweep.dir={tmp_path / 'jobs'}"]
+    monkeypatch.setattr(sys, "argv", ["splatrl-train", "-m", *chosen, "scene=file"])
+    train.main()
+    assert [(cfg.robot.height, cfg.landmarks.goal) for cfg in given] == [(0.5, [0.5, 1, 0]), (0.65, [5.5, 0.5, 0])]
+    assert [cfg.task.max_steps for cfg in given] == [7, 7]

@@ -1,6 +1,7 @@
 """Configs compose, build what they describe, and explain what is wrong with them."""
 
 import re
+import sys
 from itertools import zip_longest
 from pathlib import Path
 from typing import NoReturn
@@ -30,6 +31,7 @@ from splatrl.configuration import (
     with_scene_paths,
 )
 from splatrl.configuration.search_path import composed, group_node
+from splatrl.configuration.sweeps import directed
 from splatrl.envs.nesting import layers
 from splatrl.envs.tasks.base import Anywhere, Outcome, Step, Verdict
 from splatrl.envs.tasks.module import TaskModule
@@ -317,9 +319,9 @@ def test_valid_overrides_sweeps_and_hydra_options_are_accepted_unchanged(argumen
 def test_options_precede_what_a_scene_proposes_so_that_hydra_accepts_both(tmp_path: Path) -> None:
     write_gaussians(tmp_path / "room.ply", tiny_gaussians())
     (tmp_path / "scene.yaml").write_text("splat: room.ply\nrobot_height: 0.5\n")
-    words = command_line("train", ["seed=0,1", "-m", f"scene={tmp_path}", "--cfg", "job"])
-    assert words[:3] == ["-m", "--cfg", "job"]
-    assert words[3:] == ["robot.height=0.5", "seed=0,1", "scene=file", f"scene.path='{tmp_path}'"]
+    words = command_line("train", ["seed=1", f"scene={tmp_path}", "--cfg", "job"])
+    assert words[:2] == ["--cfg", "job"]
+    assert words[2:] == ["robot.height=0.5", "seed=1", "scene=file", f"scene.path='{tmp_path}'"]
 
 
 @pytest.mark.parametrize(
@@ -349,6 +351,30 @@ def test_invalid_lists_are_refused_with_what_to_type_instead(words: list[str], m
 def test_a_pattern_sweeps_over_the_options_that_match_it() -> None:
     words = ["-m", "curriculum=glob(*)", "curriculum.first=3", "task=glob(*nav)", "task.goals=5"]
     assert command_line("train", words) == words
+
+
+@pytest.mark.parametrize(
+    ("typed", "added"),
+    [
+        (["hydra/sweeper=optuna"], ["hydra.sweeper.direction=maximize"]),
+        (["hydra/sweeper=basic", "hydra/sweeper='optuna'"], ["hydra.sweeper.direction=maximize"]),
+        (["hydra/sweeper=optuna", "hydra/sweeper=basic"], []),
+        (["seed=0,1"], []),
+    ],
+)
+def test_optuna_looks_for_the_highest_success_rate_unless_another_direction_is_typed(
+    typed: list[str], added: list[str]
+) -> None:
+    for words in (["task=fps", *typed], [*typed, "hydra.sweeper.direction=minimize"]):
+        assert directed(words) == [*added, *words], "Hydra takes the last direction"
+
+
+def test_optuna_is_given_its_direction_after_options_whatever_the_config(monkeypatch: pytest.MonkeyPatch) -> None:
+    words = ["hydra/sweeper=optuna", "optim.lr=interval(0.001,0.01)"]
+    monkeypatch.setattr(sys.modules["splatrl.configuration.command_line"], "_check_plugin", str)
+    for option in ([], ["--config-dir", "mine"]):
+        expected = ["-m", *option, "hydra.sweeper.direction=maximize", *words]
+        assert command_line("train", ["-m", *option, *words]) == expected
 
 
 @pytest.fixture

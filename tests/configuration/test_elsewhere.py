@@ -5,7 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from splatrl.configuration import command_line, config_elsewhere, load_config, resumed_config, run_config, save_config
+from splatrl.configuration import (
+    command_line,
+    config_elsewhere,
+    load_config,
+    resumed_config,
+    run_config,
+    save_config,
+)
 from splatrl.scenes import write_gaussians
 from tests.tiny import tiny_gaussians
 
@@ -13,8 +20,8 @@ PROPOSED = "splat: a.ply\nrobot_height: 0.7\nantialiased: false\nvoxel_size: 0.0
 
 
 def trained(folder: Path, words: list[str]) -> Path:
-    """Write the config and the record of a run that was started with some words."""
-    typed = command_line("train", words)
+    """Write the config and the record of a run that was started with some words, or of a job of a sweep after -m."""
+    typed = [word for word in command_line("train", words) if word != "-m"]
     (folder / ".hydra").mkdir(parents=True)
     (folder / ".hydra" / "overrides.yaml").write_text(json.dumps(typed))  # JSON is YAML
     save_config(load_config(typed), folder)
@@ -30,8 +37,9 @@ def gardens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def test_what_a_scene_proposed_does_not_hold_in_another_one(tmp_path: Path) -> None:
-    run = trained(tmp_path / "run", ["robot.fov_deg=70", "scene=garden/", "robot.height=0.5"])
+@pytest.mark.parametrize("sweep", [[], ["-m"]])
+def test_what_a_scene_proposed_does_not_hold_in_another_one(tmp_path: Path, sweep: list[str]) -> None:
+    run = trained(tmp_path / "run", [*sweep, "robot.fov_deg=70", "scene=garden/", "robot.height=0.5"])
     assert run_config(run).robot.height == 0.5 and run_config(run).renderer.antialiased is False
     there, usual = config_elsewhere(run, ["scene=backyard"]), load_config(["scene=backyard"])
     assert there.renderer.antialiased == usual.renderer.antialiased is True

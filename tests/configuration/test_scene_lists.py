@@ -14,6 +14,7 @@ from splatrl.configuration import (
     place_names,
     run_config,
     save_config,
+    with_scene_paths,
 )
 from splatrl.configuration.command_line import command_line
 from splatrl.configuration.search_path import composed
@@ -89,6 +90,15 @@ def test_each_job_of_a_sweep_over_yards_has_the_goal_of_its_yard(
     for job, seed in zip(jobs, (1, 0), strict=True):
         words = ["scene=yard", f"scene.seed={seed}", "seed=1"]
         assert job_config(composed(words, "train"), words) == load_config([f"scene={job}", "seed=1"])
+
+
+def test_a_sweep_given_in_a_file_trains_in_each_yard_with_its_own_goal() -> None:
+    words = with_scene_paths(["-m", "scene=yard", "+x=1"])  # the seeds are in hydra.sweeper.params of some file
+    assert words == ["-m", "scene=yard", "+x=1"]
+    job = ["scene.seed=2", *words[1:]]
+    yard = load_config(["scene=yard", "scene.seed=2"])
+    assert job_config(composed(job, "train"), job).landmarks == yard.landmarks
+    assert yard.landmarks != load_config(["scene=yard"]).landmarks
 
 
 def test_each_job_of_a_sweep_over_lists_of_scenes_has_all_scenes_of_its_list(tmp_path: Path) -> None:

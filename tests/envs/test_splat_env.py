@@ -297,6 +297,14 @@ def test_an_action_that_does_not_exist_is_refused(action: int) -> None:
             env.step(td)
 
 
+@pytest.mark.parametrize("task", ["drive", "push"])
+def test_an_action_that_is_not_finite_is_refused(task: str, tmp_path: Path) -> None:
+    env = make_env(tiny_overrides(tmp_path, task), batch_size=[2])
+    td = env.reset().set("action", torch.tensor([[0.1, 0.0], [torch.nan, 0.25]]))
+    with pytest.raises(ValueError, match=r"^action: expected finite numbers, got \[nan, 0\.25\]$"):
+        env.step(td)
+
+
 class Lottery(Grid):
     """A grid task whose episodes begin at random states of its own, each with a random number to remember."""
 

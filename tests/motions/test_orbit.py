@@ -132,7 +132,10 @@ def test_states_lists_each_state_once_and_index_finds_it() -> None:
         ({"origin": None}, r"task\.motion\.origin: expected x, y and z in metres, got None"),
         ({"origin": (0.0, 1.0)}, r"task\.motion\.origin"),
         ({"origin": (0.0, math.nan, 1.0)}, r"task\.motion\.origin"),
-        ({"distance": (0.5, math.inf)}, r"task\.motion\.distance: expected a whole number of steps"),
+        ({"origin": (0.0, "a", 1.0)}, r"task\.motion\.origin"),
+        ({"origin": 1.0}, r"task\.motion\.origin: expected x, y and z in metres, got 1\.0"),
+        ({"distance": (0.5, math.inf)}, r"task\.motion\.distance: expected two finite numbers"),
+        ({"distance": 0.5}, r"task\.motion\.distance: expected two finite numbers, .* got 0\.5"),
         (
             {"distance": (0.5, 1e6)},
             r"task\.motion: expected at most 16,777,216 states, got [\d,]+ \(12 × 3,999,999 × 4\)",

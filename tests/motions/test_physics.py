@@ -252,6 +252,13 @@ BODY = '<freejoint/><geom size="0.1"/><camera name="eye"/>'
 MOTOR = '<actuator><general site="s" ctrlrange="-1 1" name="push"/></actuator>'
 
 
+def test_a_robot_that_turns_before_it_goes_forward_is_refused(tmp_path: Path) -> None:
+    *before, forward, turn, actuators, end = mjcf_path("wheels").read_text().splitlines()
+    (tmp_path / "swapped.xml").write_text("\n".join([*before, turn, forward, actuators, end]))
+    with pytest.raises(ValueError, match=r"swapped\.xml: expected the actuator 'forward' before 'turn', got it after"):
+        PhysicsMotion(tmp_path / "swapped.xml", "eye", threads=1)
+
+
 @pytest.mark.parametrize(
     ("body", "rest", "settings", "message"),
     [

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from splatrl.physics import RouteSettings, Terrain, draw_courses
+from splatrl.physics.room import Room
 
 LOWER, UPPER = (-2.0, -2.4), (2.2, 2.0)
 PLANE = torch.tensor([0.0, 0.0, 1.0, 0.1], dtype=torch.float64)
@@ -44,6 +45,25 @@ def test_routes_are_free_and_turn_no_further_than_requested() -> None:
 def test_an_area_without_room_is_refused() -> None:
     with pytest.raises(ValueError, match=r"task\.course: expected room for 4 waypoints, found none"):
         draw_courses(Terrain(PLANE, POSTS), (-0.5, -0.5), (0.5, 0.5), RouteSettings(waypoints=4), 1, 0)
+
+
+def test_every_waypoint_counts_as_a_draw_so_that_a_room_for_almost_a_route_is_soon_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ground, drawn = Room.ground, list[float]()
+
+    def counted(room: Room, x: float, y: float) -> float:
+        drawn.append(x)
+        return ground(room, x, y)
+
+    monkeypatch.setattr(Room, "ground", counted)
+    monkeypatch.setattr(RouteSettings, "tries", 100)
+    straight = RouteSettings(waypoints=9, turn_deg=0.0, distance=(0.3, 0.4), clearance=0.0)
+    with pytest.raises(
+        ValueError, match=r"none in 100 draws; type wider .*, a larger task\.course\.turn_deg, or fewer"
+    ):
+        draw_courses(Terrain(PLANE, POSTS), (-1.0, 1.0), (1.0, 1.2), straight, 1, 0)
+    assert 10 < len(drawn) <= 100
 
 
 @pytest.mark.parametrize(

@@ -42,6 +42,12 @@ def test_an_empty_batch_steps_to_an_empty_batch() -> None:
     assert sensed.shape == (0, 3, physics.model.nsensordata) and sensed.dtype == torch.float64
 
 
+def test_controls_that_are_not_finite_are_refused() -> None:
+    physics = Physics(model(), 3, 1)
+    with pytest.raises(ValueError, match=r"ctrl: expected finite numbers, got \[0\.0, nan\] in row 1"):
+        physics.step(physics.state_of().repeat(2, 1), torch.tensor([[0.0, 0.0], [0.0, torch.nan]]))
+
+
 def test_a_row_has_the_same_bytes_alone_in_any_order_with_any_threads_and_in_parts() -> None:
     physics = Physics(model(), 10, 1)
     start = scattered(physics, 7)

@@ -8,6 +8,7 @@ import torch
 
 from splatrl.collision import Occupancy
 from splatrl.collision.point_clouds import write_points
+from splatrl.renderers.packed_blocks import Packing
 from splatrl.scenes import Gaussians, Scene, read_scene, similarity, write_gaussians
 from splatrl.scenes.blocks import BLOCKS_FILE, MOST_BLOCKS, BlockScene, read_blocks_description
 from splatrl.scenes.gaussians import INVISIBLE
@@ -56,6 +57,23 @@ def test_the_digest_depends_on_files_and_frames(tmp_path: Path) -> None:
     write_gaussians(tmp_path / "b.ply", random_gaussians(3, 20))
     assert len({*digests, read_scene(tmp_path).digest}) == 4
     assert read_scene(folder_with(tmp_path, texts[0])).digest == digests[0]
+
+
+def test_a_block_that_changes_while_it_is_in_use_is_refused_and_never_cached(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path / "cache"))
+    scene = read_scene(folder_with(tmp_path, LINE))
+    assert isinstance(scene, BlockScene) and scene.digest
+    write_gaussians(tmp_path / "a.ply", random_gaussians(3, 20))
+    for use in (
+        lambda: Packing(False, (0.0, 0.0, 0.0), True).packed(scene.blocks[0]),
+        lambda: scene.cached("means", {}, lambda: {"means": scene.gaussians.means.numpy()}),
+    ):
+        with pytest.raises(ValueError, match=r"a\.ply: expected a file that stays as it is while .* got a changed one"):
+            use()
+    assert not list((tmp_path / "cache").glob("*"))
+    assert len(read_scene(tmp_path).gaussians) == 20  # opened anew
 
 
 def test_a_scene_yaml_in_the_folder_takes_precedence(tmp_path: Path) -> None:
@@ -123,6 +141,10 @@ MALFORMED = {
     "inverted bounds": (
         LINE.replace("1, 1, 1", "1, 1, -1"),
         r"blocks\[0\].bounds: expected lower below upper along z",
+    ),
+    "bounds beyond any place": (
+        LINE.replace("[1, 1, 1]", "[1.7e308, 1, 1]"),
+        r"blocks.yaml: blocks\[0\].bounds: expected numbers from -1e\+15 to 1e\+15, got",
     ),
     "no bounds": ("blocks: [{splat: a.ply}]", r"blocks\[0\].bounds: expected a lower and an upper corner"),
     "bounds with a string": (

@@ -299,7 +299,7 @@ HUGE = "1" + 400 * "0"
     [
         (f"voxel_size: {HUGE}", "voxel_size: expected"),
         (f"goal: [0, {HUGE}, 0]", "goal: expected"),
-        (f"bounds: [[0, 0, 0], [1, 1, {HUGE}]]", "bounds: expected finite numbers"),
+        (f"bounds: [[0, 0, 0], [1, 1, {HUGE}]]", "bounds: expected numbers from -1e.15"),
         (f"world_from_splat: {{scale: {HUGE}}}", "world_from_splat.scale: expected finite numbers"),
         (f"world_from_splat: {{translation: [0, 0, {HUGE}]}}", "world_from_splat.translation: expected finite"),
         ("world_from_splat: {translation: [0, 0, 1.0e+39]}", "world_from_splat: expected positions of at most"),

@@ -112,6 +112,16 @@ def test_numbers_out_of_range_are_refused_by_key(quick: Path, wrong: dict[str, f
     assert not list(quick.iterdir())
 
 
+def test_a_cache_that_cannot_be_written_is_named_with_what_to_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path / "file" / "cache"))
+    told = r"file/cache: cannot write the town here: Not a directory; set SPLATRL_CACHE to another folder"
+    with pytest.raises(OSError, match=told):
+        splatrl.town(blocks=1)
+
+
 def test_starts_in_all_four_blocks_lead_to_the_goal_across_their_borders(quick: Path) -> None:
     words = ["scene=town", "scene.blocks=2", "task=grid", "device=cpu", "collision.occupancy.resolution=0.1"]
     world = build_world(load_config([*words, "scene.bounds=[[-2,-2,0],[2,2,1]]"]))

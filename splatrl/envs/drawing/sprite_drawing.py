@@ -1,6 +1,5 @@
 """Drawing an object that is not part of the scene, as a sprite at a position in it."""
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from splatrl.envs.drawing.base import Shot, View, solid_depth
 from splatrl.envs.drawing.billboard import overlay
 from splatrl.envs.drawing.sprite import Sprite, load_sprite
 from splatrl.renderers.base import Renderer, to_pixels
-from splatrl.values import require_number
+from splatrl.values import are_numbers, require_number
 
 
 class SpriteDrawing:
@@ -43,8 +42,8 @@ class SpriteDrawing:
     ):
         for name, value in {"size": size, "near": near}.items():
             require_number(f"drawing.{name}", value, above=0.0, unit="metres")
-        if position is not None and not (len(position) == 3 and all(math.isfinite(value) for value in position)):
-            raise ValueError(f"drawing.position: expected finite x, y and z in metres, got {list(position)}")
+        if position is not None and not are_numbers(position, 3):
+            raise ValueError(f"drawing.position: expected finite x, y and z in metres, got {position}")
         self.renderer = renderer
         self.sprite = sprite if isinstance(sprite, Sprite) else load_sprite(sprite)
         self.size, self.near = size, near

@@ -14,6 +14,7 @@ from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdi
 from splatrl.envs.tasks.rewards import PUBLISHED, OutcomeTask, Rewards
 from splatrl.geometry import azimuths
 from splatrl.motions import ForwardMotion
+from splatrl.values import are_numbers
 
 BRIGHT, PURE = 102, 1.6
 """A pixel is clearly red if R ≥ 0.4 (102 of 255) and R is at least 1.6 times G and 1.6 times B."""
@@ -77,10 +78,8 @@ class Apple(OutcomeTask):
         max_steps: int = 200,
     ):
         super().__init__(motion, rewards, max_steps)
-        if place is None or len(place) != 3 or not all(math.isfinite(value) for value in place):
-            raise ValueError(
-                f"task.place: expected x, y and z in metres, got {place if place is None else list(place)}"
-            )
+        if not are_numbers(place, 3):
+            raise ValueError(f"task.place: expected x, y and z in metres, got {place}")
         for name, value in (("red_share", red_share), ("mean_red", mean_red)):
             if value is not None and not 0 < value <= 1:
                 raise ValueError(f"task.{name}: expected a fraction in (0, 1], got {value}")

@@ -1,7 +1,7 @@
 """The circle, polar plane and hemisphere tasks: move around an object to a given viewpoint."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -11,6 +11,8 @@ from splatrl.envs.tasks.fitting import require_part
 from splatrl.envs.tasks.pose_goal import SLACK
 from splatrl.envs.tasks.rewards import OutcomeTask, Rewards
 from splatrl.motions import OrbitMotion
+from splatrl.motions.size import FARTHEST
+from splatrl.values import require_number
 
 UNIT = Rewards(step=0.0, goal=1.0, collision=-1.0, out_of_bounds=-1.0)
 
@@ -47,7 +49,7 @@ class Orbit(OutcomeTask):
         max_steps: an episode is truncated after this many steps.
 
     Raises:
-        ValueError: for any other kind of motion or rewards, or a goal that is not finite.
+        ValueError: for any other kind of motion or rewards, or a goal that is not finite or out of the motion's range.
     """
 
     motion: OrbitMotion
@@ -67,13 +69,12 @@ class Orbit(OutcomeTask):
     ):
         require_part("motion", motion, OrbitMotion, "a motion around an object", "orbit")
         super().__init__(motion, rewards, max_steps)
+        given = {"azimuth_deg": azimuth_deg, "distance": distance, "elevation_deg": elevation_deg}
+        for name, value in given.items():
+            require_number(f"task.{name}", value, -FARTHEST, FARTHEST)
         values: Sequence[float] = (math.radians(azimuth_deg), distance, math.radians(elevation_deg))
         sphere = torch.tensor(values, dtype=torch.float64)
-        if not sphere.isfinite().all():
-            raise ValueError(
-                f"task: expected finite azimuth_deg, distance and elevation_deg, got {azimuth_deg}, {distance} and "
-                f"{elevation_deg}"
-            )
+        _require_within(motion, sphere, given)
         reach = distance * math.cos(values[2])
         x, y = (float(motion.origin[i]) + reach * turn(values[0]) for i, turn in enumerate((math.cos, math.sin)))
         goal = torch.tensor([x, y, values[0] + math.pi], dtype=torch.float64)
@@ -90,3 +91,20 @@ class Orbit(OutcomeTask):
     def marks(self, memory: Memory | None = None) -> list[Mark]:
         """Return a mark at the goal pose, seen from above; see ``Task.marks``."""
         return [Mark("goal pose", self.goal)]
+
+
+def _require_within(motion: OrbitMotion, sphere: Tensor, given: Mapping[str, float]) -> None:
+    """Refuse a goal that no state of a motion reaches: more than a step beyond its distances or elevations.
+
+    Args:
+        motion: how the camera moves.
+        sphere: [3] float64, azimuth, distance and elevation of the goal, radians and metres.
+        given: the same as they were given, by name.
+    """
+    low, high = motion.sphere(torch.tensor([[0, 0, 0], [count - 1 for count in motion.shape]]))
+    beyond = torch.maximum(low - sphere, sphere - high) > motion.steps * (1 + SLACK)
+    for axis, unit in ((1, 1.0), (2, math.radians(1.0))):
+        if beyond[axis]:
+            name, value = list(given.items())[axis]
+            ends = f"{float(low[axis]) / unit:g} to {float(high[axis]) / unit:g}"
+            raise ValueError(f"task.{name}: expected at most a step beyond task.motion.{name}, {ends}, got {value}")

@@ -9,6 +9,7 @@ from torch import Tensor
 from splatrl.envs.tasks.base import Mark, Memory
 from splatrl.envs.tasks.rewards import PUBLISHED, OutcomeTask, Rewards
 from splatrl.motions.base import PlannedMotion
+from splatrl.values import are_numbers
 
 SLACK = 1e-4
 """Tolerance for rounding at the inclusive bounds of the goal, as a fraction of a step."""
@@ -39,9 +40,8 @@ class PoseGoal(OutcomeTask):
         max_steps: int = 200,
     ):
         super().__init__(motion, rewards, max_steps)
-        if goal is None or len(goal) != 3 or not all(math.isfinite(value) for value in goal):
-            got = goal if goal is None else list(goal)
-            raise ValueError(f"task.goal: expected finite x, y (metres) and yaw (degrees), got {got}")
+        if not are_numbers(goal, 3):
+            raise ValueError(f"task.goal: expected finite x, y (metres) and yaw (degrees), got {goal}")
         tolerance = torch.tensor([motion.step, motion.step, motion.angle_step], dtype=torch.float64)
         self.register_buffer("tolerance", tolerance * (1 + SLACK), persistent=False)
         x, y, yaw_deg = goal

@@ -1,11 +1,11 @@
 """The poster task: the fps task with the published example's goal format, for any indoor scene."""
 
-import math
 from collections.abc import Sequence
 
 from splatrl.envs.tasks.fps import Fps
 from splatrl.envs.tasks.rewards import PUBLISHED, Rewards
 from splatrl.motions import ForwardMotion
+from splatrl.values import are_numbers
 
 
 class Poster(Fps):
@@ -37,8 +37,7 @@ class Poster(Fps):
     def __init__(
         self, motion: ForwardMotion, goal: Sequence[float], rewards: Rewards = PUBLISHED, max_steps: int = 200
     ):
-        if goal is None or len(goal) != 6 or not all(math.isfinite(value) for value in goal):
-            got = goal if goal is None else list(goal)
-            raise ValueError(f"task.goal: expected finite x, y, z (metres), roll, pitch and yaw (degrees), got {got}")
+        if not are_numbers(goal, 6):
+            raise ValueError(f"task.goal: expected finite x, y, z (metres), roll, pitch and yaw (degrees), got {goal}")
         x, y, _, _, _, yaw_deg = goal
         super().__init__(motion, [x, y, yaw_deg + 90.0], rewards, max_steps)

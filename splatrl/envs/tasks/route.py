@@ -38,14 +38,15 @@ class Route(Course):
         [0, 0, 0, 0, 0, 0]
 
     Args:
-        motion: how the robot moves; its actions are a speed and a steering angle.
+        motion: how the robot moves; its actions are a speed and a steering angle, or those of the actuators forward
+            and turn, which take velocities.
         rewards: see ``CourseRewards``.
         course: settings from which routes are generated.
         courses: number of training routes.
         test_courses: number of test routes.
         seed: seed of the routes.
         reach: distance between car and waypoint at which the waypoint is passed, metres.
-        wheelbase: wheelbase of the car, used by the teacher, metres.
+        wheelbase: wheelbase of the car, used by the teacher, metres; of no use for robots that turn on the spot.
         mark_radius: radius of the balls, metres.
         mark_rgb: colour of the next waypoint's ball, red, green and blue in [0, 1].
         later_rgb: colour of the ball at the waypoint after it.
@@ -84,7 +85,8 @@ class Route(Course):
             require_rgb(f"task.{name}", rgb)
         if motion.limits.shape[1] != 2:
             raise ValueError(
-                f"task.motion: expected two actions, speed and steering angle, got {motion.limits.shape[1]} actions"
+                "task.motion: expected two actions, speed and steering angle or turn rate, "
+                f"got {motion.limits.shape[1]} actions"
             )
         self.reach, self.wheelbase, self.leeway = reach, wheelbase, leeway
         self.balls = Models((ball(mark_radius, mark_rgb), ball(mark_radius, later_rgb)))
@@ -98,7 +100,8 @@ class Route(Course):
         """Return the actions of a driver that knows the state: [B, n] -> [B, 2]; see ``drive_to``."""
         passed = memory["passed"].squeeze(1)
         last, goal = (self._place(state, passed + later)[:, :2] for later in (-1, 0))
-        return drive_to(self.motion.planar(state), last, goal, self.wheelbase, self.motion.limits)
+        wheelbase = None if self.motion.driven else self.wheelbase
+        return drive_to(self.motion.planar(state), last, goal, wheelbase, self.motion.limits)
 
     def parts(self, state: Tensor, memory: Memory) -> Parts:
         """Place the scene, the car, and the balls of the next two waypoints; see ``Task.parts``."""

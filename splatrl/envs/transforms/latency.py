@@ -8,7 +8,7 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
 from splatrl.envs.transforms.randomness import RandomTransform
-from splatrl.values import require_number
+from splatrl.values import are_numbers, require_number
 
 MOST = 64
 """Maximum delay, steps."""
@@ -42,8 +42,8 @@ class Latency(RandomTransform):
     def __init__(self, camera: Sequence[int] = (0, 1), action: Sequence[int] = (0, 1), seed: int = 0):
         super().__init__(seed, out_keys=["pixels", *LATE])
         for name, pair in (("camera", camera), ("action", action)):
-            if len(pair) != 2:
-                raise ValueError(f"latency.{name}: expected the lowest and the highest delay, got {list(pair)}")
+            if not are_numbers(pair, 2):
+                raise ValueError(f"latency.{name}: expected the lowest and the highest delay, got {pair}")
             for value in pair:
                 require_number(f"latency.{name}", value, 0, MOST, whole=True)
             if pair[0] > pair[1]:

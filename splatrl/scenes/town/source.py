@@ -39,14 +39,19 @@ def town(seed: int = 0, blocks: int = 10, bounds: Sequence[Sequence[float]] | No
             the crossing.
 
     Raises:
+        OSError: if the cache cannot be written.
         ValueError: for a seed or a number of blocks out of range, or empty bounds.
     """
     require_number("scene.seed", seed, 0, 2**63 - 1, whole=True)
     require_number("scene.blocks", blocks, 1, MOST, whole=True)
     corners = MIDDLE if bounds is None else checked_bounds(bounds)
     folder = cache_dir() / f"town-{seed}-{blocks}-{_source_digest()}"
-    if not (folder / BLOCKS_FILE).is_file():
-        _make(folder, seed, blocks)
+    try:
+        if not (folder / BLOCKS_FILE).is_file():
+            _make(folder, seed, blocks)
+    except OSError as error:
+        told = f"cannot write the town here: {error.strerror or error}; set SPLATRL_CACHE to another folder"
+        raise OSError(f"{folder.parent}: {told}") from error
     return read_blocks(folder, corners)
 
 

@@ -157,7 +157,8 @@ def test_the_config_is_the_published_one_with_collision_switched_off() -> None:
     ("change", "message"),
     [
         ({"place": None}, r"task\.place: expected x, y and z in metres, got None"),
-        ({"place": (0.0, 1.0)}, r"task\.place: expected x, y and z in metres, got \[0\.0, 1\.0\]"),
+        ({"place": (0.0, 1.0)}, r"task\.place: expected x, y and z in metres, got \(0\.0, 1\.0\)"),
+        ({"place": "abc"}, r"task\.place: expected x, y and z in metres, got abc"),
         ({"place": (0.0, 1.0, math.nan)}, r"task\.place"),
         ({"red_share": 0.0}, r"task\.red_share: expected a fraction in \(0, 1\], got 0\.0"),
         ({"red_share": 1.5}, r"task\.red_share"),

@@ -91,7 +91,7 @@ def test_the_published_rewards_and_limit_are_the_defaults() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"goal": (0.0, 1.0)}, r"task\.goal: expected finite x, y \(metres\) and yaw \(degrees\), got \[0\.0, 1\.0\]"),
+        ({"goal": (0.0, 1.0)}, r"task\.goal: expected finite x, y \(metres\) and yaw \(degrees\), got \(0\.0, 1\.0\)"),
         ({"goal": None}, r"task\.goal: .* got None"),
         ({"goal": (0.0, math.nan, 0.0)}, r"task\.goal"),
         ({"max_steps": 0}, r"task\.max_steps: expected a whole number of at least 1, got 0"),

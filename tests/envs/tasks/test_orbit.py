@@ -115,7 +115,21 @@ def test_the_goal_in_the_backyard_sees_past_the_wall() -> None:
     assert view.depth.median() > 1.0  # the wall is 0.2 m from other sides
 
 
-@pytest.mark.parametrize("change", [{"azimuth_deg": math.nan}, {"distance": math.inf}, {"elevation_deg": math.nan}])
-def test_a_goal_that_is_not_finite_is_refused(change: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match="task: expected finite azimuth_deg, distance and elevation_deg"):
+@pytest.mark.parametrize("change", [{"azimuth_deg": math.nan}, {"distance": "1"}, {"elevation_deg": math.inf}])
+def test_a_goal_that_is_not_a_finite_number_is_refused(change: dict[str, Any]) -> None:
+    (key,) = change
+    with pytest.raises(ValueError, match=rf"task\.{key}: expected a number from .*, got "):
+        orbit(**change)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"distance": 1.8}, r"task\.distance: .* beyond task\.motion\.distance, 0\.5 to 1\.5, got 1\.8"),
+        ({"distance": 0.2}, r"task\.distance: .* beyond task\.motion\.distance, 0\.5 to 1\.5, got 0\.2"),
+        ({"elevation_deg": -31.0}, r"task\.elevation_deg: .* task\.motion\.elevation_deg, 0 to 90, got -31\.0"),
+    ],
+)
+def test_a_goal_out_of_reach_is_refused_with_the_key_of_its_range(change: dict[str, float], told: str) -> None:
+    with pytest.raises(ValueError, match=told):
         orbit(**change)

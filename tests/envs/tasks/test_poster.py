@@ -38,7 +38,16 @@ def test_the_config_is_the_published_example() -> None:
 
 
 @pytest.mark.parametrize(
-    "goal", [None, PUBLISHED[:3], [*PUBLISHED, 0.0], [math.nan, *PUBLISHED[1:]], [*PUBLISHED[:2], math.inf, 90, 0, 80]]
+    "goal",
+    [
+        None,
+        3.0,
+        ["1"] * 6,
+        PUBLISHED[:3],
+        [*PUBLISHED, 0.0],
+        [math.nan, *PUBLISHED[1:]],
+        [*PUBLISHED[:2], math.inf, 90, 0, 80],
+    ],
 )
 def test_a_goal_of_anything_but_six_finite_numbers_is_refused(goal: Any) -> None:
     with pytest.raises(ValueError, match=r"task\.goal: expected finite x, y, z \(metres\), roll, pitch and yaw"):

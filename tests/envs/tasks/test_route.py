@@ -12,6 +12,7 @@ from splatrl.envs.tasks import Outcome, Route
 from splatrl.misfits import check_height
 from splatrl.motions import PhysicsMotion
 from splatrl.physics import RouteSettings, Terrain
+from splatrl.physics.chauffeur import drive_to
 from tests.envs.tasks.courses import NOTHING, PLANE, CourseContract, cache, judged, wander
 from tests.envs.test_configured_tasks import ConfiguredContract
 from tests.tiny import bare_site, tiny_overrides
@@ -30,10 +31,12 @@ def car(terrain: Terrain | None = None) -> PhysicsMotion:
     return motion
 
 
-def route(courses: int = 2, test_courses: int = 3) -> Route:
+def route(courses: int = 2, test_courses: int = 3, motion: PhysicsMotion | None = None) -> Route:
     """Make the task around a post, with routes of three waypoints."""
     chosen = RouteSettings(waypoints=3)
-    task = Route(car(Terrain(PLANE, POST)), course=chosen, courses=courses, test_courses=test_courses)
+    motion = motion or car()
+    motion.stand_on(Terrain(PLANE, POST))
+    task = Route(motion, course=chosen, courses=courses, test_courses=test_courses)
     task.generate_courses()
     return task
 
@@ -137,7 +140,9 @@ def test_two_waypoints_are_shown_and_none_after_the_last() -> None:
 
 def test_a_robot_with_other_actions_is_refused() -> None:
     motion = PhysicsMotion("quadrotor", "eye", linear=(-1.0, 1.0), angular_deg=90.0, threads=1)
-    with pytest.raises(ValueError, match=r"task\.motion: expected two actions, speed and steering angle, got 4"):
+    with pytest.raises(
+        ValueError, match=r"task\.motion: expected two actions, speed and steering angle or turn rate, got 4"
+    ):
         Route(motion)
 
 
@@ -154,6 +159,21 @@ class TestRoute(ConfiguredContract, CourseContract):
 
     def course(self, courses: int = 2, test_courses: int = 3) -> Route:
         return route(courses, test_courses)
+
+
+def test_a_robot_that_turns_on_the_spot_is_taught_turn_rates() -> None:
+    robot, goal = torch.zeros(2, 3).double(), torch.tensor([[0.3, 0.1], [-0.3, 0.1]]).double()
+    limits = torch.tensor([[-0.25, -1.5], [0.5, 1.5]])
+    ahead, behind = drive_to(robot, robot[:, :2], goal, None, limits)
+    assert (ahead[1] / ahead[0]).item() == pytest.approx(2 * 0.1 / (0.3**2 + 0.1**2))  # of the circle through the goal
+    assert behind.tolist() == [0.0, 1.5]
+    motion = PhysicsMotion("wheels", "eye", lower=(-2.0, -2.0), upper=(2.0, 2.0), threads=1)
+    task = route(motion=motion)
+    last, goal = task.places[:1, :2].unbind(1)
+    x, y, _, yaw = goal[0].tolist()
+    state = motion.placed(torch.tensor([[x - math.cos(yaw), y - math.sin(yaw), yaw + 0.4]]).double())
+    rates = drive_to(motion.planar(state), last[:, :2], goal[:, :2], None, motion.limits)
+    assert torch.equal(task.teach(state, {"passed": torch.tensor([[0]])}), rates)
 
 
 def test_routes_are_drawn_on_level_ground_too(tmp_path: Path) -> None:

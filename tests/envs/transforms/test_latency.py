@@ -1,5 +1,7 @@
 """Latency: delayed views and actions."""
 
+from typing import Any
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -115,10 +117,11 @@ def test_under_frame_skip_delays_count_env_steps() -> None:
     [
         ((2, 1), (0, 0), r"latency\.camera: expected lowest ≤ highest, got \[2, 1\]"),
         ((0, 0), (0, 65), r"latency\.action: expected .* got 65"),
-        ((0,), (0, 0), r"latency\.camera: expected the lowest and the highest delay, got \[0\]"),
+        ((0,), (0, 0), r"latency\.camera: expected the lowest and the highest delay, got \(0,\)"),
+        (2, (0, 0), r"latency\.camera: expected the lowest and the highest delay, got 2"),
     ],
 )
-def test_invalid_delays_are_refused(camera: tuple[int, ...], action: tuple[int, ...], message: str) -> None:
+def test_invalid_delays_are_refused(camera: Any, action: tuple[int, ...], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Latency(camera, action)
 
