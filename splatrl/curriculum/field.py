@@ -86,7 +86,7 @@ def cost_field(motion: PlannedMotion, checker: Checker, reached: Reached) -> Fie
     if not torch.equal(joined, free):
         taps = [Taps(tap.node[joined[rows]], tap.weight[joined[rows]]) for tap in taps]
         rows = rows[joined[rows]]
-        costs = _settle(torch.where(goals, 0.0, FAR), rows, [_slim(_among(tap, joined)) for tap in taps])
+        costs = _settle(torch.where(joined, costs, FAR), rows, [_slim(_among(tap, joined)) for tap in taps])
     return Field(motion, costs)
 
 
