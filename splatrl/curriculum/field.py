@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from tqdm import tqdm
 
 from splatrl.collision.base import Checker
 from splatrl.motions.base import PlannedMotion, Taps
@@ -15,6 +16,8 @@ Reached = Callable[[Tensor], Tensor | None]
 """Function that returns whether states [N, ...] are at a goal, [N] bool, or None if there are no goal states."""
 SETTLED = 1e-3
 """Value iteration stops when no node's cost changes by more than this many steps."""
+PATIENCE = 2.0
+"""Seconds after which value iteration shows its progress."""
 
 
 class NoPath(ValueError):
@@ -92,12 +95,14 @@ def cost_field(motion: PlannedMotion, checker: Checker, reached: Reached) -> Fie
 
 def _settle(costs: Tensor, rows: Tensor, taps: list[Taps]) -> Tensor:
     """Set the cost of each row to one more than that of its best successor, until nothing changes."""
-    while True:
-        best = torch.stack([_mean(costs, tap) for tap in taps]).amin(0).add(1).clamp_max(FAR)
-        settled = bool(((costs[rows] - best).abs() <= SETTLED).all())
-        costs = costs.index_put((rows,), best)
-        if settled:
-            return costs
+    with tqdm(desc="shortest paths", unit="sweep", delay=PATIENCE, leave=False, dynamic_ncols=True) as bar:
+        while True:
+            best = torch.stack([_mean(costs, tap) for tap in taps]).amin(0).add(1).clamp_max(FAR)
+            settled = bool(((costs[rows] - best).abs() <= SETTLED).all())
+            costs = costs.index_put((rows,), best)
+            if settled:
+                return costs
+            bar.update()
 
 
 def _open(motion: PlannedMotion, checker: Checker, state: Tensor, action: Tensor) -> Taps:
