@@ -558,6 +558,12 @@ def test_a_resumption_neither_adds_nor_deletes_keys(word: str, tmp_path: Path) -
         resumed_config(tmp_path, [f"resume={tmp_path}", word])
 
 
+def test_modes_of_hydra_that_exclude_each_other_are_refused_in_one_line() -> None:
+    with pytest.raises(SystemExit, match=r"^splatrl-train: --cfg: expected no other mode beside it, got -m as well$"):
+        command_line("train", ["-m", "seed=1,2", "--cfg", "job"])
+    assert command_line("train", ["--cfg", "job", "-p", "optim"]) == ["--cfg", "job", "-p", "optim"]
+
+
 def test_a_sweep_of_resumptions_may_run_on_a_cluster(tmp_path: Path) -> None:
     save_config(load_config(), tmp_path)
     assert resumed_config(tmp_path, [f"resume={tmp_path}", "+launcher=ray"]) == resumed_config(tmp_path, [])
