@@ -348,6 +348,16 @@ def test_invalid_lists_are_refused_with_what_to_type_instead(words: list[str], m
         command_line("train", [word.format(tmp_path) for word in words])
 
 
+@pytest.mark.parametrize(
+    "words", [["-m", "seed=0,1", "--cfg", "job"], ["--multirun", "--info=all"], ["-m", "-c", "all"]]
+)
+def test_a_sweep_that_would_only_be_shown_is_refused(words: list[str]) -> None:
+    with pytest.raises(
+        SystemExit, match=r"splatrl-train: -.*: expected no -m beside it, .*; leave out -m and all sweeps"
+    ):
+        command_line("train", words)
+
+
 def test_a_pattern_sweeps_over_the_options_that_match_it() -> None:
     words = ["-m", "curriculum=glob(*)", "curriculum.first=3", "task=glob(*nav)", "task.goals=5"]
     assert command_line("train", words) == words
