@@ -20,6 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 from splatrl.configuration.grammar import bare, last_typed, nested, quoted, readable, unquoted
 from splatrl.configuration.scene_overrides import scene_overrides
 from splatrl.configuration.search_path import composed, group_choices, group_node, is_group, options
+from splatrl.files import expanded
 from splatrl.values import flat, require_number
 
 SWEEP = {"-m", "--multirun"}
@@ -68,10 +69,10 @@ def load_job(overrides: Sequence[str]) -> DictConfig:
 def _alone(overrides: Sequence[str]) -> list[str]:
     """Return the overrides of a job of a sweep as they would be typed for one training: a path after ``scene=``."""
     paths = [override for override in overrides if override.startswith("scene.path=")]
-    if "scene=file" not in overrides or not paths:
+    path = expanded(str(last_typed(paths, "scene.path", ""))).absolute()  # not the name of a config
+    if "scene=file" not in overrides or not paths or not path.exists():
         return list(overrides)
-    others = [override for override in overrides if override not in ("scene=file", *paths)]
-    return [*others, f"scene={last_typed(paths, 'scene.path', '')}"]
+    return [*(override for override in overrides if override not in ("scene=file", *paths)), f"scene={path}"]
 
 
 def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]:
