@@ -48,7 +48,7 @@ def are_numbers(values: object, count: int) -> bool:
     """Return whether something is a sequence of ``count`` finite numbers, not text or anything else in its place."""
     try:
         return len(values) == count and all(math.isfinite(value) for value in values)  # type: ignore[arg-type, attr-defined]
-    except TypeError:
+    except (OverflowError, TypeError):  # a whole number beyond the largest float, or no number
         return False
 
 

@@ -1,10 +1,11 @@
 """Numbers are checked and formatted for people, and errors name their key."""
 
+import math
 import re
 
 import pytest
 
-from splatrl.values import require_number, tenths, under_key
+from splatrl.values import are_numbers, require_number, tenths, under_key
 
 
 @pytest.mark.parametrize(
@@ -32,6 +33,11 @@ def test_numbers_out_of_range_are_refused_with_the_range(
     for value in refused:
         with pytest.raises(ValueError, match=re.escape(f"a.key: expected {expected}, got {value!r}")):
             require_number("a.key", value, **bounds)
+
+
+@pytest.mark.parametrize("values", ["123", 3, None, [1, 2], [1, 2, "3"], [1, 2, math.nan], [1, 2, 10**400]])
+def test_what_is_not_three_finite_numbers_is_told_apart(values: object) -> None:
+    assert not are_numbers(values, 3) and are_numbers((1, 2.5, -3), 3)
 
 
 @pytest.mark.parametrize(

@@ -28,8 +28,8 @@ OWN_CONFIG = ("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-
 WITH_VALUE = (*OWN_CONFIG, "--cfg", "-c", "--package", "-p", "--info", "-i", "--experimental-rerun")
 """Hydra options that take the next word as their value."""
 HELP = ("-h", "--help")
-MODES = ("-r", "--run", "-m", "--multirun", "-c", "--cfg", "-i", "--info", "-sc", "--shell-completion")
-"""Hydra's options of which it takes only one."""
+SHOWING = ("--cfg", "-c", "--info", "-i")
+"""Hydra options that show something instead of running."""
 MAIN_KEYS = {
     "train": "scene",
     "evaluate": "run",
@@ -115,10 +115,12 @@ def _is_plain(word: str) -> bool:
 
 
 def _check_words(name: str, arguments: Sequence[str]) -> None:
-    """Refuse words that are neither overrides nor Hydra options, and options that exclude each other."""
-    modes = [word for word in arguments if word.partition("=")[0] in MODES]
-    if len(modes) > 1:
-        raise UserError(f"{modes[1]}: expected no other mode beside it, got {modes[0]} as well")
+    """Refuse words that are neither overrides nor Hydra options, and options that Hydra cannot combine."""
+    shown = [word for word in arguments if word.partition("=")[0] in SHOWING]
+    if shown and SWEEP.intersection(arguments):
+        raise UserError(
+            f"{shown[0]}: expected no -m beside it, since it shows a single run; leave out -m and all sweeps"
+        )
     for before, word in zip(["", *arguments], arguments, strict=False):
         key, _, value = word.lstrip("-").partition("=")
         if word.startswith("--") and _is_ours(key, name):

@@ -12,7 +12,7 @@ from splatrl.configuration.checking import check_constructors
 from splatrl.configuration.grammar import quoted, written
 from splatrl.configuration.places import place_configs
 from splatrl.configuration.run_configs import PATHS, run_config, with_absolute_paths
-from splatrl.configuration.scene_choice import has_key, job_config, load_config, without_proposals
+from splatrl.configuration.scene_choice import has_key, load_config, load_job, without_proposals
 from splatrl.configuration.search_path import composed
 from splatrl.documents import read_yaml
 from splatrl.values import flat
@@ -93,7 +93,7 @@ def _changed_later(own: DictConfig, typed: Sequence[str]) -> dict[str, Any]:
     try:
         then = composed(typed, "train")
         with suppress(OSError, ValueError, HydraException):  # the scene has gone
-            then = job_config(then, typed)
+            then = load_job(typed)  # whichever Hydra app this is
         then = with_absolute_paths(then)
     except HydraException:  # typed for other configs than those of today
         return {}

@@ -20,6 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 from splatrl.configuration.grammar import bare, last_typed, nested, quoted, readable, unquoted
 from splatrl.configuration.scene_overrides import scene_overrides
 from splatrl.configuration.search_path import composed, group_choices, group_node, is_group, options
+from splatrl.files import expanded
 from splatrl.values import flat, require_number
 
 SWEEP = {"-m", "--multirun"}
@@ -46,18 +47,32 @@ def job_config(cfg: DictConfig, overrides: Sequence[str]) -> DictConfig:
         cfg: the job's config as Hydra composed it.
         overrides: the job's overrides.
     """
-    paths = [override for override in overrides if override.startswith("scene.path=")]
-    if "scene=file" in overrides and paths:
-        others = [override for override in overrides if override not in ("scene=file", *paths)]
-        overrides = [*others, f"scene={last_typed(paths, 'scene.path', '')}"]
-    elif not {"scene=yard", "scene=yards", "scene=many"}.intersection(overrides):
+    if not {"scene=file", "scene=yard", "scene=yards", "scene=many"}.intersection(overrides):
         return cfg
     if not GlobalHydra.instance().is_initialized():
-        return load_config(overrides)
+        return load_job(overrides)
     hydra = HydraConfig.get()  # it also searches what --config-dir, --config-name and hydra.searchpath name
     search = [override for override in hydra.overrides.hydra if override.startswith("hydra.searchpath=")]
-    words = with_scene_paths([readable(override) for override in overrides])
+    words = with_scene_paths([readable(override) for override in _alone(overrides)])
     return compose(hydra.job.config_name, [*search, *words])
+
+
+def load_job(overrides: Sequence[str]) -> DictConfig:
+    """Compose the config of a training from its overrides, whether it was a job of a sweep or not.
+
+    Args:
+        overrides: the overrides that Hydra recorded; those of a job of a sweep lack what its scene proposed.
+    """
+    return load_config(_alone(overrides))
+
+
+def _alone(overrides: Sequence[str]) -> list[str]:
+    """Return the overrides of a job of a sweep as they would be typed for one training: a path after ``scene=``."""
+    paths = [override for override in overrides if override.startswith("scene.path=")]
+    path = expanded(str(last_typed(paths, "scene.path", ""))).absolute()  # not the name of a config
+    if "scene=file" not in overrides or not paths or not path.exists():
+        return list(overrides)
+    return [*(override for override in overrides if override not in ("scene=file", *paths)), f"scene={path}"]
 
 
 def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]:

@@ -74,9 +74,18 @@ def test_a_film_of_one_lens_is_not_zoomed() -> None:
     assert zoomed(walk()) is None
 
 
-def test_parts_have_about_ten_images_of_one_take() -> None:
-    parts = _parts(np.repeat([0, 1, 2, 3], [4, 26, 1, 10]))
-    assert [len(part) for part in parts] == [4, 9, 9, 8, 1, PART] and [*chain(*parts)] == list(range(41))
+@pytest.mark.parametrize(
+    ("takes", "expected"),
+    [
+        ([26, 7, 14], [9, 9, 8, 7, 14]),
+        ([4, 26, 1, PART], [10, 10, 10, 11]),  # takes of a few images say too little about their lens
+        ([20, 3, 3], [9, 9, 8]),
+        ([3, 2], [5]),
+    ],
+)
+def test_parts_have_about_ten_images_of_one_take_unless_it_is_short(takes: list[int], expected: list[int]) -> None:
+    parts = _parts(np.repeat(np.arange(len(takes)), takes))
+    assert [len(part) for part in parts] == expected and [*chain(*parts)] == list(range(sum(takes)))
 
 
 @pytest.mark.parametrize(("ratio", "refused"), [(1.03, False), (1.1, False), (1.2, True)])

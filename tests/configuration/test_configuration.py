@@ -348,6 +348,16 @@ def test_invalid_lists_are_refused_with_what_to_type_instead(words: list[str], m
         command_line("train", [word.format(tmp_path) for word in words])
 
 
+@pytest.mark.parametrize(
+    "words", [["-m", "seed=0,1", "--cfg", "job"], ["--multirun", "--info=all"], ["-m", "-c", "all"]]
+)
+def test_a_sweep_that_would_only_be_shown_is_refused(words: list[str]) -> None:
+    with pytest.raises(
+        SystemExit, match=r"splatrl-train: -.*: expected no -m beside it, .*; leave out -m and all sweeps"
+    ):
+        command_line("train", words)
+
+
 def test_a_pattern_sweeps_over_the_options_that_match_it() -> None:
     words = ["-m", "curriculum=glob(*)", "curriculum.first=3", "task=glob(*nav)", "task.goals=5"]
     assert command_line("train", words) == words
@@ -556,12 +566,6 @@ def test_a_resumption_neither_adds_nor_deletes_keys(word: str, tmp_path: Path) -
     save_config(load_config(), tmp_path)
     with pytest.raises(ValueError, match=rf"^resume=.*: expected .*, got \+*{re.escape(word.lstrip('+'))}$"):
         resumed_config(tmp_path, [f"resume={tmp_path}", word])
-
-
-def test_modes_of_hydra_that_exclude_each_other_are_refused_in_one_line() -> None:
-    with pytest.raises(SystemExit, match=r"^splatrl-train: --cfg: expected no other mode beside it, got -m as well$"):
-        command_line("train", ["-m", "seed=1,2", "--cfg", "job"])
-    assert command_line("train", ["--cfg", "job", "-p", "optim"]) == ["--cfg", "job", "-p", "optim"]
 
 
 def test_a_sweep_of_resumptions_may_run_on_a_cluster(tmp_path: Path) -> None:

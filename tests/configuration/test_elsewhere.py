@@ -4,9 +4,11 @@ import json
 from pathlib import Path
 
 import pytest
+from hydra import initialize_config_dir
 
 from splatrl.configuration import (
     command_line,
+    conf_dir,
     config_elsewhere,
     load_config,
     resumed_config,
@@ -47,6 +49,14 @@ def test_what_a_scene_proposed_does_not_hold_in_another_one(tmp_path: Path, swee
     assert (there.robot.height, there.robot.fov_deg) == (0.5, 70)  # these were typed
     here = config_elsewhere(run, ["robot.fov_deg=60"])
     assert (here.robot.height, here.robot.fov_deg, here.renderer.antialiased) == (0.5, 60, False)
+
+
+def test_a_job_of_a_sweep_is_moved_alike_by_a_command_with_another_config(tmp_path: Path) -> None:
+    run = trained(tmp_path / "run", ["-m", "scene=garden/"])
+    alone = config_elsewhere(run, ["scene=backyard"])
+    assert alone.robot.height == load_config(["scene=backyard"]).robot.height != 0.7
+    with initialize_config_dir(str(conf_dir()), version_base="1.3"):  # as splatrl-evaluate and splatrl-view do
+        assert config_elsewhere(run, ["scene=backyard"]) == alone
 
 
 def test_a_run_is_moved_from_any_working_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -76,6 +76,18 @@ def test_each_job_of_a_sweep_over_folders_has_the_values_that_its_folder_propose
         command_line("train", ["-m", f"scene={west},{tmp_path}/nowhere/"])
 
 
+def test_a_job_in_a_folder_with_the_name_of_a_config_trains_in_that_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    west, _ = two_rooms(tmp_path)
+    west.rename(tmp_path / "backyard")
+    monkeypatch.chdir(tmp_path)
+    job = ["scene=file", "scene.path=backyard"]  # as a file may sweep
+    assert job_config(composed(job, "train"), job).scene.path == str(tmp_path / "backyard")
+    monkeypatch.chdir("/")  # as with hydra.job.chdir=true, where the scene is said to be missing
+    assert job_config(composed(job, "train"), job).scene.path == "backyard"
+
+
 @pytest.mark.parametrize(
     ("typed", "swept", "jobs"),
     [
