@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.capture.base import CaptureError, Reconstruction
-from splatrl.capture.ground import Ground, UpFrom, find_ground
+from splatrl.capture.ground import MIN_INLIERS, Ground, UpFrom, find_ground
 from splatrl.capture.jerks import TORN, camera_leaps, jerks
 from splatrl.capture.marker import MARKER_SIDE, scale_by_marker
 from splatrl.capture.progress import Progress, silent
@@ -112,7 +112,8 @@ def place(
     scale, scale_from, error = _scale(reconstruction, ground, above, metric, marker, distance, camera_height, progress)
     if scale_from != "recorded" and jerks(camera_leaps(reconstruction)) >= TORN:
         error = None  # parts may be joined wrongly
-    compared = None if ground.up_from == "cameras" else camera_height
+    floor = ground.up_from != "cameras" and ground.inliers >= MIN_INLIERS
+    compared = camera_height if floor else None  # otherwise the height above what may be no floor
     contradicted = contradiction(reconstruction, scale, scale_from, scale * above, distance, compared)
     transform = _world_from_capture(poses, points, ground, scale)
     return Placed(

@@ -14,7 +14,7 @@ from splatrl.capture import world
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.check import Quality
 from splatrl.capture.folder import problems
-from splatrl.capture.ground import Ground, cameras_up, find_ground, on_its_side, upside_down
+from splatrl.capture.ground import MIN_INLIERS, Ground, cameras_up, find_ground, on_its_side, upside_down
 from splatrl.capture.marker import MarkerScale
 from splatrl.capture.scale import Click, Distance, clicked_point
 from splatrl.capture.suggestions import NOTHING
@@ -388,6 +388,8 @@ def test_a_stated_height_or_distance_that_contradicts_the_source_of_the_scale_is
     bare = replace(walk(), points=torch.from_numpy(np.random.default_rng(0).normal(size=(3000, 3))))
     recorded = place(bare, metric=True, camera_height=9.0)
     assert recorded.up_from == "cameras" and recorded.contradicted is None, "the floor was hardly seen"
+    known = place(bare, up=torch.tensor([0.0, 0.0, 1.0]), metric=True, camera_height=90.0)
+    assert known.floor_points < MIN_INLIERS and known.contradicted is None, "although up is known"
     assert "Check what you stated" in str(place(walk(), metric=True, camera_height=9.0).contradicted)
 
 
