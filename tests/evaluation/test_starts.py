@@ -17,6 +17,7 @@ from tests.tiny import tiny_overrides
 pytest.importorskip("mujoco")
 WHEELS = ["robot=wheels", "motion@task.motion=physics", "task.motion.threads=1", "task.motion.variation.models=4"]
 WHEELS += ["task.motion.variation.friction=[0.3,2.0]", "task.motion.variation.motor=[0.3,1.0]"]
+WHEELS += ["task.motion.lower=[0.0,0.4]"]  # paths are planned in a sixth of the room
 
 
 @pytest.fixture(scope="module")
