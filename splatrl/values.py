@@ -44,10 +44,10 @@ def require_number(
     raise ValueError(f"{name}: expected a {kind}{limit}, got {value!r}")
 
 
-def are_numbers(values: object, count: int) -> bool:
+def are_numbers(values: Any, count: int) -> bool:
     """Return whether something is a sequence of ``count`` finite numbers, not text or anything else in its place."""
     try:
-        return len(values) == count and all(math.isfinite(value) for value in values)  # type: ignore[arg-type, attr-defined]
+        return len(values) == count and all(math.isfinite(value) for value in values)
     except (OverflowError, TypeError):  # a whole number beyond the largest float, or no number
         return False
 

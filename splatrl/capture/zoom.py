@@ -23,15 +23,13 @@ Floats = NDArray[np.float64]
 PART = 10
 """Number of consecutive images that share a focal length."""
 FEWEST = 7
-"""Minimum number of images of a take for a focal length of its own: in simulated films of one lens with few points,
-takes of 3 and 5 images get one that is up to 1.2 times as long."""
+"""Minimum number of images of a take for a focal length of its own; fewer say too little about it."""
 LESS = 0.01
-"""Minimum relative decrease of the mean reprojection error by which several focal lengths are better than one. It is
-0.1 % or less in films of one lens, and 6 % where the focal length changes by a tenth. Where a camera walks straight
-towards a wall, hardly any error tells a longer lens from a nearer camera."""
+"""Minimum relative decrease of the mean reprojection error by which several focal lengths are better than one. Where a
+camera walks straight towards a wall, hardly any error tells a longer lens from a nearer camera."""
 NOTED, REFUSED = 1.07, 1.15
-"""Ratio of the longest focal length to the shortest from which a film counts as zoomed, and from which it is refused.
-It is at most 1.02 in films of one lens."""
+"""Ratio of the longest focal length to the shortest from which a film counts as zoomed, and from which it is refused
+(inclusive)."""
 STEPS, CLOSE = 50, 1e-4
 """Maximum number of steps of the bundle adjustment, and the relative decrease of its cost below which it ends."""
 

@@ -66,7 +66,7 @@ class PPO:
         self.frames_per_batch, self.total_frames = frames_per_batch, total_frames
         self.frames = 0
         self.device = env.device or torch.device("cpu")
-        captured = self.device.type == "cuda" and cuda_graph is not False and not optim.compile
+        captured = self.device.type == "cuda" and cuda_graph is not False
         self.learner = Learner(model, loss, optim, CudaGraph if captured else None)
         steps = frames_per_batch // env.numel()
         self.collector: Collector
