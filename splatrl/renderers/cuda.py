@@ -152,6 +152,7 @@ class CudaRenderer:
         packer = Packer(models_of(scene), antialiased, checked_background(background), tolerance)
         self._load = load or (lambda source, defines: CudaKernels(source, device, defines))
         self._settings = antialiased, packer.sh_degree, tolerance > 0
+        self._exact = tolerance == 0
         self._kernels = self._load("render", kernel_defines(*self._settings))
         self._parts: tuple[Kernels, CudaParts] | None = None  # loaded when first needed
         self.device = self._kernels.device
@@ -227,18 +228,30 @@ class CudaRenderer:
 
         shared = shared_bytes(kernel, parts is not None)
 
-        def launch(blocks: int, key_capacity: int, chosen: Tensor | None, left: Tensor | None) -> None:
+        def launch(
+            kernel: str,
+            output: _Images | Tensor,
+            blocks: int = len(working.nodes),
+            room: int = working.key_capacity,
+            chosen: Tensor | None = None,
+            left: Tensor | None = None,
+        ) -> None:
             next_tile = self._zeros(1, dtype=torch.int32)
             memory = (working.keys, working.nodes, next_tile, chosen, left, self._faults.flag, efforts)
             addresses = (_address(part) for part in memory)
-            workspace = _Workspace(*addresses, key_capacity, working.nodes.shape[2])
-            arguments = self._models.arrays, views, workspace, images
+            workspace = _Workspace(*addresses, room, working.nodes.shape[2])
+            arguments = self._models.arrays, views, workspace, output
             kernels.launch(kernel, min(blocks, tiles), BLOCK_THREADS, *arguments, shared=shared)
 
         with self._turns.taken():
-            launch(len(working.nodes), working.key_capacity, None, left)
+            order = None
+            if self._exact and tiles > len(working.nodes):  # so that no block begins a large tile when others are done
+                weights = self._zeros(tiles, dtype=torch.int32)
+                launch("weigh_tiles", weights)
+                order = heaviest_first(weights)
+            launch(kernel, images, chosen=order, left=left)
             if left is not None:  # tiles that had no room, on only as many blocks as have room for any tile
-                launch(working.few_blocks, working.most_keys, left, None)
+                launch(kernel, images, working.few_blocks, working.most_keys, left)
 
     def _for_parts(self) -> tuple[Kernels, CudaParts]:
         """Return the kernels that draw rows with parts, and the placement of parts; both are loaded on first use."""
@@ -271,6 +284,16 @@ class CudaRenderer:
 
     def _zeros(self, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
         return torch.zeros(shape, dtype=dtype, device=self.device)
+
+
+def heaviest_first(weights: Tensor) -> Tensor:
+    """Return how many tiles there are, and then all of them by descending weight: [1 + tiles] int32.
+
+    Args:
+        weights: estimated work of each tile, [tiles] int32.
+    """
+    order = weights.argsort(descending=True).int()
+    return torch.cat((torch.full_like(order[:1], len(order)), order))
 
 
 def _address(tensor: Tensor | None) -> int | None:

@@ -10,6 +10,15 @@ namespace splatrl {
 
 constexpr uint32_t FIRST = 1u << 31;  // the bit that stands for the first of 32 splats or chunks
 
+constexpr float NOTHING = -1e30f;     // log2 of an opacity that is invisible
+
+// Clear the highest bit of a word that is not 0, and return its place: 0 for the lowest bit of all.
+SPLAT_INLINE int take_highest(uint32_t& bits) {
+    const int place = 31 - __clz(bits);
+    bits ^= 1u << place;
+    return place;
+}
+
 // Evaluate a splat's colour, seen along `offset` and relative to the background, and store it as half floats in the
 // record, together with the splat's peak.
 SPLAT_INLINE void add_color(const SceneArrays& scene, uint32_t at, const Vector<float>& offset, float peak,
@@ -82,8 +91,7 @@ struct Seen {
     float4 mean;           // with the log2 opacity in w
     Vector<float> offset;  // mean relative to the camera
 
-    INLINE_MEMBER Seen(const SceneArrays& scene, const Views& views, const Shared& shared, Key key) {
-        const uint32_t index = index_of(key);
+    INLINE_MEMBER Seen(const SceneArrays& scene, const Views& views, const Shared& shared, uint32_t index) {
         const int part = part_of(views, shared, index);
         camera = camera_of_part(views, shared, part);
         at = location_of(views, shared, part, index);
@@ -106,12 +114,12 @@ SPLAT_INLINE uint32_t project_slab(const SceneArrays& scene, const Views& views,
     uint32_t kept = 0;
     for (uint32_t begin = 0; begin < count; begin += THREADS) {
         const uint32_t i = begin + thread();
-        const Key key = i < count ? shared.sorted[i] : NO_KEY;
+        const uint32_t index = i < count ? index_of(shared.sorted[i]) : 0;
         Footprint<float> print{};
         bool shows = false;
         if (i < count) {
             PASS(project);
-            print = Seen(scene, views, shared, key).footprint(scene, log2_invisible);
+            print = Seen(scene, views, shared, index).footprint(scene, log2_invisible);
             shows = may_show(print, shared.tile, log2_invisible);
         }
         const uint32_t lanes = __ballot_sync(ALL_LANES, shows);
@@ -123,10 +131,9 @@ SPLAT_INLINE uint32_t project_slab(const SceneArrays& scene, const Views& views,
             kept += shared.sums[other];
         }
         if (shows) {
-            if (!WITH_PARTS) prefetch_color(scene, index_of(key));
-            shared.sorted[place] = key;  // in place: keys up to here have been read and are no longer needed
+            if (!WITH_PARTS) prefetch_color(scene, index);
             shared.records[place] = {print.x, print.y, print.l11, print.l12, print.l22, print.log2_opacity,
-                                     __float_as_uint(print.peak), 0};
+                                     __float_as_uint(print.peak), index};
             if constexpr (WITH_DEPTH) shared.depths[place] = print.depth;
         }
         __syncthreads();
@@ -148,7 +155,7 @@ SPLAT_INLINE void color_slab(const SceneArrays& scene, const Views& views, Share
         if (i < count) {
             PASS(color);
             Record record = shared.records[i];
-            const Seen seen(scene, views, shared, shared.sorted[i]);
+            const Seen seen(scene, views, shared, record.green_blue);
             add_color(scene, seen.at, seen.offset, __uint_as_float(record.peak_red), record);
             shared.records[i].peak_red = record.peak_red, shared.records[i].green_blue = record.green_blue;
             const Ellipse ellipse(record.x - float(shared.tile.left), record.y - float(shared.tile.top), record.l11,
@@ -213,8 +220,7 @@ struct Pixels {
     INLINE_MEMBER float blend(const Record& record, float alpha, Pixel& pixel) const {
         const float before = pixel.transmittance, share = before * alpha;
         pixel.transmittance = before - share;
-        const float tested = finished > MIN_TRANSMITTANCE ? before : pixel.transmittance;
-        const float counted = tested > finished ? share : 0.0f;
+        const float counted = (WITH_LEVELS ? before : pixel.transmittance) > finished ? share : 0.0f;
         pixel.red += counted * high_half(record.peak_red);
         pixel.green += counted * low_half(record.green_blue);
         pixel.blue += counted * high_half(record.green_blue);
@@ -227,7 +233,7 @@ struct Pixels {
     INLINE_MEMBER void blend_slab(SharedMemory& shared) {
         const int first = quarter() * BANDS;  // number of the first of its cells
         uint32_t chunks = 0, splats = 0;
-        int band = -1, begin = 0;  // begin: the first splat of the chunk
+        int band = -1, last = 0;  // last: the last splat of the chunk
         float x = 0.0f, y = 0.0f;
         Pixel pixel{};
         Behind behind{};
@@ -243,24 +249,23 @@ struct Pixels {
                     x = float(column_in(band)) + 0.5f, y = float(row_in(band)) + 0.5f;
                 }
                 PASS(chunk);
-                const int chunk = __clz(chunks);
-                splats = shared.cells[chunk][first + band], begin = chunk * WARP;
-                chunks &= ~(FIRST >> chunk), blended += __popc(splats);
+                const int chunk = WARP - 1 - take_highest(chunks);
+                splats = shared.cells[chunk][first + band], last = chunk * WARP + WARP - 1;
+                blended += __popc(splats);
             }
             PASS(pair);
-            const int first_bit = __clz(splats);
-            splats &= ~(FIRST >> first_bit);
+            const int one_bit = take_highest(splats);
             const bool another = splats != 0;
-            const int second_bit = another ? __clz(splats) : first_bit;
-            splats &= ~(FIRST >> second_bit);
-            const Record &one = shared.records[begin + first_bit], &two = shared.records[begin + second_bit];
+            splats = another ? splats : 1;  // so that nothing branches
+            const int next_bit = take_highest(splats), two_bit = another ? next_bit : one_bit;
+            const Record &one = shared.records[last - one_bit], &two = shared.records[last - two_bit];
             const float alpha_of_one = alpha_of(one, x, y, one.log2_opacity);
-            const float alpha_of_two = alpha_of(two, x, y, another ? two.log2_opacity : log2_invisible - 1.0f);
+            const float alpha_of_two = alpha_of(two, x, y, another ? two.log2_opacity : NOTHING);
             const float share_of_one = blend(one, alpha_of_one, pixel);
             const float share_of_two = blend(two, alpha_of_two, pixel);
             if constexpr (WITH_DEPTH) {
-                behind.depth += share_of_one * shared.depths[begin + first_bit], behind.alpha += share_of_one;
-                behind.depth += share_of_two * shared.depths[begin + second_bit], behind.alpha += share_of_two;
+                behind.depth += share_of_one * shared.depths[last - one_bit], behind.alpha += share_of_one;
+                behind.depth += share_of_two * shared.depths[last - two_bit], behind.alpha += share_of_two;
             }
         }
         __syncwarp();

@@ -97,14 +97,24 @@ SPLAT_INLINE bool group_in_view(const SceneArrays& scene, const View& view, uint
 }
 
 // Append the keys of the lanes that have one, as far as there is room. Keys for which there is none are counted, too.
-SPLAT_INLINE void append(Shared& shared, Key* keys, uint32_t room, Key key) {
-    const uint32_t found = __ballot_sync(ALL_LANES, key != NO_KEY);
-    if (found == 0) return;
-    uint32_t base = 0;
-    if (lane() == 0) base = atomicAdd(&shared.count, uint32_t(__popc(found)));
-    base = __shfl_sync(ALL_LANES, base, 0);
-    const uint32_t at = base + rank_in(found);
-    if (key != NO_KEY && at < room) keys[at] = key;
+template <int NUMBER>
+SPLAT_INLINE void append(Shared& shared, Key* keys, uint32_t room, const Key (&some)[NUMBER]) {
+    uint32_t found[NUMBER], all = 0;
+#pragma unroll
+    for (int i = 0; i < NUMBER; ++i) {
+        found[i] = __ballot_sync(ALL_LANES, some[i] != NO_KEY);
+        all += uint32_t(__popc(found[i]));
+    }
+    if (all == 0) return;
+    uint32_t first = 0;
+    if (lane() == 0) first = atomicAdd(&shared.count, all);
+    first = __shfl_sync(ALL_LANES, first, 0);
+#pragma unroll
+    for (int i = 0; i < NUMBER; ++i) {
+        const uint32_t at = first + rank_in(found[i]);
+        if (some[i] != NO_KEY && at < room) keys[at] = some[i];
+        first += uint32_t(__popc(found[i]));
+    }
 }
 
 // Write the keys of all Gaussians that may be visible, from the nodes that `cull` left. Half a warp takes a node: it
@@ -141,12 +151,14 @@ SPLAT_INLINE void find_candidates(const SceneArrays& scene, const Workspace& wor
                 indices[i] = left != 0 ? scene.indices[slot] : 0;
                 left &= left - 1;
             }
+            Key some[AT_ONCE];
 #pragma unroll
             for (int i = 0; i < AT_ONCE; ++i) {
                 const Key key = candidate(shared, part, spheres[i], indices[i]);
-                append(shared, keys, uint32_t(workspace.key_capacity), key);
                 if (key != NO_KEY) low = key < low ? key : low, high = key > high ? key : high;
+                some[i] = key;
             }
+            append(shared, keys, uint32_t(workspace.key_capacity), some);
         }
     }
     find_range(shared, low, high);

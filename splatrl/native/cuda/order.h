@@ -5,14 +5,18 @@
 
 namespace splatrl {
 
-// A range of keys, divided evenly into buckets.
-struct Cut {
+// Number of bits of the integers below a power of two.
+constexpr int bits_below(int power) { return power <= 1 ? 0 : 1 + bits_below(power / 2); }
+
+// A range of keys, divided evenly into a number of buckets, which is a power of two.
+template <int NUMBER>
+struct CutInto {
     Key low, high;  // both inclusive
     int shift;
 
-    INLINE_MEMBER Cut(Key low, Key high) : low(low), high(high), shift(0) {
-        constexpr int BUCKET_BITS = 10;
-        static_assert(1 << BUCKET_BITS == BUCKETS, "there must be one bucket for each value of BUCKET_BITS bits");
+    INLINE_MEMBER CutInto(Key low, Key high) : low(low), high(high), shift(0) {
+        constexpr int BUCKET_BITS = bits_below(NUMBER);
+        static_assert(1 << BUCKET_BITS == NUMBER, "there must be one bucket for each value of BUCKET_BITS bits");
         const int bits = 64 - __clzll(high - low);
         shift = bits > BUCKET_BITS ? bits - BUCKET_BITS : 0;
     }
@@ -20,9 +24,13 @@ struct Cut {
     INLINE_MEMBER Key begin(int bucket) const { return low + (Key(bucket) << shift); }
 };
 
+using Cut = CutInto<BUCKETS>;
+using SlabCut = CutInto<SLAB_BUCKETS>;
+
 // Replace each count by the sum of those before it (exclusive prefix sum). Returns the sum of all.
-SPLAT_INLINE uint32_t sum_up(Shared& shared, uint32_t* counts) {
-    constexpr int OWN = BUCKETS / THREADS;
+template <int NUMBER>
+SPLAT_INLINE uint32_t sum_up(Shared& shared, uint32_t (&counts)[NUMBER]) {
+    constexpr int OWN = NUMBER / THREADS;
     uint32_t own[OWN], total = 0;
     for (int i = 0; i < OWN; ++i) {
         own[i] = total;
@@ -65,30 +73,23 @@ SPLAT_INLINE void for_each_key(const Key* keys, uint32_t count, const Use& use) 
     }
 }
 
-// Histogram the keys in the range of a cut into counts [BUCKETS]. Returns the largest count that this thread found in a
-// bucket before it added a key.
-SPLAT_INLINE uint32_t count_keys(uint32_t* counts, const Key* keys, uint32_t count, const Cut& cut) {
-    uint32_t most = 0;
-    for (int i = thread(); i < BUCKETS; i += THREADS) counts[i] = 0;
+// Histogram the keys in the range of a cut.
+template <int NUMBER>
+SPLAT_INLINE void count_keys(uint32_t (&counts)[NUMBER], const Key* keys, uint32_t count, const CutInto<NUMBER>& cut) {
+    for (int i = thread(); i < NUMBER; i += THREADS) counts[i] = 0;
     __syncthreads();
     for_each_key(keys, count, [&](Key key) {
-        if (key < cut.low || key > cut.high) return;
-        const uint32_t before = atomicAdd(&counts[cut.bucket(key)], 1u);
-        most = before > most ? before : most;
+        if (key >= cut.low && key <= cut.high) atomicAdd(&counts[cut.bucket(key)], 1u);
     });
     __syncthreads();
-    return most;
 }
 
-// Copy keys from `from` to `to`, grouped by bucket; `ends` [BUCKETS] receives where each bucket ends. Returns the same
-// as count_keys.
-SPLAT_INLINE uint32_t deal_to_buckets(Shared& shared, const Key* from, Key* to, uint32_t count, const Cut& cut,
-                                      uint32_t* ends) {
-    const uint32_t most = count_keys(ends, from, count, cut);
+// Copy keys from `from` to `to`, grouped by bucket, given their histogram, which is replaced by where each bucket ends.
+template <int NUMBER>
+SPLAT_INLINE void deal_to_buckets(Shared& shared, const Key* from, Key* to, uint32_t count,
+                                  const CutInto<NUMBER>& cut, uint32_t (&ends)[NUMBER]) {
     sum_up(shared, ends);
     for_each_key(from, count, [&](Key key) { to[atomicAdd(&ends[cut.bucket(key)], 1u)] = key; });
-    __syncthreads();
-    return most;
 }
 
 // Sort all of shared.sorted, whatever its keys: a bitonic sort in which each thread holds adjacent keys and exchanges
@@ -138,14 +139,14 @@ SPLAT_INLINE void find_range(Shared& shared, Key low, Key high) {
     __syncthreads();
 }
 
-// Sort the first `count` keys of shared.sorted, which are within the cut. They are grouped by its buckets, where each
-// key finds its place by comparison with the others of its bucket; if a bucket holds too many for that, all are sorted
-// by exchange.
-SPLAT_INLINE void sort_slab(Shared& shared, uint32_t count, const Cut& cut) {
+// Sort the first `count` keys of shared.sorted, which are within the cut and in shared.histogram, at most `crowd` of them
+// in one bucket as far as this thread knows. They are grouped by its buckets, where each key finds its place by
+// comparison with the others of its bucket; if a bucket holds too many for that, all are sorted by exchange.
+SPLAT_INLINE void sort_slab(Shared& shared, uint32_t count, uint32_t crowd, const SlabCut& cut) {
     constexpr uint32_t CROWD = 48;
     const uint32_t* ends = shared.histogram;
-    const uint32_t most = deal_to_buckets(shared, shared.sorted, shared.dealt, count, cut, shared.histogram);
-    if (__syncthreads_or(most >= CROWD)) {
+    deal_to_buckets(shared, shared.sorted, shared.dealt, count, cut, shared.histogram);
+    if (__syncthreads_or(crowd > CROWD)) {
         for (uint32_t i = count + thread(); i < SLAB; i += THREADS) shared.sorted[i] = NO_KEY;
         sort_by_exchange(shared);
         return;
@@ -192,30 +193,34 @@ SPLAT_INLINE int behind_last_by_warp(const uint32_t* numbers, int first, int end
 // Find where to cut the keys in [from, last] so that those before the cut fit into a slab.
 SPLAT_INLINE Key fitting_cut(Shared& shared, const Key* keys, uint32_t count, Key from, Key last) {
     for (;;) {
-        const Cut cut(from, last);
+        const SlabCut cut(from, last);
         count_keys(shared.histogram, keys, count, cut);
         const uint32_t all = sum_up(shared, shared.histogram);
         if (all <= SLAB) return last + 1;
-        const int whole = behind_last_by_warp(shared.histogram, 0, BUCKETS, SLAB) - 1;  // all before it fit
+        const int whole = behind_last_by_warp(shared.histogram, 0, SLAB_BUCKETS, SLAB) - 1;  // all before it fit
         __syncthreads();
         if (whole > 0) return cut.begin(whole);
         last = cut.begin(1) - 1;
     }
 }
 
-// Copy the keys in [from, until), at most SLAB of them, to shared.sorted. Returns how many. Their shapes are prefetched
-// while they are sorted.
-SPLAT_INLINE uint32_t gather(const SceneArrays& scene, Shared& shared, const Key* keys, uint32_t count, Key from,
-                             Key until) {
+// Copy the keys within a cut, at most SLAB of them, to shared.sorted, and histogram them into shared.histogram. Returns
+// the largest number of keys that this thread found in one bucket. Their shapes are prefetched while they are sorted.
+SPLAT_INLINE uint32_t gather(const SceneArrays& scene, Shared& shared, const Key* keys, uint32_t count,
+                             const SlabCut& cut) {
+    uint32_t most = 0;
     if (thread() == 0) shared.gathered = 0;
+    for (int i = thread(); i < SLAB_BUCKETS; i += THREADS) shared.histogram[i] = 0;
     __syncthreads();
     for_each_key(keys, count, [&](Key key) {
-        if (key < from || key >= until) return;
+        if (key < cut.low || key > cut.high) return;
         shared.sorted[atomicAdd(&shared.gathered, 1u)] = key;
+        const uint32_t found = atomicAdd(&shared.histogram[cut.bucket(key)], 1u) + 1;
+        most = found > most ? found : most;
         if (!WITH_PARTS) prefetch_to_shared_cache(scene.shapes + 3 * size_t(index_of(key)));
     });
     __syncthreads();
-    return shared.gathered;
+    return most;
 }
 
 // Start on the candidates of a tile, which are in the first row of `both` [2, capacity]. If they do not fit into one
@@ -224,7 +229,9 @@ SPLAT_INLINE void begin_slabs(Shared& shared, Key* both, int capacity) {
     const uint32_t count = shared.count;
     Slabs slabs{both, count, 0, count, BUCKETS, 1, 0, shared.low, shared.high};
     if (count > SLAB) {
-        deal_to_buckets(shared, both, both + capacity, count, Cut(slabs.low, slabs.high), shared.ends);
+        const Cut cut(slabs.low, slabs.high);
+        count_keys(shared.ends, both, count, cut);
+        deal_to_buckets(shared, both, both + capacity, count, cut, shared.ends);
         slabs.keys = both + capacity, slabs.end = 0, slabs.bucket = 0;
     } else if (count > 0) {
         slabs.from = slabs.low, slabs.last = slabs.high;
@@ -253,8 +260,10 @@ SPLAT_INLINE uint32_t next_slab(const SceneArrays& scene, Shared& shared) {
         const Key* keys = slabs.keys + slabs.begin;
         const uint32_t count = slabs.end - slabs.begin;
         const Key until = count <= SLAB ? slabs.last + 1 : fitting_cut(shared, keys, count, slabs.from, slabs.last);
-        some = gather(scene, shared, keys, count, slabs.from, until);
-        if (some > 0) sort_slab(shared, some, Cut(slabs.from, until - 1));
+        const SlabCut cut(slabs.from, until - 1);
+        const uint32_t crowd = gather(scene, shared, keys, count, cut);
+        some = shared.gathered;
+        if (some > 0) sort_slab(shared, some, crowd, cut);
         slabs.from = until;
     }
     if (thread() == 0 && some > 0) shared.slabs = slabs;  // after the last slab, others may still be reading the state

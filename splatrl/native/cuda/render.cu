@@ -42,6 +42,11 @@ SPLAT_INLINE bool next_tile(const Views& views, const Workspace& workspace, Shar
     return shared.row < views.batch;
 }
 
+// The block's own working memory for nodes [3, node_capacity].
+SPLAT_INLINE uint32_t* nodes_of_block(const Workspace& workspace) {
+    return workspace.nodes + 3 * size_t(blockIdx.x) * workspace.node_capacity;
+}
+
 // Set up the view of each part of the row: the row's camera in the part's frame.
 SPLAT_INLINE void view_parts(const Views& views, Shared& shared) {
     if (!WITH_PARTS) return;
@@ -66,13 +71,29 @@ SPLAT_INLINE void note(const Workspace& workspace, const Shared& shared, Efforts
     if (count > 0) atomicAdd(workspace.efforts + size_t(shared.row) * EFFORTS + what, count);
 }
 
+// Estimate the work of each tile by the groups of sixteen Gaussians among which its candidates are.
+SPLAT_INLINE void weigh(const SceneArrays& scene, const Views& views, const Workspace& workspace, int* weights) {
+    DYNAMIC_SHARED(Shared, shared);
+    uint32_t* nodes = nodes_of_block(workspace);
+    while (next_tile(views, workspace, shared)) {
+        if (!shared.drawn) continue;
+        view_parts(views, shared);  // cull synchronises before it reads the views
+        cull(scene, views, shared, nodes, workspace.node_capacity);
+        const uint32_t* accepted = nodes + 2 * size_t(workspace.node_capacity);
+        int groups = 0;
+        for (uint32_t i = thread(); i < shared.accepted; i += THREADS)
+            groups += int(scene.clusters[Node{accepted[i]}.cluster()].groups);
+        if (groups > 0) atomicAdd(weights + shared.item, groups);
+    }
+}
+
 template <bool WITH_DEPTH>
 SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const Workspace& workspace,
                              const Images& images) {
     using SharedMemory = typename SharedFor<WITH_DEPTH>::Type;
     DYNAMIC_SHARED(SharedMemory, shared);
     Key* keys = workspace.keys + 2 * size_t(blockIdx.x) * workspace.key_capacity;
-    uint32_t* nodes = workspace.nodes + 3 * size_t(blockIdx.x) * workspace.node_capacity;
+    uint32_t* nodes = nodes_of_block(workspace);
     while (next_tile(views, workspace, shared)) {
         if (!shared.drawn) continue;
         view_parts(views, shared);  // cull synchronises before it reads the views
@@ -96,6 +117,11 @@ SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const
 }
 
 }  // namespace splatrl
+
+extern "C" __global__ void __launch_bounds__(splatrl::THREADS, splatrl::BLOCKS_AT_ONCE)
+weigh_tiles(splatrl::SceneArrays scene, splatrl::Views views, splatrl::Workspace workspace, int* weights) {
+    splatrl::weigh(scene, views, workspace, weights);
+}
 
 extern "C" __global__ void __launch_bounds__(splatrl::THREADS, splatrl::BLOCKS_AT_ONCE)
 draw_pixels(splatrl::SceneArrays scene, splatrl::Views views, splatrl::Workspace workspace, splatrl::Images images) {

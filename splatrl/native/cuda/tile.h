@@ -31,7 +31,7 @@ constexpr int VIEWS = WITH_PARTS ? MOST_PARTS : 1;
 
 constexpr int SLAB = 512;      // splats that are sorted and blended together
 constexpr int CHUNKS = SLAB / WARP;  // chunks per slab; a chunk is 32 splats, each with a bit in a word
-constexpr int BUCKETS = 1024;  // buckets of a histogram of depths
+constexpr int BUCKETS = 2048, SLAB_BUCKETS = 1024;  // buckets by which the depths of a tile and of a slab are grouped
 
 // A key has the depth in its high bits and, in the low ones, the index in the row, counted across its parts. No two
 // keys of an image are equal, so their order does not depend on the order in which they were found.
@@ -91,7 +91,8 @@ struct Images {
 struct alignas(16) Record {
     float x, y, l11, l12;
     float l22, log2_opacity;
-    uint32_t peak_red, green_blue;    // half floats, the first in the low bits; relative to the background
+    uint32_t peak_red, green_blue;    // half floats, the first in the low bits; relative to the background. Until the
+                                      // colour is evaluated: the peak as a float, and the index in the row
 };
 
 // The state of a pixel: its colour so far, and how much of what lies behind shows through.
@@ -131,16 +132,18 @@ struct Shared {
     Slabs slabs;
     uint32_t sums[WARPS];
     uint32_t ends[BUCKETS];           // where each bucket of the candidates ends
-    Key sorted[SLAB];                 // the keys of a slab, nearest first; finally only those of visible splats
-    uint32_t cells[CHUNKS][CELLS];    // which splats of each chunk are visible on each cell, highest bit first
+    union {                           // never needed at the same time
+        Key sorted[SLAB];             // the keys of a slab, nearest first
+        uint32_t cells[CHUNKS][CELLS];  // which splats of each chunk are visible on each cell, highest bit first
+    };
     uint32_t chunks[CELLS];           // which chunks have any such splats, likewise
     uint32_t bases[VIEWS];            // first index of each part; not set without parts
-    union {                           // never needed at the same time
+    union {                           // likewise
         View views[VIEWS];            // one per part
         struct {
             union {                   // likewise
                 struct {
-                    uint32_t histogram[BUCKETS];
+                    uint32_t histogram[SLAB_BUCKETS];
                     Key dealt[SLAB];  // the keys of a slab, grouped by bucket
                 };
                 Record records[SLAB];
