@@ -30,8 +30,8 @@ SIZE = 64
 INSTRUCTIONS = {
     "node": 175,
     "groups": 126,
-    "test": 164,
-    "key": 21,
+    "test": 159,
+    "key": 31,
     "slab": 250,
     "place": 30,
     "compare": 12,
@@ -40,7 +40,7 @@ INSTRUCTIONS = {
     "row": 44,
     "cell": 20,
     "chunk": 13,
-    "pair": 72,
+    "pair": 68,
 }
 """Instructions of a warp per pass through each loop."""
 BYTES = {"node": 44, "groups": 24 + 4, "test": 16, "project": 48, "color": 16}

@@ -5,11 +5,12 @@ from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 
 from splatrl import backyard
 from splatrl.cameras import Cameras, intrinsics, look_at
-from splatrl.renderers import NativeRenderer, RenderOutput
-from splatrl.renderers.cuda import CudaRenderer
+from splatrl.renderers import NativeRenderer, RenderOutput, cuda
+from splatrl.renderers.cuda import CudaRenderer, heaviest_first
 from splatrl.scenes import Gaussians, Scene
 from tests.emulator import emulated
 from tests.renderers.cases import LIKENESS, ahead, ball, dust, gaussians, psnr, random_cameras, random_gaussians
@@ -134,6 +135,25 @@ def test_a_frame_has_the_same_bytes_alone_and_in_any_batch_and_order(make: Make)
     assert all(torch.equal(a, b[order]) for a, b in zip(others.render(cameras[order]), views, strict=True))
     for row in range(5):
         assert torch.equal(renderer.pixels(cameras[row : row + 1]), together[row : row + 1])
+
+
+@pytest.mark.parametrize(("tolerance", "launches"), [(0.0, 1), (0.5, 0)])
+def test_the_heaviest_tiles_of_exact_images_are_drawn_first(
+    monkeypatch: pytest.MonkeyPatch, tolerance: float, launches: int
+) -> None:
+    renderer = emulated_renderer(random_gaussians(2), tolerance=tolerance)  # its blocks have two tiles at a time
+    towards, away = look_at([-3.0, 0.0, 0.0], [0.0, 0.0, 0.0]), look_at([-3.0, 0.0, 0.0], [-6.0, 0.0, 0.0])
+    poses = torch.stack([away, towards, towards, away])
+    cameras = Cameras(poses, intrinsics(1.0, 32, 32).expand(4, 3, 3), 32, 32)
+    alone = torch.cat([renderer.pixels(cameras[row : row + 1]) for row in range(4)])
+    found: list[Tensor] = []
+    monkeypatch.setattr(cuda, "heaviest_first", lambda weights: found.append(weights) or heaviest_first(weights))
+    assert torch.equal(renderer.pixels(cameras), alone)
+    assert len(found) == launches
+    for weights in found:
+        assert weights[1] == weights[2] > weights[0] == weights[3] == 0
+        assert heaviest_first(weights).tolist()[0] == 4
+        assert set(heaviest_first(weights).tolist()[1:3]) == {1, 2}
 
 
 @pytest.mark.gpu
