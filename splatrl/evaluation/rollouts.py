@@ -168,9 +168,11 @@ def run_episodes(
                 td["_step"] = acts.unsqueeze(1).to(env.device)
             td = env.step(td)
             after = td["next"]
-            ended = (after["done"].squeeze(1).cpu() & acts).nonzero().squeeze(1)
-            for key, column in columns.items():
-                column[episode[ended]] = after[key].squeeze(1)[ended].cpu()
+            # The host waits for a GPU once per step; a double holds each of these values exactly.
+            told = torch.stack([after[key].squeeze(1).double() for key in ("done", *columns)]).cpu()
+            ended = ((told[0] > 0) & acts).nonzero().squeeze(1)
+            for column, values in zip(columns.values(), told[1:], strict=True):
+                column[episode[ended]] = values[ended].to(column.dtype)
             progress(len(ended))
             episode[ended] = torch.arange(waiting, waiting + len(ended))
             waiting += len(ended)
