@@ -10,12 +10,10 @@ import numpy as np
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from splatrl.collision.base import Checker
 from splatrl.collision.occupancy import Occupancy
 from splatrl.configuration.targets import targets
-from splatrl.curriculum.field import Field, Reached, cost_field
+from splatrl.curriculum.field import Field, Moves, cost_field
 from splatrl.files import digest_of
-from splatrl.motions.base import PlannedMotion
 from splatrl.native import _core
 from splatrl.scenes.cache import cached_arrays
 
@@ -23,8 +21,8 @@ DEPENDS_ON = ("collision", "curriculum", "envs/tasks", "motions", "physics")
 """Sub-packages whose Python code the costs depend on."""
 
 
-def remembering(cfg: DictConfig, occupancy: Occupancy) -> Callable[[PlannedMotion, Checker, Reached], Field]:
-    """Return ``cost_field`` with a cache, which is used as long as task, robot, checker and occupancy are the same.
+def remembering(cfg: DictConfig, occupancy: Occupancy) -> Callable[[Moves], Field]:
+    """Return ``cost_field`` with a cache, used as long as task, robot, checker, occupancy and repeats are the same.
 
     Only splatrl's own tasks, robots and checkers are cached, because changes in another package's code go unnoticed.
 
@@ -37,14 +35,14 @@ def remembering(cfg: DictConfig, occupancy: Occupancy) -> Callable[[PlannedMotio
         return cost_field
     plain = OmegaConf.to_container(parts, resolve=True)
 
-    def found(motion: PlannedMotion, checker: Checker, reached: Reached) -> Field:
-        recipe = json.dumps([plain, occupancy.digest, _code()], sort_keys=True)
+    def found(moves: Moves) -> Field:
+        recipe = json.dumps([plain, moves.repeats, occupancy.digest, _code()], sort_keys=True)
         name = f"costs-{blake2b(recipe.encode(), digest_size=16).hexdigest()}"
-        kept = cached_arrays(name, lambda: {"costs": cost_field(motion, checker, reached).cost_to_go.numpy()})
+        kept = cached_arrays(name, lambda: {"costs": cost_field(moves).cost_to_go.numpy()})
         costs = kept.get("costs")
-        if costs is None or costs.shape != (len(motion.nodes()),) or costs.dtype != np.float32:
-            return cost_field(motion, checker, reached)
-        return Field(motion, torch.from_numpy(costs))
+        if costs is None or costs.shape != (len(moves.motion.nodes()),) or costs.dtype != np.float32:
+            return cost_field(moves)
+        return Field(moves.motion, torch.from_numpy(costs))
 
     return found
 

@@ -19,6 +19,7 @@ SPEED_ONLY |= {"resume_changed", "allow_targets", "view"}
 """Keys of a config that do not change the results."""
 FREE = ("device:", "scene.path:", "scene.name:", "logger.", "checkpoint.", "evaluation.", "collector.total_frames:")
 """Prefixes of the lines of ``differences`` that a resumed run may have; a scene is identified by its content."""
+ROBOTS, ANYWAY = "env.num_envs", "to resume with them anyway, type resume_changed=true"
 NOT_DIGESTED = ("scene.path", "demos", "evaluation.episodes")
 """Paths without a digest: the scene has its own, a checkpoint no longer depends on demonstrations, and the episodes of
 evaluations do not concern the training."""
@@ -64,7 +65,7 @@ def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
         then: ``made_with`` from its checkpoint; empty if there is none.
 
     Raises:
-        ValueError: names the differences, and the setting that resumes nevertheless.
+        ValueError: names the differences, and the setting that resumes nevertheless, if there is one.
     """
     if not then:
         return
@@ -76,11 +77,9 @@ def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
     changed += [f"{path}: its content differs" for path in sorted(common) if now["files"][path] != began[path]]
     if changed:
         lines = ["resume: expected the scene, settings and files with which the run began, got different ones:"]
-        raise ValueError(
-            "\n".join(
-                [*lines, *(f"  {line}" for line in changed), "to resume with them anyway, type resume_changed=true"]
-            )
-        )
+        robots = any(line.startswith(f"{ROBOTS}:") for line in changed)
+        way_out = "a training keeps its number of robots" if robots else ANYWAY
+        raise ValueError("\n".join([*lines, *(f"  {line}" for line in changed), way_out]))
     other = [f"{key} {now[key]} instead of {then[key]}" for key in ("isa", "threads") if now[key] != then[key]]
     if other:
         warnings.warn(f"resume: resuming with {', '.join(other)}; results may differ in the last bits", stacklevel=2)

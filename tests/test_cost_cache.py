@@ -40,9 +40,12 @@ def test_a_second_world_reuses_the_costs_of_the_first(found: list[int], tmp_path
         "robot.body.size=[0.2,0.2,0.2]",
         "collision=none",
         "collision.occupancy.fill=null",
+        "transforms/skip=four",
     ],
 )
-def test_another_goal_body_or_collision_map_has_costs_of_its_own(found: list[int], tmp_path: Path, change: str) -> None:
+def test_another_goal_body_collision_map_or_repetition_has_costs_of_its_own(
+    found: list[int], tmp_path: Path, change: str
+) -> None:
     words = tiny_overrides(tmp_path)
     words = [word for word in words if word.partition("=")[0] != change.partition("=")[0]]
     build_one_world(load_config(tiny_overrides(tmp_path)))

@@ -49,6 +49,12 @@ def test_a_run_is_not_resumed_with_another_content_of_a_file(name: str) -> None:
         check_made_with(made_with(chosen(name), "scene"), before)
 
 
+def test_no_way_is_offered_to_resume_with_another_number_of_robots() -> None:
+    before, now = (made_with(load_config(["task=grid", f"env.num_envs={robots}"]), "scene") for robots in (16, 8))
+    with pytest.raises(ValueError, match=r"env\.num_envs: asked for 8, found 16\na training keeps its number .*s$"):
+        check_made_with(now, before)
+
+
 def test_a_file_that_was_not_there_is_named_by_the_one_that_refers_to_it() -> None:
     before = made_with(chosen("arm/robot.xml"), "scene")
     shutil.copy("arm/meshes/shell.stl", "arm/meshes/hull.stl")

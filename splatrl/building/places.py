@@ -52,34 +52,37 @@ class Place(NamedTuple):
         return World(scene, occupancy, checker, drawing, robot, task, paths, transforms, device, made_by, sensors)
 
 
-def build_places(configs: Sequence[DictConfig], device: torch.device, names: Sequence[str]) -> list[Place]:
+def build_places(
+    configs: Sequence[DictConfig], device: torch.device, names: Sequence[str], repeats: int = 1
+) -> list[Place]:
     """Build the scenes of some configs; several are built in parallel, with a progress bar.
 
     Args:
         configs: configs with one scene each.
         device: device on which robots are simulated and rendered.
         names: the name that was typed for each of several scenes, for messages.
+        repeats: number of times that a robot carries out each action.
 
     Raises:
         ValueError: for several scenes, before any is built, with a motion that takes one; or for a scene in which the
             robot or the task does not fit.
     """
     if len(configs) == 1:
-        return [_build_place(configs[0], device)]
+        return [_build_place(configs[0], device, repeats)]
     if not instantiate(configs[0].task).motion.stacks:
         raise ValueError(f"scene: expected one scene for a robot with physics, got {len(configs)}")
     with ThreadPoolExecutor(threads_of(None)) as pool:
-        places = pool.map(partial(_build_one_of_several, device=device), names, configs)
+        places = pool.map(partial(_build_one_of_several, device=device, repeats=repeats), names, configs)
         return list(tqdm(places, "scenes", len(configs), unit="scene", dynamic_ncols=True))
 
 
-def _build_one_of_several(name: str, cfg: DictConfig, device: torch.device) -> Place:
+def _build_one_of_several(name: str, cfg: DictConfig, device: torch.device, repeats: int) -> Place:
     """Build one of several scenes, with its name in front of any error message."""
     with under_key(name):
-        return _build_place(cfg, device)
+        return _build_place(cfg, device, repeats)
 
 
-def _build_place(cfg: DictConfig, device: torch.device) -> Place:
+def _build_place(cfg: DictConfig, device: torch.device, repeats: int) -> Place:
     """Build the place that a config with one scene describes."""
     scene, robot, task = instantiate(cfg.scene), instantiate(cfg.robot), instantiate(cfg.task)
     check_height(scene.bounds, task)
@@ -98,7 +101,8 @@ def _build_place(cfg: DictConfig, device: torch.device) -> Place:
             Site(scene, occupancy, planner, robot.body, antialiased), partial(_fits, scene.bounds, solid)
         )
     try:
-        paths = plan(task.motion, planner, task.reached, cfg.starts.farthest, fits, remembering(cfg, obstacles))
+        costs = remembering(cfg, obstacles)
+        paths = plan(task.motion, planner, task.reached, cfg.starts.farthest, fits, costs, repeats)
     except NoPath as error:
         raise ValueError(f"{error}; {task.ways_out}") from error
     return Place(scene, occupancy, checker, robot, task, paths)

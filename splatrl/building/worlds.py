@@ -1,5 +1,7 @@
 """Builds worlds: everything that the envs of a config share."""
 
+import math
+from collections.abc import Sequence
 from functools import partial
 
 import torch
@@ -12,6 +14,7 @@ from splatrl.collision.several import SeveralCheckers
 from splatrl.configuration import check_config, place_configs, place_names, with_absolute_paths
 from splatrl.device import chosen_device
 from splatrl.envs.drawing import Drawing
+from splatrl.envs.transforms import FrameSkip
 from splatrl.envs.world import World, Worlds
 from splatrl.renderers.one_scene import OneScene
 from splatrl.several import stacked
@@ -33,13 +36,13 @@ def build_world(cfg: DictConfig) -> World | Worlds:
         cfg = cfg.copy()
         cfg.device = str(device)  # the value of ${device} in nodes
     configs = place_configs(cfg)
-    places = build_places(configs, device, place_names(cfg))
+    transforms = partial(_make_transforms, cfg.transforms, cfg.network.get("memory", 0))
+    places = build_places(configs, device, place_names(cfg), _repeats(transforms()))
     scenes = [place.scene for place in places]
     drawn = [*scenes, *places[0].task.models]
     renderer = constructor(configs[0], "renderer", device)(drawn[0] if len(drawn) == 1 else drawn)
     if cfg.renderer.cache is not None:
         renderer = constructor(cfg, "renderer.cache", device)(renderer)
-    transforms = partial(_make_transforms, cfg.transforms, cfg.network.get("memory", 0))
     drawing, robot = instantiate(configs[0].drawing)(renderer), places[0].robot
     sensors = {str(key): instantiate(node) for key, node in (cfg.get("sensors") or {}).items()}
     for place in places:
@@ -62,6 +65,11 @@ def build_world(cfg: DictConfig) -> World | Worlds:
 def _around(cfg: DictConfig, drawing: Drawing) -> Drawing:
     """Wrap the drawing in the one that a transform brings with it, if there is one."""
     return instantiate(cfg.around_drawing)(drawing) if cfg.get("around_drawing") else drawing
+
+
+def _repeats(transforms: Sequence[Transform]) -> int:
+    """Return the number of times that a robot carries out each action under some transforms."""
+    return math.prod(one.steps for one in transforms if isinstance(one, FrameSkip))
 
 
 def build_one_world(cfg: DictConfig) -> World:

@@ -20,6 +20,38 @@ PATIENCE = 2.0
 """Seconds after which value iteration shows its progress."""
 
 
+@dataclass(frozen=True)
+class Moves:
+    """Where actions lead robots, and which actions are blocked.
+
+    Attributes:
+        motion: carries out actions.
+        checker: tells which poses and moves are free.
+        reached: tells which states are at a goal.
+        repeats: number of times that an action is carried out; it ends at a goal, and where it is blocked.
+    """
+
+    motion: PlannedMotion
+    checker: Checker
+    reached: Reached
+    repeats: int = 1
+
+    def __call__(self, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+        """Return where actions lead, and whether they are blocked: [N, ...], [N, ...] -> [N, ...], [N] bool."""
+        ahead, blocked = self._once(state, action)
+        for _ in range(self.repeats - 1):
+            rows = (~blocked).nonzero().squeeze(1)
+            at_goal = self.reached(ahead[rows])
+            rows = rows if at_goal is None else rows[~at_goal]
+            ahead[rows], blocked[rows] = self._once(ahead[rows], action[rows])
+        return ahead, blocked
+
+    def _once(self, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+        ahead = self.motion.advance(state, action)
+        start, end = self.motion.body_to_world(state), self.motion.body_to_world(ahead)
+        return ahead, ~self.motion.inside(ahead) | self.checker.sweeps(start, end)
+
+
 class NoPath(ValueError):
     """No pose is free, or no path leads to the goal. ``Task.ways_out`` tells what to change."""
 
@@ -58,8 +90,8 @@ def _slim(taps: Taps) -> Taps:
     return Taps(taps.node[:, used], taps.weight[:, used])
 
 
-def cost_field(motion: PlannedMotion, checker: Checker, reached: Reached) -> Field:
-    """Compute the steps to the goal from every state by value iteration.
+def cost_field(moves: Moves) -> Field:
+    """Compute the steps to the goal from every state by value iteration; a repeated action counts as one step.
 
     The cost of a state is one step more than that of its best successor. Where every action leads from node to node, as
     with finitely many states, the field is exact and equals a breadth-first search. Otherwise costs are interpolated
@@ -67,23 +99,22 @@ def cost_field(motion: PlannedMotion, checker: Checker, reached: Reached) -> Fie
     resolves differences between actions of less than a step.
 
     Args:
-        motion: defines the actions and where they lead.
-        checker: tells which poses and moves are free.
-        reached: tells which states are at the goal.
+        moves: where the actions lead.
 
     Raises:
         NoPath: if no pose is free, or none at the goal.
     """
+    motion = moves.motion
     nodes = motion.nodes()
-    free = motion.inside(nodes) & ~checker.collides(motion.body_to_world(nodes))
-    at_goal = reached(nodes)
+    free = motion.inside(nodes) & ~moves.checker.collides(motion.body_to_world(nodes))
+    at_goal = moves.reached(nodes)
     assert at_goal is not None, "there are no paths without goal states"
     if not free.any():
         raise NoPath(f"scene: expected free poses, got {len(nodes)} poses that all collide")
     if not (goals := free & at_goal).any():
         raise NoPath(f"task: expected a free pose at the goal, found none among {int(at_goal.sum())} poses there")
     rows = (free & ~goals).nonzero().squeeze(1)
-    taps = [_open(motion, checker, nodes[rows], action) for action in motion.actions()]
+    taps = [_open(moves, nodes[rows], action) for action in motion.actions()]
     costs = _settle(torch.where(goals, 0.0, FAR), rows, [_slim(_among(tap, free)) for tap in taps])
     joined = costs < 0.5 * FAR  # nor may free nodes without a path contribute to interpolation
     if not torch.equal(joined, free):
@@ -105,8 +136,7 @@ def _settle(costs: Tensor, rows: Tensor, taps: list[Taps]) -> Tensor:
             bar.update()
 
 
-def _open(motion: PlannedMotion, checker: Checker, state: Tensor, action: Tensor) -> Taps:
+def _open(moves: Moves, state: Tensor, action: Tensor) -> Taps:
     """Return where an action leads from states; a blocked move leads back to its own state, so it shortens no path."""
-    ahead = motion.advance(state, action.expand(len(state), *action.shape))
-    blocked = ~motion.inside(ahead) | checker.sweeps(motion.body_to_world(state), motion.body_to_world(ahead))
-    return motion.taps(torch.where(blocked.view(-1, *[1] * (state.ndim - 1)), state, ahead))
+    ahead, blocked = moves(state, action.expand(len(state), *action.shape))
+    return moves.motion.taps(torch.where(blocked.view(-1, *[1] * (state.ndim - 1)), state, ahead))

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from splatrl.collision.base import Checker
-from splatrl.curriculum.field import FAR, Field, NoPath, Reached, cost_field
+from splatrl.curriculum.field import FAR, Field, Moves, NoPath, Reached, cost_field
 from splatrl.motions.base import PlannedMotion
 
 UNREACHABLE = -1
@@ -23,14 +23,12 @@ class Plan:
     Attributes:
         states: [S, D], all candidate start states.
         free: [S] bool, whether an episode could begin in a state: the body touches nothing, and ``fits`` allows it.
-        distance: [S] int64, fewest steps to the goal; 0 at the goal, UNREACHABLE where there is no path. Without a
-            goal, 0 where the body fits.
+        distance: [S] int64, fewest steps to the goal, each of which is one action, however often it is repeated; 0 at
+            the goal, UNREACHABLE where there is no path. Without a goal, 0 where the body fits.
         actions: [A, ...], the actions from which paths are made.
-        motion: the motion that leads from state to state.
-        checker: tells which moves are free.
+        moves: where actions lead.
         start_rows: [N] int64, rows of the start set: the free states, other than goal states, from which a goal state
             can be reached within the longest path allowed; without a goal, all free states.
-        reached: tells which states are at the goal.
         field: steps to the goal from any state inside the bounds; None without a goal.
     """
 
@@ -38,11 +36,19 @@ class Plan:
     free: Tensor
     distance: Tensor
     actions: Tensor
-    motion: PlannedMotion
-    checker: Checker
+    moves: Moves
     start_rows: Tensor
-    reached: Reached
     field: Field | None = None
+
+    @property
+    def motion(self) -> PlannedMotion:
+        """The motion that leads from state to state."""
+        return self.moves.motion
+
+    @property
+    def checker(self) -> Checker:
+        """Tells which moves are free."""
+        return self.moves.checker
 
     @property
     def starts(self) -> Tensor:
@@ -67,7 +73,7 @@ class Plan:
 
     def at_goal(self, state: Tensor) -> Tensor:
         """Return whether states are at the goal, all False without one: [N, D] -> [N] bool."""
-        reached = self.reached(state)
+        reached = self.moves.reached(state)
         return torch.zeros(len(state), dtype=torch.bool, device=state.device) if reached is None else reached
 
     def optimal(self, state: Tensor) -> Tensor:
@@ -88,10 +94,9 @@ class Plan:
 
     def _after(self, state: Tensor, action: Tensor) -> Tensor:
         """Return the steps left after an action, [N] float32: 0 where it reaches the goal, FAR where it is blocked."""
-        ahead = self.motion.advance(state, action.expand(len(state), *action.shape))
-        start, end = self.motion.body_to_world(state), self.motion.body_to_world(ahead)
+        ahead, blocked = self.moves(state, action.expand(len(state), *action.shape))
         left = torch.full((len(state),), FAR, device=state.device)
-        rows = (self.motion.inside(ahead) & ~self.checker.sweeps(start, end)).nonzero().squeeze(1)
+        rows = (~blocked).nonzero().squeeze(1)
         left[rows] = torch.where(self.at_goal(ahead[rows]), 0.0, self.cost_to_go(ahead[rows]))
         return left
 
@@ -102,7 +107,8 @@ def plan(
     reached: Reached,
     farthest: int | None = None,
     fits: Callable[[Tensor], Tensor] | None = None,
-    find_field: Callable[[PlannedMotion, Checker, Reached], Field] = cost_field,
+    find_field: Callable[[Moves], Field] = cost_field,
+    repeats: int = 1,
 ) -> Plan:
     """Find the shortest path from every state to the goal.
 
@@ -118,21 +124,22 @@ def plan(
         fits: body_to_world [S, 4, 4] -> [S] bool, a further condition on where an episode may begin; None sets none
             beyond the checker's. It keeps a robot that can pass through things from starting inside one.
         find_field: computes the cost field, or retrieves it from a cache.
+        repeats: number of times that a robot carries out each action; see ``Moves``.
 
     Raises:
         NoPath: if no pose is free, the goal is not free, or no start reaches it.
     """
-    states, actions = motion.states(), motion.actions()
+    states, actions, moves = motion.states(), motion.actions(), Moves(motion, checker, reached, repeats)
     poses = motion.body_to_world(states)
     free = ~checker.collides(poses)
     at_goal = reached(states)
-    field = None if at_goal is None else find_field(motion, checker, reached)
+    field = None if at_goal is None else find_field(moves)
     free = free if fits is None else free & fits(poses)
     if at_goal is None or field is None:
         if not free.any():
             raise NoPath(f"scene: expected free poses, got {len(states)} poses in which no robot can start")
         rows = free.nonzero().squeeze(1)
-        return Plan(states, free, torch.where(free, 0, UNREACHABLE), actions, motion, checker, rows, reached)
+        return Plan(states, free, torch.where(free, 0, UNREACHABLE), actions, moves, rows)
     left = field(states)
     distance = torch.where(free & (left < FAR), left.round().clamp_min(1).long(), UNREACHABLE)
     distance = torch.where(free & at_goal, 0, distance)
@@ -141,4 +148,4 @@ def plan(
         raise NoPath(
             f"task: expected a path to the goal from at least one free pose, found none from {int(free.sum())}"
         )
-    return Plan(states, free, distance, actions, motion, checker, starts.nonzero().squeeze(1), reached, field)
+    return Plan(states, free, distance, actions, moves, starts.nonzero().squeeze(1), field)

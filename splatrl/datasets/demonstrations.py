@@ -22,11 +22,13 @@ class Demonstrations:
             right.
         action_names: names of the discrete actions, in order; empty for continuous actions.
         fps: steps per second, for videos.
+        repeats: number of times that the robot carried out each action; see ``FrameSkip``.
     """
 
     frames: TensorDictBase
     action_names: tuple[str, ...]
     fps: int = 10
+    repeats: int = 1
 
     def __len__(self) -> int:
         """Number of frames."""

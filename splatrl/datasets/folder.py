@@ -18,7 +18,7 @@ from splatrl.documents import read_json, write_json
 from splatrl.files import checked_name, require_room
 
 FACTS, MEMMAP = "demonstrations.json", "memmap"
-VERSION = 1
+VERSION = 2
 MAX_HEADER = 2**20
 """Maximum size of a JSON file in the folder, bytes."""
 DTYPES = {str(kind): kind for kind in (torch.uint8, torch.int64, torch.float32, torch.float64, torch.bool)}
@@ -46,6 +46,7 @@ def write_demonstrations(folder: Path, demonstrations: Demonstrations, facts: Ma
         "episodes": len(demonstrations.starts),
         "frames": len(demonstrations),
         "fps": demonstrations.fps,
+        "repeats": demonstrations.repeats,
         "action_names": list(demonstrations.action_names),
     }
     write_json(folder / FACTS, own | dict(facts or {}))
@@ -65,11 +66,10 @@ def read_demonstrations(folder: Path) -> Demonstrations:
     version = facts.get("version") if isinstance(facts, dict) else None
     if version != VERSION:
         raise ValueError(f"{path}: expected demonstrations of format version {VERSION}, got {version!r:.80}")
-    names, fps = facts.get("action_names"), facts.get("fps")
+    names = facts.get("action_names")
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise ValueError(f"{path}: expected a list of names under action_names, got {names!r:.80}")
-    if not isinstance(fps, int) or isinstance(fps, bool) or not 1 <= fps <= 1000:
-        raise ValueError(f"{path}: expected a whole number from 1 to 1000 under fps, got {fps!r:.80}")
+    fps, repeats = (_number(path, key, facts.get(key)) for key in ("fps", "repeats"))
     here = folder / MEMMAP
     values = _tensors(here, NEEDED)
     values["next"] = _tensors(here / "next", set(AFTER))
@@ -81,12 +81,19 @@ def read_demonstrations(folder: Path) -> Demonstrations:
     if optimal is not None and (optimal.dtype, optimal.shape[1:]) != (torch.bool, (len(names),)):
         got = f"{optimal.dtype} {list(optimal.shape)}"
         raise ValueError(f"{here}: expected optimal as torch.bool [N, {len(names)}], got {got}")
-    result = Demonstrations(TensorDict(values, [shapes.pop()]), tuple(names), fps)
+    result = Demonstrations(TensorDict(values, [shapes.pop()]), tuple(names), fps, repeats)
     try:
         result.check()
     except ValueError as error:
         raise ValueError(f"{here}: {error}") from error
     return result
+
+
+def _number(path: Path, key: str, value: object) -> int:
+    """Return a number from the JSON file, which must be from 1 to 1000."""
+    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= 1000:
+        raise ValueError(f"{path}: expected a whole number from 1 to 1000 under {key}, got {value!r:.80}")
+    return value
 
 
 def _tensors(folder: Path, needed: set[str]) -> dict[str, Any]:

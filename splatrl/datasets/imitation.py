@@ -31,7 +31,7 @@ def imitate(
         ValueError: for demonstrations that do not fit the policy, a task without a teacher, or a need for more frames
             than ``collector.total_frames``.
     """
-    known = _together([_frames(each, ppo, cloner.reads) for each in shown])
+    known = _together([_frames(each, ppo, cloner.reads, world.repeats) for each in shown])
     check_imitation(ppo, world, dagger, frames := len(known.get("frame", ())), ppo.frames)
     if known:
         ppo.frames += frames
@@ -63,11 +63,16 @@ def check_imitation(ppo: PPO, world: World | Worlds, dagger: DaggerSettings, sho
         matched: number of frames that are used before, for matching.
 
     Raises:
-        ValueError: for a task without a teacher, rounds that are no multiple of the batch, or a need for more frames
-            than ``collector.total_frames``.
+        ValueError: for a task without a teacher, a teacher whose actions are repeated, rounds that are no multiple of
+            the batch, or a need for more frames than ``collector.total_frames``.
     """
-    if dagger.rounds and not world.planned and not _has_teacher(world):
-        name = type(world.task).__name__
+    name, taught = type(world.task).__name__, bool(dagger.rounds) and _has_teacher(world)
+    if taught and world.repeats > 1:
+        raise ValueError(
+            f"dagger.rounds: expected 0 with transforms/skip, since the teacher of {name} chooses single steps, got "
+            f"{dagger.rounds}; type transforms/skip=none"
+        )
+    if dagger.rounds and not world.planned and not taught:
         raise ValueError(
             f"dagger.rounds: expected 0 for a task with neither goal states nor a teacher ({name}), got {dagger.rounds}"
         )
@@ -92,12 +97,18 @@ def _has_teacher(world: World | Worlds) -> bool:
     return one.task.teach(one.plan.starts[:1], memory) is not None
 
 
-def _frames(shown: Demonstrations, ppo: PPO, reads: Sequence[str]) -> dict[str, Tensor]:
+def _frames(shown: Demonstrations, ppo: PPO, reads: Sequence[str], repeats: int) -> dict[str, Tensor]:
     """Convert demonstrations to what ``Cloner.fit`` expects.
 
     Raises:
-        ValueError: for demonstrations whose actions or images differ from the policy's, or that lack a key it reads.
+        ValueError: for demonstrations whose actions, repetitions of actions or images differ from the policy's, or that
+            lack a key it reads.
     """
+    if shown.repeats != repeats:
+        raise ValueError(
+            f"demos: expected each action to be carried out {_times(repeats)}, as in this training (transforms.skip), "
+            f"got {_times(shown.repeats)}"
+        )
     frames, env = shown.frames, ppo.env
     (height, width, channels), spec = env.observation_spec["pixels"].shape[1:], env.action_spec
     names, found = env.task.motion.action_names, (frames["pixels"].shape[1:3], frames["action"].shape[1:])
@@ -125,3 +136,7 @@ def _frames(shown: Demonstrations, ppo: PPO, reads: Sequence[str]) -> dict[str, 
         "value_target": shown.returns(ppo.learner.loss.gamma) * ppo.learner.loss.reward_scale,
         "frame": frames["frame"],
     }
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"

@@ -69,6 +69,11 @@ class EnvMaker(ABC):
         return all(one.plan.field is not None for one in self.worlds) and self.task.goals_for_success is None
 
     @property
+    def repeats(self) -> int:
+        """Number of times that a robot carries out each action, one after the other."""
+        return self.worlds[0].plan.moves.repeats
+
+    @property
     def told(self) -> tuple[str, ...]:
         """Keys of sensor readings, and of what task, sensors and transforms remember about each robot.
 

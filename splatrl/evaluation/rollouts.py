@@ -74,13 +74,15 @@ class Episodes:
         means |= {"distance_to_goal": far, "collisions": self.measures["collisions"].double()}
         return {key: values.mean().item() for key, values in means.items()}
 
-    def step_spl(self, shortest: Tensor) -> float:
-        """Compute success weighted by path length (Anderson et al. 2018, eq. 1), with lengths in steps.
+    def step_spl(self, shortest: Tensor, repeats: int = 1) -> float:
+        """Compute success weighted by path length (Anderson et al. 2018, eq. 1), with lengths in actions.
 
         Args:
-            shortest: [N] int64, length of the shortest path from each start, steps.
+            shortest: [N] int64, length of the shortest path from each start, actions.
+            repeats: number of steps that an action takes, unless the episode ends before.
         """
-        ratio = shortest.double() / torch.maximum(shortest, self.length).double()
+        taken = (self.length + repeats - 1) // repeats
+        ratio = shortest.double() / torch.maximum(shortest, taken).double()
         return (self.success * ratio).mean().item()
 
 
@@ -166,9 +168,11 @@ def run_episodes(
                 td["_step"] = acts.unsqueeze(1).to(env.device)
             td = env.step(td)
             after = td["next"]
-            ended = (after["done"].squeeze(1).cpu() & acts).nonzero().squeeze(1)
-            for key, column in columns.items():
-                column[episode[ended]] = after[key].squeeze(1)[ended].cpu()
+            # The host waits for a GPU once per step; a double holds each of these values exactly.
+            told = torch.stack([after[key].squeeze(1).double() for key in ("done", *columns)]).cpu()
+            ended = ((told[0] > 0) & acts).nonzero().squeeze(1)
+            for column, values in zip(columns.values(), told[1:], strict=True):
+                column[episode[ended]] = values[ended].to(column.dtype)
             progress(len(ended))
             episode[ended] = torch.arange(waiting, waiting + len(ended))
             waiting += len(ended)

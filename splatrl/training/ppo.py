@@ -127,12 +127,18 @@ class PPO:
         """Continue from a ``state_dict()`` of the same configuration.
 
         Raises:
-            ValueError: for a state from another kind of device, whose random numbers cannot be continued here.
+            ValueError: for a state from another kind of device, whose random numbers cannot be continued here, or of
+            another number of robots.
         """
         base, transformed = layers(self.env)
         made_on = state.get("device", "cpu")
         if made_on != self.device.type:
             raise ValueError(f"device: expected {made_on}, on which the checkpoint was made, got {self.device.type}")
+        if (robots := len(state["carried"]["done"])) != self.env.numel():
+            raise ValueError(
+                f"env.num_envs: expected {robots}, with which the training began, got {self.env.numel()}; a training "
+                "keeps its number of robots"
+            )
         self.frames = state["frames"]
         self.model.load_state_dict(state["model"])
         self.learner.load_optimizer(state["optimizer"])

@@ -115,4 +115,5 @@ class Takes:
         """
         if not self.episodes:
             raise ValueError("by=keys: expected at least one episode that reached the goal, got none")
-        return Demonstrations(joined(self.episodes), tuple(self.world.task.motion.action_names))
+        names = tuple(self.world.task.motion.action_names)
+        return Demonstrations(joined(self.episodes), names, repeats=self.world.repeats)

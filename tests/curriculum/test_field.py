@@ -11,7 +11,7 @@ from torch import Tensor
 from splatrl.bodies import Box
 from splatrl.collision import Checker, NoChecker
 from splatrl.curriculum import UNREACHABLE, Plan, plan
-from splatrl.curriculum.field import FAR, cost_field
+from splatrl.curriculum.field import FAR, Moves, cost_field
 from splatrl.envs.tasks import Drive, Fps
 from splatrl.motions import DriveMotion, ForwardMotion, PlannedMotion
 from tests.envs.rooms import BOUNDS, coarse_drive, drive_plan
@@ -114,7 +114,7 @@ def followed(found: Plan, limit: int) -> Tensor:
     state = found.states[found.start_rows]
     steps = torch.full((len(state),), torch.inf)
     for count in range(limit + 1):
-        there = found.reached(state)
+        there = found.at_goal(state)
         steps = torch.where(there & steps.isinf(), float(count), steps)
         best = found.optimal(state)
         assert torch.equal(best.any(1), ~there), "there is a best action everywhere but at the goal"
@@ -174,12 +174,12 @@ def test_only_free_poses_are_starts() -> None:
     in_block = (found.states[:, :2].abs() < 0.35).all(1)
     assert torch.equal(found.free, ~in_block) and in_block.any()
     assert (found.distance[in_block] == UNREACHABLE).all() and (found.distance[~in_block] >= 0).all()
-    assert torch.equal(found.distance == 0, found.free & found.reached(found.states))
+    assert torch.equal(found.distance == 0, found.free & found.at_goal(found.states))
 
 
 def test_a_field_is_zero_at_the_goal_and_smooth_elsewhere() -> None:
     motion = ForwardMotion(HEIGHT, 0.25, 45.0, **SQUARE)
-    field = cost_field(motion, empty(), Fps(motion, (0.75, 0.0, 0.0)).reached)
+    field = cost_field(Moves(motion, empty(), Fps(motion, (0.75, 0.0, 0.0)).reached))
     line = torch.stack([torch.linspace(-0.75, 0.75, 301), torch.zeros(301), torch.zeros(301)], 1)
     steps = field(line)
     assert steps[-50:].max() == 0 and steps[0] == pytest.approx(5.0, abs=0.01)

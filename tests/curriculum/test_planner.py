@@ -4,15 +4,18 @@ from collections import deque
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torch import Tensor
 
 from splatrl.collision import NoChecker
 from splatrl.curriculum import UNREACHABLE, plan
 from splatrl.curriculum.field import FAR
-from splatrl.envs.tasks import Grid
+from splatrl.envs.stateful_env import StatefulEnv
+from splatrl.envs.tasks import Grid, Outcome
+from splatrl.envs.transforms import FrameSkip
 from splatrl.motions import LatticeMotion
 from tests.curriculum.graph import successors
-from tests.tiny import BODY, BlockChecker, tiny_plan, tiny_task
+from tests.tiny import BODY, BlockChecker, tiny_env, tiny_plan, tiny_task
 
 State = tuple[int, ...]
 
@@ -200,3 +203,28 @@ def test_robots_that_pass_through_everything_start_everywhere_and_go_straight() 
     spin = torch.minimum(spin, 8 - spin)
     expected = sum((axis - 1).clamp_min(0) for axis in (x, y, spin))
     assert torch.equal(found.distance, expected)
+
+
+@pytest.mark.parametrize("repeats", [2, 3])
+def test_paths_of_repeated_actions_match_a_search_over_the_steps_of_an_env(repeats: int) -> None:
+    task = tiny_task()
+    found = plan(task.motion, BlockChecker(), task.reached, repeats=repeats)
+    states, actions = found.states, len(found.actions)
+    env = StatefulEnv(tiny_env((len(states),), max_steps=50), FrameSkip(repeats))
+    ends = torch.zeros(len(states), actions)
+    leads_to = torch.zeros(len(states), actions, dtype=torch.int64)
+    for action in range(actions):
+        given = env.reset(TensorDict({"state": states.clone()}, [len(states)]), set_state=True)
+        after = env.step(given.set("action", torch.full((len(states),), action)))["next"]
+        outcome = after["outcome"].squeeze(1)
+        ends[:, action] = torch.where(outcome == Outcome.GOAL, 0.0, torch.where(outcome > 0, FAR, torch.nan))
+        leads_to[:, action] = task.motion.index(after["state"])
+    steps = torch.full((len(states),), FAR)
+    for _ in range(len(states)):
+        after = torch.where(ends.isnan(), steps[leads_to], ends)
+        steps = torch.minimum(steps, after.amin(1) + 1)
+    starts, unsolvable = found.start_rows, (steps >= FAR) & found.free
+    assert torch.equal(found.distance[starts].float(), steps[starts])
+    assert (found.distance[unsolvable] == UNREACHABLE).all() and (repeats == 2 or unsolvable.any())
+    best = after[starts] == (steps[starts] - 1).unsqueeze(1)
+    assert torch.equal(found.optimal(states[starts]), best) and not best.all()

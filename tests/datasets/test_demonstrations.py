@@ -27,6 +27,7 @@ from tests.tiny import tiny_overrides
 EPISODES = 40
 SENSING = ["sensors=[rgb,depth,gps,compass,contact,lidar]"]
 SHAKEN = ["transforms/pose_noise=unsteady", "memory=stack"]
+TWICE = ["transforms/skip=four", "transforms.skip.steps=2"]
 LATE = ["transforms/latency=varied", "transforms/appearance=varied", "transforms.appearance.noise=0"]
 
 
@@ -116,7 +117,7 @@ def test_a_replay_detects_changed_frames(
 @pytest.mark.parametrize(
     ("task", "more"),
     [
-        *[("drive", LATE), ("grid", SHAKEN), ("grid", SENSING)],
+        *[("drive", LATE), ("grid", SHAKEN), ("grid", SENSING), ("grid", TWICE)],
         *[pytest.param(task, [], marks=pytest.mark.slow) for task in ("fps", "apple")],
         *[("grid", [*LATE, f"transforms.latency.action={delays}"]) for delays in ("[0,0]", "[1,1]", "[0,1]")],
     ],
@@ -131,6 +132,7 @@ def test_other_tasks_are_recorded_and_replayed(task: str, more: list[str], tmp_p
     write_demonstrations(tmp_path, shown)
     different, views = replay(world, read_demonstrations(tmp_path))
     assert different == [] and (views == len(shown)) == (more != SHAKEN), "pose noise is drawn anew in a replay"
+    assert read_demonstrations(tmp_path).repeats == world.repeats == (2 if more == TWICE else 1)
     if more == SENSING:
         assert {"depth", "gps", "compass", "contact", "lidar"} <= set(read_demonstrations(tmp_path).frames.keys())
 
@@ -186,9 +188,10 @@ def edit(name: str, change: Callable[[dict], object]) -> Callable[[Path], None]:
     ("damage", "message"),
     [
         (lambda folder: (folder / "demonstrations.json").unlink(), "expected a folder of demonstrations"),
-        (edit("demonstrations.json", lambda facts: facts.update(version=2)), "of format version 1, got 2"),
+        (edit("demonstrations.json", lambda facts: facts.update(version=1)), "of format version 2, got 1"),
         (edit("demonstrations.json", lambda facts: facts.update(action_names=3)), "a list of names under action_names"),
         (edit("demonstrations.json", lambda facts: facts.update(fps=0)), "from 1 to 1000 under fps"),
+        (edit("demonstrations.json", lambda facts: facts.pop("repeats")), "from 1 to 1000 under repeats, got None"),
         (edit("memmap/meta.json", lambda meta: meta.pop("action")), "expected entries for action"),
         (edit("memmap/meta.json", lambda meta: meta["pixels"].update(shape=[2**40, 3])), "pixels.memmap: expected"),
         (edit("memmap/meta.json", lambda meta: meta["pixels"].update(shape=[-1])), "expected a shape"),

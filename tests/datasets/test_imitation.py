@@ -1,5 +1,6 @@
 """Imitation by policies that also read sensors, whose readings are recorded, replayed and learned from."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from splatrl.building import build_model, build_world
 from splatrl.configuration import load_config
 from splatrl.datasets import (
     Demonstrations,
+    check_imitation,
     imitate,
     planner_episodes,
     read_demonstrations,
@@ -70,6 +72,24 @@ def test_demonstrations_without_an_observation_that_the_policy_reads_are_refused
     cloner = Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5))
     with pytest.raises(ValueError, match=r"demos: expected depth as torch\.float32 \[12, 16, 1\] per frame, got none"):
         next(imitate(ppo, cloner, world, [shown], DaggerSettings(0, 128, 1), 0))
+
+
+def test_demonstrations_whose_actions_were_repeated_otherwise_are_refused(
+    cfg: DictConfig, world: World, shown: Demonstrations
+) -> None:
+    ppo = make_ppo(cfg, world)
+    cloner, once = Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5)), DaggerSettings(0, 128, 1)
+    refused = r"demos: expected each action to be carried out once, .* \(transforms\.skip\), got 4 times"
+    with pytest.raises(ValueError, match=refused):
+        next(imitate(ppo, cloner, world, [replace(shown, repeats=4)], once, 0))
+
+
+def test_a_teacher_of_single_steps_is_refused_where_actions_are_repeated(tmp_path: Path) -> None:
+    words = [*tiny_overrides(tmp_path, "pointnav"), "task.nearest=0.3", "task.goals=2", "task.test_goals=2"]
+    cfg = load_config([*words, "transforms/skip=four"])
+    world = build_world(cfg)
+    with pytest.raises(ValueError, match=r"dagger\.rounds: expected 0 with transforms/skip, .* teacher of PointNav"):
+        check_imitation(make_ppo(cfg, world), world, DaggerSettings(1, 64, 1), 0, 0)
 
 
 def cfg_overrides(cfg: DictConfig) -> list[str]:

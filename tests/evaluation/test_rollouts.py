@@ -54,6 +54,18 @@ def test_robots_without_a_start_are_not_rendered() -> None:
     assert counting.rendered == 8 + int(shortest.sum())
 
 
+def test_a_step_is_read_from_the_device_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    env, steps, reads, read = tiny_env([16], max_steps=9), list[int](), list[int](), torch.Tensor.cpu
+    monkeypatch.setattr(torch.Tensor, "cpu", lambda self: reads.append(self.numel()) or read(self))
+
+    def counting(td: TensorDictBase) -> TensorDictBase:
+        steps.append(len(td))
+        return Planner(0.3)(td)
+
+    run_episodes(env, counting, starts()[:40])
+    assert reads == [6 * 16] * len(steps)
+
+
 def test_every_outcome_is_assigned_to_its_own_start() -> None:
     some = starts()[:40]
     forward = run_episodes(tiny_env([6], max_steps=9), lambda td: td.set("action", torch.zeros(6).long()), some)

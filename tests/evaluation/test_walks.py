@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -329,7 +330,7 @@ class Broken(SceneDrawing):
 
 @pytest.mark.parametrize("motion", [DriveMotion(HEIGHT), OrbitMotion((0.0, 0.0, HEIGHT), elevation_deg=(0.0, 40.0))])
 def test_a_motion_that_cannot_be_walked_is_refused(motion: PlannedMotion, tmp_path: Path) -> None:
-    other = Plan(**{**vars(planar_plan()), "motion": motion})
+    other = replace(planar_plan(), moves=replace(planar_plan().moves, motion=motion))
     refused = rf"expected a motion on the ground with named actions.*got {type(motion).__name__}"
     with pytest.raises(ValueError, match=refused):
         record_walks(tmp_path, world(other, SceneDrawing(Painter())))

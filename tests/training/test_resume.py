@@ -11,9 +11,9 @@ from tests.tiny import tiny_env
 from tests.training.test_ppo import learner, parameters
 
 
-def fresh(seed: int, stack: int, memory: int, nested: bool = False) -> PPO:
+def fresh(seed: int, stack: int, memory: int, nested: bool = False, robots: int = 4) -> PPO:
     """Make a learner on the tiny env, with a frame stack and a memory of the given sizes; 0 means none."""
-    env: EnvBase = tiny_env([4], seed=seed, max_steps=10, first=1, threshold=0.01, window=5)
+    env: EnvBase = tiny_env([robots], seed=seed, max_steps=10, first=1, threshold=0.01, window=5)
     transforms = [*([CatFrames(stack, -1, in_keys=["pixels"])] if stack else []), *memory_transforms(memory)]
     if nested:
         for transform in transforms:
@@ -72,3 +72,12 @@ def test_a_training_that_has_not_begun_can_be_saved_and_resumed(tmp_path: Path) 
     other.load_state_dict(load_checkpoint(tmp_path / "last.pt"))
     assert str(other.iterate()) == str(expected)
     assert torch.equal(parameters(other), first_weights)
+
+
+def test_a_training_keeps_its_number_of_robots(tmp_path: Path) -> None:
+    save_checkpoint(tmp_path / "last.pt", fresh(0, stack=0, memory=6).state_dict())
+    other = fresh(1, stack=0, memory=6, robots=8)
+    weights = parameters(other)
+    with pytest.raises(ValueError, match=r"env\.num_envs: expected 4, with which the training began, got 8; a"):
+        other.load_state_dict(load_checkpoint(tmp_path / "last.pt"))
+    assert torch.equal(parameters(other), weights)

@@ -150,7 +150,6 @@ def test_an_interrupt_in_the_last_batch_ends_the_command_with_the_training_saved
 def test_resuming_with_an_env_or_a_network_of_another_shape_is_refused_in_one_line(tmp_path: Path) -> None:
     trainer(tmp_path, [0.4, 0.9, 0.6]).fit()
     others = [
-        learner(tiny_env([8], max_steps=10), total_frames=64 * 8),
         learner(tiny_env([4], max_steps=10), total_frames=64 * 8, memory=16),
         learner(StatefulEnv(tiny_env([4], max_steps=10), Appearance()), total_frames=64 * 8),
     ]
