@@ -124,6 +124,11 @@ class BlockScene(Scene):
         return [block.read for block in self.blocks]
 
     @property
+    def extent(self) -> Bounds:
+        """Lower and upper corner of all blocks, metres."""
+        return _around(self.blocks)
+
+    @property
     def surroundings(self) -> Gaussians:
         """Gaussians of the blocks near the scene's bounds: at most half the bounds' longest side away.
 

@@ -116,6 +116,7 @@ ERRORS = [
     ),
     # Values that do not fit together.
     (f"train {ROOM} robot.height=-1.0", "robot.height: expected robots above"),
+    (f"train {ROOM} robot.height=40", "robot.height: expected robots below 1.21 m, the top of scene.bounds, got 40"),
     (
         f"train {GRID} landmarks.goal=[9,9,0]",
         "task.goal: expected a point in the walkable area, x from -1 to 1 and",
