@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from splatrl.scenes.town import town
     from splatrl.scenes.yards import yard, yards
 
+    __version__: str
+
 _HOMES = {
     "Box": "bodies",
     "Cameras": "cameras",
@@ -62,6 +64,8 @@ register_ids()
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return import_module("importlib.metadata").version(__name__)  # its import would take half of the package's
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -1,13 +1,21 @@
 """Checks that scene, robot and goal fit together; errors name the key to change, before anything is trained."""
 
+from collections.abc import Sequence
+
+import torch
 from torch import Tensor
 
+from splatrl.collision.base import Checker
+from splatrl.collision.voxel_grid import widened
 from splatrl.envs.tasks.base import Task
-from splatrl.scenes.scene import Bounds
+from splatrl.motions import OrbitMotion
+from splatrl.scenes.scene import Bounds, Scene
 
 
 def check_height(bounds: Bounds, task: Task) -> None:
-    """Refuse robots that would move below the scene.
+    """Refuse robots that would move below the scene, or at a fixed height above it.
+
+    Robots whose height varies, because they orbit an object or fly, may be above it.
 
     Args:
         bounds: bounds of the scene, world frame, metres.
@@ -15,9 +23,12 @@ def check_height(bounds: Bounds, task: Task) -> None:
 
     Raises:
         ValueError: names ``robot.height``, or ``scene.bounds`` for robots with physics, whose height is that of their
-            MJCF; the lowest height that fits; and what was given.
+            MJCF; the limit of what fits; and what was given.
     """
-    lowest, bottom = float(task.motion.body_to_world(task.motion.states())[:, 2, 3].min()), bounds[0][2]
+    lowest = float(task.motion.body_to_world(task.motion.states())[:, 2, 3].min())
+    (_, _, bottom), (_, _, top) = bounds
+    if task.motion.height is not None and lowest > top + 1e-6:
+        raise ValueError(f"robot.height: expected robots below {top:.3g} m, the top of scene.bounds, got {lowest:.3g}")
     if lowest >= bottom - 1e-6:
         return
     if task.motion.seconds_per_step is not None:
@@ -25,6 +36,44 @@ def check_height(bounds: Bounds, task: Task) -> None:
     raise ValueError(
         f"robot.height: expected robots above {bottom:.3g} m, the bottom of scene.bounds, got {lowest:.3g}"
     )
+
+
+def check_captured(scene: Scene, task: Task, solid: Checker) -> None:
+    """Refuse robots that could move where nothing was captured, since nothing would stop them there or be seen.
+
+    Robots that orbit an object, which they always see, may be there.
+
+    Args:
+        scene: the scene; a tenth of their longest side is tolerated beyond its Gaussians and its bounds.
+        task: the task, whose motion defines where robots are.
+        solid: tells where the body does not fit, such as behind a closed wall, where robots never are.
+
+    Raises:
+        ValueError: names where the scene was captured, and where free poses were found.
+    """
+    motion = task.motion
+    (lower, upper), extent = torch.tensor(widened(scene.bounds, scene.extent))[:, :2], scene.extent
+
+    def outside(places: Tensor) -> Tensor:
+        return ((places < lower) | (places > upper)).any(1)
+
+    if isinstance(motion, OrbitMotion) or not outside(motion.region()[:, :2]).any():
+        return
+    poses = motion.body_to_world(motion.states())
+    poses = poses[outside(poses[:, :2, 3])]
+    places = poses[~solid.collides(poses)][:, :2, 3]
+    if len(places):
+        got = _ranges(places.amin(0).tolist(), places.amax(0).tolist())
+        raise ValueError(
+            f"task.motion: expected robots where the scene was captured, {_ranges(*extent)}, got free poses at {got}; "
+            "narrow task.motion.lower and upper, or widen scene.bounds"
+        )
+
+
+def _ranges(lower: Sequence[float], upper: Sequence[float]) -> str:
+    """Return the x and y of a box in words."""
+    x, y = (f"{least:.3g} to {most:.3g}" for least, most in zip(lower[:2], upper[:2], strict=True))
+    return f"x from {x} and y from {y} m"
 
 
 def check_goal(task: Task, reached: Tensor) -> None:
@@ -41,7 +90,7 @@ def check_goal(task: Task, reached: Tensor) -> None:
         return
     places = task.motion.planar(task.motion.states())[:, :2]
     low, high = places.amin(0), places.amax(0)
-    x, y = (f"{least:.3g} to {most:.3g}" for least, most in zip(low, high, strict=True))
+    area = _ranges(low.tolist(), high.tolist())
     for name, landmark in (("goal", "landmarks.goal"), ("place", "landmarks.object")):
         value = getattr(task, name, None)
         if isinstance(value, Tensor):
@@ -52,7 +101,7 @@ def check_goal(task: Task, reached: Tensor) -> None:
                     f"type another {landmark}, or another motion@task.motion"
                 )
             raise ValueError(
-                f"task.{name}: expected a point in the walkable area, x from {x} and y from {y} m, got {got}; "
+                f"task.{name}: expected a point in the walkable area, {area}, got {got}; "
                 f"type another {landmark}, or wider task.motion.lower and upper"
             )
-    raise ValueError(f"task: expected a goal in the walkable area, x from {x} and y from {y} m, found none")
+    raise ValueError(f"task: expected a goal in the walkable area, {area}, found none")

@@ -1,5 +1,6 @@
 """Builds the scenes of a config, each with its robot, task and shortest paths."""
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -15,6 +16,7 @@ from splatrl.bodies import Body
 from splatrl.building.instantiation import instantiate
 from splatrl.collision import NativeChecker, Occupancy
 from splatrl.collision.base import Checker
+from splatrl.collision.report import NOTHING_SOLID
 from splatrl.cost_cache import remembering
 from splatrl.curriculum import NoPath, Plan, plan
 from splatrl.device import KINDS
@@ -23,7 +25,7 @@ from splatrl.envs.robot import Robot
 from splatrl.envs.sensors import Sensor
 from splatrl.envs.tasks import Task
 from splatrl.envs.world import World, Worlds
-from splatrl.misfits import check_goal, check_height
+from splatrl.misfits import check_captured, check_goal, check_height
 from splatrl.motions import Site
 from splatrl.native.threads import threads_of
 from splatrl.scenes.scene import Bounds, Scene
@@ -89,6 +91,8 @@ def _build_place(cfg: DictConfig, device: torch.device, repeats: int) -> Place:
     region = _start_region(task, robot.body)
     with under_key("collision.occupancy"):
         occupancy = instantiate(cfg.collision.occupancy)(scene, *region)
+    if occupancy.count == 0:
+        warnings.warn(f"{scene.name}: {NOTHING_SOLID}", stacklevel=2)
     checker = constructor(cfg, "collision", device)(occupancy, robot.body)
     antialiased = bool(cfg.renderer.get("antialiased", True))
     with under_key("task.motion"):
@@ -96,6 +100,7 @@ def _build_place(cfg: DictConfig, device: torch.device, repeats: int) -> Place:
     shared = device.type == "cpu" and obstacles is occupancy
     planner = checker if shared else instantiate(cfg.collision.cpu)(obstacles, robot.body)
     solid = planner if isinstance(planner, NativeChecker) else NativeChecker(obstacles, robot.body)
+    check_captured(scene, task, solid)
     with under_key("task"):
         fits = task.settle(
             Site(scene, occupancy, planner, robot.body, antialiased), partial(_fits, scene.bounds, solid)
@@ -158,5 +163,6 @@ def _start_region(task: Task, body: Body) -> tuple[Tensor, tuple[list[float], li
     reached = task.reached(states)
     if reached is not None:
         check_goal(task, reached)
-    lower, upper = places.amin(0) - body.radius, places.amax(0) + body.radius
+    margin, (lower, upper) = body.radius + task.leeway, task.motion.region()
+    lower, upper = lower - margin, upper + margin
     return places if reached is None else places[reached], (lower.tolist(), upper.tolist())

@@ -20,7 +20,15 @@ from splatrl.collision.boxes import box_keys
 from splatrl.collision.density import DEFAULT_DENSITY, DensitySettings, solid_voxels
 from splatrl.collision.fill import unreached_voxels, warn_unfilled
 from splatrl.collision.point_clouds import file_digest, read_points
-from splatrl.collision.voxel_grid import MAX_VOXELS, Bounds, check_resolution, checked_box, checked_points, grid_shape
+from splatrl.collision.voxel_grid import (
+    MAX_VOXELS,
+    Bounds,
+    check_resolution,
+    checked_box,
+    checked_points,
+    grid_shape,
+    widened,
+)
 from splatrl.collision.voxels import Voxels
 from splatrl.scenes.gaussians import Gaussians
 
@@ -187,11 +195,11 @@ class Occupancy(Voxels):
         Args:
             scene: holds ``gaussians`` in the world frame, ``bounds`` and a cache.
             seeds: [N, 3] places that robots can reach, world, metres, for ``fill``.
-            around: lower and upper corner of the region where robots are, metres, for ``fill``.
+            around: lower and upper corner of the region where robots are, metres, for ``crop`` and ``fill``.
             resolution: edge of a voxel, metres.
             density: which Gaussians are solid; unused with a cloud.
-            crop: lower and upper corner of the grid, metres. None takes the scene's bounds, widened on all sides by a
-                tenth of their longest side.
+            crop: lower and upper corner of the grid, metres. None takes the box that holds the scene's bounds and
+                ``around``, each widened on all sides by a tenth of its longest side.
             max_voxels: maximum number of voxels in the grid.
             cloud: a point cloud file, PLY or PCD, in world metres: a laser or depth-camera scan of the place, whose
                 points determine what is solid in place of the Gaussians. None takes the Gaussians.
@@ -200,7 +208,7 @@ class Occupancy(Voxels):
             clear: boxes, each a lower and an upper corner, metres, in which nothing is solid.
             add: boxes that are solid, even inside a box of ``clear``.
         """
-        within = _widened(scene.bounds) if crop is None else crop
+        within = widened(scene.bounds, scene.bounds if around is None else around) if crop is None else crop
         cleared, added = _boxes("clear", clear), _boxes("add", add)
         flood = None if fill is None else _flood(fill, seeds, around)
         recipe = {
@@ -321,12 +329,6 @@ class Occupancy(Voxels):
 
 def _window(start: NDArray[np.int64], shape: tuple[int, ...]) -> tuple[slice, ...]:
     return tuple(slice(int(at), int(at) + extent) for at, extent in zip(start, shape, strict=True))
-
-
-def _widened(bounds: Bounds) -> Bounds:
-    lower, upper = np.array(bounds, np.float64)  # a flat scene has flat bounds
-    margin = 0.1 * (upper - lower).max()
-    return (lower - margin).tolist(), (upper + margin).tolist()
 
 
 def _boxes(name: str, boxes: Sequence[Bounds]) -> NDArray[np.float64]:

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+NOTHING_SOLID = "nothing is solid within bounds; is the scale right?"
+"""What to say of an occupancy without solid voxels, in which robots would pass through everything."""
+
 
 @dataclass(frozen=True)
 class OccupancyReport:
@@ -32,6 +35,7 @@ class OccupancyReport:
         pieces = "1 piece" if self.components == 1 else f"{self.components:,} pieces"
         return "\n".join(
             [
+                *([] if self.occupied else [f"problem     {NOTHING_SOLID}"]),
                 f"grid        {x} × {y} × {z} voxels of {self.resolution:g} m",
                 f"occupied    {self.occupied:,} voxels, {self.occupied_volume:.3f} m³, in {pieces}",
                 f"free        {self.free_volume:.3f} m³",

@@ -68,6 +68,13 @@ def checked_box(name: str, box: Bounds) -> NDArray[np.float64]:
     return corners
 
 
+def widened(*boxes: Bounds) -> Bounds:
+    """Return the box that holds some boxes, which may be flat, each widened by a tenth of its longest side."""
+    lower, upper = np.array(boxes, np.float64).swapaxes(0, 1)
+    margin = 0.1 * (upper - lower).max(1, keepdims=True)
+    return (lower - margin).min(0).tolist(), (upper + margin).max(0).tolist()
+
+
 def grid_shape(
     first_key: NDArray[np.int64], end_key: NDArray[np.int64], resolution: float, max_voxels: int
 ) -> tuple[int, int, int]:

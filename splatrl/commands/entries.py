@@ -31,6 +31,9 @@ def start(name: str, arguments: Sequence[str] | None = None) -> None:
         if isinstance(stream, io.TextIOWrapper) and codecs.lookup(stream.encoding).name != "utf-8":
             stream.reconfigure(errors="replace")  # pages and messages hold signs that not every encoding has
     try:
+        if "--version" in (sys.argv[1:] if arguments is None else arguments):
+            print(f"splatrl {import_module('importlib.metadata').version('splatrl')}")
+            return
         _start(name, sys.argv[1:] if arguments is None else arguments)
     except KeyboardInterrupt:  # resumable commands catch it themselves and say so
         print(f"\nsplatrl-{name}: interrupted", file=sys.stderr)

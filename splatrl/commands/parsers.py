@@ -211,7 +211,7 @@ def scene(arguments: Sequence[str]) -> argparse.Namespace:
 
 def gait(arguments: Sequence[str]) -> argparse.Namespace:
     """Parse the options of ``splatrl-gait``."""
-    result = argparse.ArgumentParser(
+    result = Parser(
         "splatrl-gait",
         description="Write the policy of a task=strides run as a gait, a small file of network weights.",
         epilog=GAIT,

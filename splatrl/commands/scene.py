@@ -11,10 +11,11 @@ from splatrl.capture import inspection
 from splatrl.commands.entries import USERS
 from splatrl.commands.entries import scene as main
 from splatrl.files import expanded
-from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks
+from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks, scene_place
 from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.folders import SceneFolder
 from splatrl.scenes.formats import read_gaussians
+from splatrl.scenes.formats.reading import splat_reader
 from splatrl.scenes.frame import similarity
 from splatrl.scenes.nerfstudio import antialiased_beside
 from splatrl.scenes.placement import floor_height
@@ -48,7 +49,7 @@ def look(options: argparse.Namespace) -> None:
     for name in ("height", "resolution", "scale", "split"):
         if getattr(options, name) is not None:
             require_number(f"--{name}", getattr(options, name), above=0.0)
-    path = expanded(options.file)
+    path = scene_place(expanded(options.file))
     if is_in_blocks(path):
         raise ValueError(
             f"{path}: expected a splat file or a folder with {SCENE_FILE}, got a folder with {BLOCKS_FILE}"
@@ -65,6 +66,7 @@ def look(options: argparse.Namespace) -> None:
 
 def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, target: SceneFolder) -> None:
     """Inspect a splat file, and write the folder of its scene."""
+    splat_reader(path)  # refuses what is no splat file before anything that its name would replace
     target.check(path)
     gaussians = read_gaussians(path)
     stated, lines = stated.beside(path)
@@ -86,6 +88,8 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
         across = max(high - low for low, high in zip(*scene.bounds, strict=True))
         raise ValueError(f"{error}; if the scene is not {across:.3g} m across, pass --scale or --distance") from error
     show(proposed.lines)
+    if proposed.settings and proposed.settings.get("goal") is None:
+        print("goals       none: nothing to recognise near a free place")
     proposals = {} if drawn is None else {"antialiased": drawn}
     proposals |= {"metric": False} if upright.units_guess.confidence == UNKNOWN else {}
     proposals |= proposed.settings
@@ -93,7 +97,7 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
         show(target.write(scene, proposed.bounds, proposals))
     else:
         show(target.describe(path, gaussians, scene.name, frame, proposed.bounds, proposals))
-    words = [word for key, word in STILL_TO_TYPE.items() if key not in proposals]
+    words = [word for key, word in STILL_TO_TYPE.items() if proposals.get(key) is None]
     print(" ".join(["train in it: splatrl-train", shlex.quote(f"scene={target.path}/"), *words]))
 
 

@@ -12,13 +12,14 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from splatrl.configuration.grammar import readable
 from splatrl.configuration.key_help import help_page, key_help
 from splatrl.configuration.kinds import check_kind, value_of
 from splatrl.configuration.known_keys import check_key
 from splatrl.configuration.run_configs import RUN_CONFIG, run_config, typed_targets
-from splatrl.configuration.scene_choice import SEEDED, SWEEP, load_config, with_scene_paths
+from splatrl.configuration.scene_choice import SEEDED, SWEEP, load_config, with_proposals, with_scene_chosen
 from splatrl.configuration.search_path import choice_keys, group_choices, is_group, options
 from splatrl.configuration.spelling import SPELLED, viewed_run
 from splatrl.configuration.sweeps import check_sweeps, choices, compositions, directed, values
@@ -28,6 +29,8 @@ OWN_CONFIG = ("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-
 WITH_VALUE = (*OWN_CONFIG, "--cfg", "-c", "--package", "-p", "--info", "-i", "--experimental-rerun")
 """Hydra options that take the next word as their value."""
 HELP = ("-h", "--help")
+OPTIONS = (*WITH_VALUE, *HELP, *sorted(SWEEP), "--run", "-r", "--resolve", "--hydra-help", "--shell-completion", "-sc")
+"""All options of Hydra that we let it take."""
 SHOWING = ("--cfg", "-c", "--info", "-i")
 """Hydra options that show something instead of running."""
 MAIN_KEYS = {
@@ -67,23 +70,22 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
         SystemExit: with one line that names the argument, what was expected and what was given; or after printing the
             page for ``--help``.
     """
-    arguments = SPELLED.get(name, list)([readable(word) for word in arguments])
+    arguments = [readable(word) for word in arguments]
     try:
+        _check_brackets(arguments)
+        arguments = SPELLED.get(name, list)(arguments)
         _check_words(name, arguments)
         if name == "view" and (folder := viewed_run(arguments)):
             _check_beside_run(folder, arguments)
-        words = with_scene_paths(arguments, name)
+        words = with_scene_chosen(arguments, name)
+        own = any(argument.partition("=")[0] in OWN_CONFIG for argument in arguments)
+        if not own:
+            _check_chosen(name, words)  # before with_proposals, which may generate yards
+        words = with_proposals(words, name)
         result = _options_first(directed(words) if name == "train" else words)
-        if any(argument.partition("=")[0] in OWN_CONFIG for argument in arguments):
+        if own:
             return result  # the user's own config: Hydra reports unknown keys
-        sweeps = any(argument in SWEEP for argument in arguments)
-        overrides = [_parsed(word, sweeps) for word in result if _is_plain(word)]
-        for word in result:
-            if "=" in word and word.startswith(("+", "~", "hydra")):
-                _check_plugin(_parsed(word, sweeps=True))
-        if not any(word.startswith("hydra/sweeper=") for word in result):
-            check_sweeps(overrides)
-        _check_overrides(name, overrides)
+        overrides = _plain(result)
         passed = _forced if _resumed(overrides) else str
         if any(argument in HELP for argument in arguments):
             single = [passed(str(override.input_line)) for override in overrides if not override.is_sweep_override()]
@@ -92,6 +94,23 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
     except ValueError as error:
         sys.exit(f"splatrl-{name}: {error}")
     return list(map(passed, result))
+
+
+def _check_chosen(name: str, words: Sequence[str]) -> None:
+    """Refuse overrides that do not fit the configs, in words in which the scene is chosen."""
+    overrides = _plain(words)
+    for word in words:
+        if "=" in word and word.startswith(("+", "~", "hydra")):
+            _check_plugin(_parsed(word, sweeps=True))
+    if not any(word.startswith("hydra/sweeper=") for word in words):
+        check_sweeps(overrides)
+    _check_overrides(name, overrides)
+
+
+def _plain(words: Sequence[str]) -> list[Override]:
+    """Return the overrides of our keys and groups among words, parsed."""
+    sweeps = any(word in SWEEP for word in words)
+    return [_parsed(word, sweeps) for word in words if _is_plain(word)]
 
 
 def _options_first(words: Sequence[str]) -> list[str]:
@@ -114,6 +133,20 @@ def _is_plain(word: str) -> bool:
     return "=" in word and not word.startswith(("-", "+", "~", "hydra"))
 
 
+def _check_brackets(arguments: Sequence[str]) -> None:
+    """Refuse a list or dictionary with blanks that was not quoted, which the shell has split into several words."""
+    for place, word in enumerate(arguments):
+        if "=" in word and not word.startswith("-") and _open(word) > 0:
+            ends = (end for end in range(place + 2, len(arguments) + 1) if _open(" ".join(arguments[place:end])) == 0)
+            if end := next(ends, None):
+                raise UserError(f"{word}: expected one word; quote it: '{' '.join(arguments[place:end])}'")
+
+
+def _open(text: str) -> int:
+    """Return how many more brackets a text opens than it closes."""
+    return sum(text.count(bracket) for bracket in "[{") - sum(text.count(bracket) for bracket in "]}")
+
+
 def _check_words(name: str, arguments: Sequence[str]) -> None:
     """Refuse words that are neither overrides nor Hydra options, and options that Hydra cannot combine."""
     shown = [word for word in arguments if word.partition("=")[0] in SHOWING]
@@ -123,8 +156,11 @@ def _check_words(name: str, arguments: Sequence[str]) -> None:
         )
     for before, word in zip(["", *arguments], arguments, strict=False):
         key, _, value = word.lstrip("-").partition("=")
-        if word.startswith("--") and _is_ours(key, name):
-            raise UserError(f"{word}: expected {key}={value or '...'}, without --")
+        if word.startswith("-") and _is_ours(key, name):
+            dashes = word[: len(word) - len(word.lstrip("-"))]
+            raise UserError(f"{word}: expected {key}={value or '...'}, without {dashes}")
+        if word.startswith("-") and word.partition("=")[0] not in OPTIONS and before not in WITH_VALUE:
+            raise UserError(f"{word}: expected key=value, or an option that --hydra-help lists")
         if "=" not in word and not word.startswith(("-", "~", "+")) and before not in WITH_VALUE:
             groups = [group for group in ("task", "scene") if name == "train" and word in options(group)]
             meant = f"{word}=..." if _is_ours(word, name) else f"{(*groups, MAIN_KEYS[name])[0]}={word}"
@@ -143,7 +179,10 @@ def _check_beside_run(folder: str, arguments: Sequence[str]) -> None:
 
 def _is_ours(key: str, name: str) -> bool:
     cfg = load_config(name=name)
-    return is_group(key) or key in list(cfg) or OmegaConf.select(cfg, key, throw_on_missing=False) is not None
+    try:
+        return is_group(key) or key in list(cfg) or OmegaConf.select(cfg, key, throw_on_missing=False) is not None
+    except OmegaConfBaseException:  # a path such as ../
+        return False
 
 
 def _parsed(word: str, sweeps: bool) -> Override:

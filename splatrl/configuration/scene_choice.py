@@ -91,16 +91,32 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
     Raises:
         ValueError: for a value that looks like a path but does not exist, or for an invalid ``scene.yaml``.
     """
+    return with_proposals(with_scene_chosen(overrides, name), name)
+
+
+def with_scene_chosen(overrides: Sequence[str], name: str = "train") -> list[str]:
+    """Do the part of ``with_scene_paths`` that takes no time: rewrite ``scene=`` and choose the renderer of blocks."""
     result = list[str]()
-    sweeps = name == "train" and bool(SWEEP.intersection(overrides))
+    sweeps = _sweeps(overrides, name)
     for override in overrides:
         key, typed, value = override.partition("=")
         result += _choosing(value, sweeps) if key == "scene" and typed else [override]
-    if sweeps:
-        return result
-    if _any_in_blocks(overrides, result) and not any(override.startswith("renderer=") for override in overrides):
-        result.append("renderer=blocks")
-    return [*_proposals(result, name), *result, *_places(result, name)]
+    if "scene=yards" in result and not sweeps:
+        _yard_seeds(result)  # refuses what is no number
+    chosen = any(override.startswith("renderer=") for override in overrides)
+    return [*result, "renderer=blocks"] if not (sweeps or chosen) and _any_in_blocks(overrides, result) else result
+
+
+def with_proposals(overrides: Sequence[str], name: str = "train") -> list[str]:
+    """Do the rest of ``with_scene_paths``: add what the scene proposes, for which yards may have to be generated."""
+    if _sweeps(overrides, name):
+        return list(overrides)
+    return [*_proposals(overrides, name), *overrides, *_places(overrides, name)]
+
+
+def _sweeps(overrides: Sequence[str], name: str) -> bool:
+    """Whether a command line asks for a sweep of trainings."""
+    return name == "train" and bool(SWEEP.intersection(overrides))
 
 
 def _choosing(value: str, sweeps: bool) -> list[str]:
@@ -144,11 +160,9 @@ def _is_path(text: str) -> bool:
 
 def _files(paths: Sequence[str]) -> list[str]:
     """Return the overrides that choose a scene, or in a sweep several, by existing paths."""
-    from splatrl.configuration.scene_files import check_scene
+    from splatrl.configuration.scene_files import found_scene
 
-    for path in paths:
-        check_scene(Path(path))
-    return ["scene=file", f"scene.path={','.join(map(quoted, paths))}"]
+    return ["scene=file", f"scene.path={','.join(quoted(found_scene(path)) for path in paths)}"]
 
 
 def _any_in_blocks(overrides: Sequence[str], chosen: Sequence[str]) -> bool:
@@ -206,21 +220,31 @@ def _in_blocks(text: str) -> bool:
     config = text.partition(":")[0]
     if config in options("scene"):
         return group_choices("scene", config).get("renderer") == "blocks"
-    from splatrl.configuration.scene_files import is_in_blocks
+    from splatrl.configuration.scene_files import found_scene, is_in_blocks
 
-    return is_in_blocks(Path(text))
+    return is_in_blocks(Path(found_scene(text)))
 
 
 def _yard_paths(overrides: Sequence[str]) -> list[str]:
     """Expand ``scene=yards`` into entries of ``scene.paths``; yards not in the cache are generated in parallel."""
+    from splatrl.configuration.scene_files import make_yards
+
+    seeds = _yard_seeds(overrides)
+    make_yards(seeds)
+    return [f"yard:{seed}" for seed in seeds]
+
+
+def _yard_seeds(overrides: Sequence[str]) -> range:
+    """Return the seeds of ``scene=yards``.
+
+    Raises:
+        ValueError: for a count or a first seed that is not one whole number.
+    """
     usual = group_node("scene", "yards")["scene"]
     count, first = (last_typed(overrides, f"scene.{key}", usual[key]) for key in ("count", "first"))
     require_number("scene.count", count, 1, 2**20, whole=True)
     require_number("scene.first", first, 0, 2**62, whole=True)
-    from splatrl.configuration.scene_files import make_yards
-
-    make_yards(range(first, first + count))
-    return [f"yard:{seed}" for seed in range(first, first + count)]
+    return range(first, first + count)
 
 
 def _chosen(text: str, key: str = "scene.paths") -> list[str]:
@@ -238,10 +262,9 @@ def _chosen(text: str, key: str = "scene.paths") -> list[str]:
     if not Path(text).exists():
         expected = f"one of {', '.join(known)}, one with a seed such as yard:3, or an existing path"
         raise ValueError(f"{key}: expected {expected}, got {text}")
-    from splatrl.configuration.scene_files import check_scene
+    from splatrl.configuration.scene_files import found_scene
 
-    check_scene(Path(text))
-    return ["scene=file", f"scene.path={quoted(Path(text).absolute())}"]
+    return ["scene=file", f"scene.path={quoted(Path(found_scene(text)).absolute())}"]
 
 
 def _whole_configs() -> list[str]:

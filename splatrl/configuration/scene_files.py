@@ -8,27 +8,29 @@ from tqdm import tqdm
 
 from splatrl.native.threads import usable_cores
 from splatrl.scenes import yards
-from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks, read_blocks_description
+from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks, read_blocks_description, scene_place
 from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.formats.reading import META
 from splatrl.scenes.nerfstudio import antialiased_beside
 
-__all__ = ["check_scene", "described", "is_in_blocks", "make_yards", "yard_proposals"]
+__all__ = ["described", "found_scene", "is_in_blocks", "make_yards", "yard_proposals"]
 
 yard_proposals = yards.proposals
 
 
-def check_scene(path: Path) -> None:
-    """Refuse a folder without a scene.
+def found_scene(typed: str) -> str:
+    """Return the path of a scene as it was typed, or its folder if ``scene.yaml`` or ``blocks.yaml`` was typed.
 
     Raises:
         ValueError: for a folder without a scene; the message says how to make one.
     """
+    path = scene_place(Path(typed))
     if path.is_dir() and not any((path / name).is_file() for name in (SCENE_FILE, BLOCKS_FILE, META)):
         raise ValueError(
             f"scene: expected a splat file, or a folder with {SCENE_FILE} or {BLOCKS_FILE}, got {path}; "
             f"make one with splatrl-scene <splat file> --out {path}"
         )
+    return typed if path == Path(typed) else str(path)
 
 
 def described(place: Path) -> dict[str, Any]:
@@ -37,6 +39,7 @@ def described(place: Path) -> dict[str, Any]:
     Raises:
         ValueError: for an invalid ``scene.yaml`` or ``blocks.yaml``.
     """
+    place = scene_place(place)
     if is_in_blocks(place):
         return read_blocks_description(place)
     stated = read_description(place) if (place / SCENE_FILE).is_file() else {}

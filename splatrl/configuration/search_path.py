@@ -80,6 +80,8 @@ def _chosen(name: str, *choices: str) -> bytes:
 @functools.cache
 def options(group: str) -> tuple[str, ...]:
     """Return the options of a config group, including those of plugins; empty if there is no such group."""
+    if group.startswith(("/", ".")):  # a path, which Hydra would take for a group of its YAML files
+        return ()
     with config_loader() as loader:
         return tuple(loader.get_group_options(group))
 

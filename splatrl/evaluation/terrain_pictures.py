@@ -71,9 +71,10 @@ def draw_terrain(
     shown = gaussians[gaussians.means[:, 2] < cut]
     scale = tops.max(initial=0.1)
     colors = colormaps[COLORS](tops / scale)
-    figure = Figure(figsize=(13.0, 6.0), dpi=110, layout="constrained")
+    sides = [min(max((high[0] - low[0]) / (high[1] - low[1]), 0.6), 2.4), 4 / 3]  # relative to their height
+    figure = Figure(figsize=(3.0 + 4.5 * sum(sides), 6.0), dpi=110, layout="compressed")
     canvas = FigureCanvasAgg(figure)
-    left, right = figure.subplots(1, 2)
+    left, right = figure.subplots(1, 2, width_ratios=sides)
 
     def make(shown: Gaussians) -> NativeRenderer:
         return NativeRenderer(shown, antialiased)

@@ -81,6 +81,7 @@ def top_down(
 
     Only what lies below ``below`` is shown, so that ceilings, tree crowns and the sky do not hide the floor. Gaussians
     that can only be sky are left out as well: those larger than the window, or farther from it than its longer side.
+    A window in which nothing is left shows the background.
 
     Args:
         gaussians: the scene's Gaussians, world frame.
@@ -93,7 +94,7 @@ def top_down(
         depth: depth below the cut beyond which things are left out, metres.
 
     Raises:
-        ValueError: for a window that has no area or contains nothing.
+        ValueError: for a window that has no area.
     """
     (left, bottom), (right, top) = lower, upper
     side = max(right - left, top - bottom)
@@ -103,8 +104,6 @@ def top_down(
     width, height = (max(1, math.ceil(length / metres - 1e-6)) for length in (right - left, top - bottom))
     x, y = 0.5 * (left + right), 0.5 * (bottom + top)
     shown = _floor(gaussians, (x, y), (right - left + 2 * side, top - bottom + 2 * side), side, below, depth)
-    if not shown.any():
-        raise ValueError(f"top_down: expected Gaussians below {below} m in the window, got none")
     distance = DISTANCE * side
     focal = distance / metres
     K = torch.tensor([[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]])

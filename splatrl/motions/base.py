@@ -158,6 +158,10 @@ class PlannedMotion(Motion, Protocol):
         """Return the states in which episodes may begin: [S, ...]."""
         ...
 
+    def region(self) -> Tensor:
+        """Return the lower and upper corner of the box that robots' positions stay in: [2, 3] float32, metres."""
+        ...
+
     def actions(self) -> Tensor:
         """Return the actions from which paths are made: [A, ...]."""
         ...
@@ -194,6 +198,11 @@ class MotionModule(nn.Module):
     def seconds_per_step(self) -> float | None:
         """None: an action is a single move."""
         return None
+
+    def region(self: PlannedMotion) -> Tensor:
+        """Return the corners of the box around all starts: [2, 3] float32, metres."""
+        places = self.body_to_world(self.states())[:, :3, 3]
+        return torch.stack([places.amin(0), places.amax(0)])
 
     def obstacles(self, scene: Scene, occupancy: Occupancy, antialiased: bool) -> Occupancy:
         """Return all solid voxels."""

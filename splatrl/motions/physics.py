@@ -210,6 +210,12 @@ class PhysicsMotion(TwinMotion):
         self.models = Models()
         self.stand_on(self.terrain)
 
+    def region(self) -> Tensor:
+        """Return the corners of the bounds, up to the ceiling or the robot's highest point: [2, 3] float32, metres."""
+        region = self.twin.region()
+        region[1, 2] = max(float(region[1, 2]), self.top)
+        return region
+
     @property
     def seconds_per_step(self) -> float:
         """Duration of an action, seconds."""

@@ -97,6 +97,10 @@ class PlanarMotion(SweptMotion):
         yaws = torch.arange(self.headings, dtype=torch.float64) * (math.tau / self.headings)
         return torch.cartesian_prod(*axes, yaws).float().to(self.lower.device)
 
+    def region(self) -> Tensor:
+        """Return the corners of the bounds, at the robots' height: [2, 3] float32, metres."""
+        return torch.cat([torch.stack([self.lower, self.upper]), self.elevation.expand(2, 1)], 1)
+
     def inside(self, state: Tensor) -> Tensor:
         """Return whether states are within the bounds, which are inclusive: [B, 3] -> [B] bool."""
         place = state[:, :2]

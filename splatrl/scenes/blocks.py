@@ -18,7 +18,7 @@ from torch.nn.functional import pad
 
 from splatrl.documents import read_yaml
 from splatrl.files import checked_name, replacing
-from splatrl.scenes.description import SCENE_FILE, decimals_of
+from splatrl.scenes.description import SCENE_FILE, check_keys, decimals_of
 from splatrl.scenes.formats import read_gaussians
 from splatrl.scenes.formats.limits import MAX_INFLATION
 from splatrl.scenes.frame import stated_similarity
@@ -124,6 +124,11 @@ class BlockScene(Scene):
         return [block.read for block in self.blocks]
 
     @property
+    def extent(self) -> Bounds:
+        """Lower and upper corner of all blocks, metres."""
+        return _around(self.blocks)
+
+    @property
     def surroundings(self) -> Gaussians:
         """Gaussians of the blocks near the scene's bounds: at most half the bounds' longest side away.
 
@@ -156,6 +161,11 @@ def joined(parts: Sequence[Gaussians]) -> Gaussians:
 
 
 _PLAIN = ("means", "quats", "scales", "opacities")
+
+
+def scene_place(path: Path) -> Path:
+    """Return the folder of a scene if its ``scene.yaml`` or ``blocks.yaml`` is named instead; else the path itself."""
+    return path.parent if path.name in (SCENE_FILE, BLOCKS_FILE) else path
 
 
 def is_in_blocks(path: Path) -> bool:
@@ -198,7 +208,7 @@ def read_blocks_description(folder: Path) -> dict[str, Any]:
     content = read_yaml(path, MAX_BYTES)
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected keys and values, got {content!r:.80}")
-    _require_keys(str(path), content, BLOCKS_KEYS)
+    check_keys(str(path), content, BLOCKS_KEYS)
     stated = {str(key): value for key, value in content.items() if value is not None}
     if "name" in stated:
         checked_name(f"{path}: name", stated["name"])
@@ -248,7 +258,7 @@ def _block(folder: Path, number: int, entry: object, max_inflation: float) -> Bl
     where = f"{folder / BLOCKS_FILE}: blocks[{number}]"
     if not isinstance(entry, dict):
         raise ValueError(f"{where}: expected the keys {', '.join(BLOCK_KEYS)}, got {entry!r:.80}")
-    _require_keys(where, entry, BLOCK_KEYS)
+    check_keys(where, entry, BLOCK_KEYS)
     splat = folder / checked_name(f"{where}.splat", entry.get("splat"))
     if not splat.is_file():
         raise FileNotFoundError(f"{where}.splat: expected a file in this folder, found no {splat.name}")
@@ -264,12 +274,6 @@ def _bounds(where: str, corners: Any) -> Bounds:
         return checked_bounds(corners)
     except ValueError as error:
         raise ValueError(f"{where}.{error}" if "[" in where else f"{where}: {error}") from error
-
-
-def _require_keys(where: str, content: Mapping[Any, Any], known: Sequence[str]) -> None:
-    unknown = [str(key) for key in content if key not in known]
-    if unknown:
-        raise ValueError(f"{where}: expected the keys {', '.join(known)}, got {', '.join(unknown):.80}")
 
 
 def _written(bounds: Bounds) -> str:

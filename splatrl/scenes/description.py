@@ -1,8 +1,9 @@
 """Reads and writes ``scene.yaml``, the file that states where a splat lies in the world."""
 
+import difflib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -54,16 +55,35 @@ def read_description(folder: Path) -> dict[str, Any]:
     content = read_yaml(path)
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected keys and values, got {content!r}")
-    unknown = [str(key) for key in content if key not in SCENE_KEYS]
-    if unknown:
-        raise ValueError(f"{path}: expected the keys {', '.join(SCENE_KEYS)}, got {', '.join(unknown)}")
+    check_keys(str(path), content, SCENE_KEYS)
+    if content.get("splat") is None:
+        raise ValueError(f"{path}: splat: expected the name of a file in this folder, got none")
     stated = {str(key): value for key, value in content.items() if value is not None}
-    for key in ("splat", *(key for key in ("name",) if key in stated)):
-        checked_name(f"{path}: {key}", stated.get(key))
+    for key in ("splat", "name"):
+        if key in stated:
+            checked_name(f"{path}: {key}", stated[key])
     if not isinstance(stated.get("world_from_splat", {}), dict):
         raise ValueError(f"{path}: world_from_splat: expected keys and values, got {stated['world_from_splat']!r}")
     check_proposals(path, stated)
     return stated
+
+
+def check_keys(where: str, content: Mapping[Any, Any], known: Sequence[str]) -> None:
+    """Refuse keys that are not among those known, and name a similar one for each.
+
+    Args:
+        where: the file, and the place in it, for the message.
+        content: keys and values.
+        known: the known keys.
+
+    Raises:
+        ValueError: names the unknown keys and those that are known.
+    """
+    unknown = [str(key) for key in content if key not in known]
+    if unknown:
+        near = [match for key in unknown for match in difflib.get_close_matches(key, known, 1)]
+        hint = f"; did you mean {' and '.join(near)}?" if near else ""
+        raise ValueError(f"{where}: expected the keys {', '.join(known)}, got {', '.join(unknown):.80}{hint}")
 
 
 def write_description(

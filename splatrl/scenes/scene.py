@@ -84,6 +84,11 @@ class Scene:
         return [lambda: self.gaussians]
 
     @property
+    def extent(self) -> Bounds:
+        """Lower and upper corner of what was captured, metres: the opaque Gaussians, without floaters."""
+        return robust_bounds(self.gaussians)
+
+    @property
     def surroundings(self) -> Gaussians:
         """Gaussians within and around the scene's bounds, for maps of the place."""
         return self.gaussians

@@ -9,7 +9,7 @@ from typing import Any
 from torch import Tensor
 
 from splatrl.files import expanded
-from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks, read_blocks
+from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks, read_blocks, scene_place
 from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.formats import read_gaussians
 from splatrl.scenes.formats.limits import MAX_INFLATION
@@ -67,7 +67,7 @@ def read_scene(
         >>> read_scene("kitchen.spz", world_from_splat={"axes": ["x", "-z", "y"]})  # doctest: +SKIP
 
     Args:
-        path: a splat file or a folder.
+        path: a splat file, a folder, or the ``scene.yaml`` or ``blocks.yaml`` of a folder.
         world_from_splat: arguments of ``similarity`` by name, where None stands for the default, or a 4×4 tensor.
             Without it, the frame comes from nerfstudio's ``dataparser_transforms.json`` if there is one beside the
             file; otherwise splat coordinates are world metres.
@@ -80,7 +80,7 @@ def read_scene(
         ValueError: for a damaged file, unknown keys, a frame that is not a similarity, or empty bounds; names the
             ``scene.yaml`` if that states them.
     """
-    splat = expanded(path)
+    splat = scene_place(expanded(path))
     if not splat.exists():
         raise FileNotFoundError(
             f"{splat}: expected a splat file or a scene's folder, found none; if it has moved, type scene.path=..."

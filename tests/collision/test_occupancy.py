@@ -214,9 +214,24 @@ def test_from_scene_extends_a_tenth_beyond_the_bounds_or_to_the_crop():
     bounds = Occupancy.from_scene(scene, resolution=0.1).bounds
     assert bounds[0][:2] == pytest.approx([-0.2, -0.2])
     assert bounds[1][:2] == pytest.approx([2.2, 1.2])
-    bounds = Occupancy.from_scene(scene, resolution=0.1, crop=((-1, -1, -1), (0.5, 0.3, 1))).bounds
-    assert bounds[0][:2] == pytest.approx([-1.0, -1.0])
-    assert bounds[1][:2] == pytest.approx([0.5, 0.3])
+    crop, around = ((-1, -1, -1), (0.5, 0.3, 1)), ((-1.0, 0.2, 0.0), (1.0, 2.2, 0.4))
+    for where in (None, around):
+        bounds = Occupancy.from_scene(scene, around=where, resolution=0.1, crop=crop).bounds
+        assert bounds[0][:2] == pytest.approx([-1.0, -1.0])
+        assert bounds[1][:2] == pytest.approx([0.5, 0.3])
+
+
+def test_from_scene_also_extends_a_tenth_beyond_where_robots_are():
+    grid = torch.cartesian_prod(torch.arange(-3, 3, 0.08), torch.arange(-3, 3, 0.08), torch.tensor([0.0]))
+    scene = SimpleNamespace(
+        free=None,
+        pieces=[lambda: blobs(grid, 0.06)],
+        bounds=((0.0, 0.0, 0.0), (2.0, 1.0, 0.0)),
+        cached=lambda kind, settings, build, most: build(),
+    )
+    bounds = Occupancy.from_scene(scene, around=((-0.95, 0.2, 0.0), (1.05, 2.15, 0.4)), resolution=0.1).bounds
+    assert bounds[0][:2] == pytest.approx([-1.2, -0.2])  # rounded to whole voxels
+    assert bounds[1][:2] == pytest.approx([2.2, 2.4])
 
 
 @pytest.mark.parametrize(("resolution", "gone"), [(0.05, 6**3), (0.1, 3**3), (0.2, 1)])

@@ -11,7 +11,7 @@ from hydra.utils import instantiate
 from PIL import Image
 
 from splatrl.building import build_world
-from splatrl.capture import inspection
+from splatrl.capture import inspection, suggestions
 from splatrl.collision.occupancy import Occupancy
 from splatrl.collision.point_clouds import write_points
 from splatrl.commands.scene import main
@@ -311,6 +311,26 @@ def test_the_printed_command_has_placeholders_for_what_was_not_found(
     main([str(tmp_path / "haze.ply"), "--out", str(tmp_path / "haze")])
     last = capsys.readouterr().out.splitlines()[-1]
     assert last.endswith("haze/ robot.height=0.4 'landmarks.goal=[x,y,yaw]'")
+
+
+def test_a_place_in_which_nothing_can_be_recognised_is_said_to_have_no_goal(
+    tmp_path: Path, few_pictures: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("splatrl.capture.suggestions._scores", lambda *_: np.zeros(suggestions.HEADINGS))
+    write_gaussians(tmp_path / "yard.ply", world())
+    main([str(tmp_path / "yard.ply"), "--out", str(tmp_path / "yard")])
+    printed = capsys.readouterr().out.splitlines()
+    assert "goals       none: nothing to recognise near a free place" in printed
+    assert printed[-1].endswith("yard/ 'landmarks.goal=[x,y,yaw]'")
+    assert "goal" not in read_description(tmp_path / "yard")
+
+
+def test_a_folder_may_be_named_by_its_yaml(splat: Path, few_pictures: None, unproposed: None) -> None:
+    main([str(splat)])
+    before = (splat.parent / "scene.yaml").read_bytes()
+    main([str(splat.parent / "scene.yaml")])  # looked at again, not replaced
+    assert (splat.parent / "scene.yaml").read_bytes() == before
+    assert read_scene(splat.parent / "scene.yaml").name == read_scene(splat.parent).name == "yard"
 
 
 def test_a_place_of_implausible_size_and_a_place_in_blocks_are_refused_in_one_line(

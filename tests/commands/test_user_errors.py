@@ -6,6 +6,7 @@ import shlex
 import sys
 import warnings
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 from warnings import formatwarning as formatted
@@ -29,6 +30,8 @@ MAINS: dict[str, Callable[[], None]] = {
     "experiment": experiment.main,
     "scene": scene.main,
     "capture": capture.main,
+    "gait": entries.gait,
+    "view": entries.view,
 }
 TINY = (
     "device=cpu robot.image_width=16 robot.image_height=12 network.pool=1 robot.body.size=[0.3,0.3,0.2] "
@@ -52,6 +55,9 @@ ERRORS = [
     ),
     ("train scene=text.ply robot.height=0.5 landmarks.goal=[0,0,0]", "scene: text.ply: expected a PLY file"),
     ("train scene=bad robot.height=0.5 landmarks.goal=[0,0,0]", "scene: bad/gone.ply: no such splat file"),
+    ("train scene=bad/scene.yaml robot.height=0.5 landmarks.goal=[0,0,0]", "scene: bad/gone.ply: no such splat file"),
+    ("train scene=blank", "blank/scene.yaml: splat: expected the name of a file in this folder, got none"),
+    ("train scene=vast/scene.yaml landmarks.goal=[0.5,1.0,0.0]", "task.motion: expected at most 16,777,216 states"),
     ("train scene.path=room.ply", "scene.path: no such key, did you mean scene=<the path>?"),
     ("scene ~t.ply", "~t.ply: no such splat file"),
     ("capture ~no-such-user/t.mp4", "~no-such-user/t.mp4: expected a video"),
@@ -65,6 +71,13 @@ ERRORS = [
     ("train transforms/appearance=foo", "transforms/appearance: expected one of none, varied"),
     ("train grid", "grid: expected key=value; did you mean task=grid?"),
     ("train --task=fps", "--task=fps: expected task=fps, without --"),
+    (
+        "train landmarks.goal=[0.4, 0.4, 0.0] task=grid",
+        "landmarks.goal=[0.4,: expected one word; quote it: 'landmarks.goal=[0.4, 0.4, 0.0]'",
+    ),
+    ("view landmarks.goal=[0.4, 0.4, 0.0]", "landmarks.goal=[0.4,: expected one word; quote it: 'landmarks.goal=[0.4,"),
+    ("train -seed=3", "-seed=3: expected seed=3, without -"),
+    ("train -frob=3", "-frob=3: expected key=value, or an option that --hydra-help lists"),
     ("train landmarks.goal=[0.4,0.4", "landmarks.goal=[0.4,0.4: expected landmarks.goal=value with balanced brackets"),
     ("train 'hydra.run.dir=a = [b'", "hydra.run.dir=a = [b: expected hydra.run.dir=value with balanced brackets"),
     ("train landmarks.goal=0.4,0.4,0", "landmarks.goal: expected one value, got 0.4,0.4,0; type landmarks.goal=[0.4"),
@@ -116,6 +129,7 @@ ERRORS = [
     ),
     # Values that do not fit together.
     (f"train {ROOM} robot.height=-1.0", "robot.height: expected robots above"),
+    (f"train {ROOM} robot.height=40", "robot.height: expected robots below 1.21 m, the top of scene.bounds, got 40"),
     (
         f"train {GRID} landmarks.goal=[9,9,0]",
         "task.goal: expected a point in the walkable area, x from -1 to 1 and",
@@ -175,6 +189,9 @@ ERRORS = [
     ),
     ("scene", "the following arguments are required: file"),
     ("scene nowhere.ply", "nowhere.ply: no such splat file"),
+    ("scene bad/scene.yaml", "bad/gone.ply: no such splat file"),
+    ("scene text.doc --out bad", "text.doc: expected a file with the extension .ply, "),
+    ("gait --wide", "the following arguments are required: run; splatrl-gait --help lists the options"),
     ("scene room.ply --scale wide", "--scale: invalid float value: 'wide'"),
     ("scene room.ply --up q", "--up: expected one of x, -x, y, -y, z, -z, or 3 numbers, got 'q'"),
     ("capture", "expected a video or a folder of photos"),
@@ -188,8 +205,9 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("places")
     write_gaussians(folder / "room.ply", tiny_gaussians())
     (folder / "text.ply").write_text("hello")
-    for name in ("empty", "bad"):
+    for name in ("empty", "bad", "blank"):
         (folder / name).mkdir()
+    (folder / "blank" / "scene.yaml").touch()
     (folder / "bad" / "scene.yaml").write_text("splat: gone.ply\n")
     (folder / "vast").mkdir()
     write_gaussians(folder / "vast" / "room.ply", tiny_gaussians())
@@ -215,6 +233,28 @@ def test_a_mistyped_command_is_answered_in_one_line(
     assert errors[0].startswith(f"splatrl-{name}: {said}"), errors
     assert not (places / "nowhere").exists()
     assert not list(places.glob("outputs/*/*")), "a run that did not begin leaves nothing behind"
+
+
+def test_a_folder_typed_alone_is_taken_for_a_scene_however_its_path_begins(
+    places: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(places)
+    for typed in ("bad", "./bad", str(places / "bad"), "../"):
+        with pytest.raises(SystemExit) as ended:
+            command_line("train", [typed])
+        assert ended.value.code == f"splatrl-train: {typed}: expected key=value; did you mean scene={typed}?"
+
+
+def test_unknown_keys_are_refused_before_yards_are_generated(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("splatrl.configuration.scene_files.make_yards", lambda seeds: pytest.fail("generated"))
+    with pytest.raises(SystemExit, match=r"evaluation\.video: no such key"):
+        command_line("train", ["scene=yards", "evaluation.video=false"])
+
+
+@pytest.mark.parametrize("name", ["train", "scene"])
+def test_every_command_prints_the_version_of_splatrl(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    entries.start(name, ["--version"])
+    assert capsys.readouterr().out == f"splatrl {version('splatrl')}\n"
 
 
 def test_a_refused_run_deletes_no_files_of_others(places: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,6 +34,14 @@ def test_boxes_are_drawn_at_their_positions(tmp_path: Path) -> None:
     assert middles[0] < middles[1] - 50
 
 
+@pytest.mark.parametrize("half", [(1.0, 1.0), (6.0, 0.5), (0.5, 4.0)])
+def test_nothing_is_cut_off_at_the_edges_of_the_picture(tmp_path: Path, half: tuple[float, float]) -> None:
+    path, (x, y) = tmp_path / "ground.png", half
+    draw_terrain(tiny_gaussians(), surveyed(), (-x, -y), (x, y), path)
+    image = np.asarray(Image.open(path).convert("RGB"))
+    assert (np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]]) == 255).all()
+
+
 def test_the_view_is_from_the_side_without_boxes() -> None:
     boxes = surveyed((0.0, -1.0, 0.2, 0.5, 0.1, 0.2)).terrain.boxes.numpy()
     assert _open_side(boxes, np.zeros(2)) == pytest.approx(math.pi / 2)

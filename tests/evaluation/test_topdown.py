@@ -82,12 +82,12 @@ def test_the_renderer_can_be_chosen() -> None:
     assert image[0, 0].tolist() == [255, 255, 255]
 
 
-def test_a_window_without_area_or_content_is_refused() -> None:
+def test_a_window_without_area_is_refused_and_one_without_content_is_empty() -> None:
     scene = blobs([((0.5, 3.0, 0.0), 0.3, GREEN)])
     with pytest.raises(ValueError, match="lower < upper"):
         top_down(scene, (1.0, 0.0), (1.0, 2.0), below=1.0)
-    with pytest.raises(ValueError, match="below -3"):
-        top_down(scene, LOWER, UPPER, below=-3.0)
+    image, _ = top_down(scene, LOWER, UPPER, below=-3.0, size=30)
+    assert image.shape == (20, 30, 3) and not image.any()
 
 
 EXTENT = (-1.0, 2.0, 2.0, 4.0)

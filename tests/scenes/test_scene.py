@@ -150,8 +150,15 @@ def test_a_folder_without_a_frame_or_a_name_takes_the_defaults(folder: Path) -> 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("splat: point_cloud.ply\nup: z\nsplats: 1", "expected the keys splat, name, .* got up, splats"),
-        ("name: x", "splat: expected a name, without slashes, got None"),
+        (
+            "splat: point_cloud.ply\nup: z\nsplats: 1",
+            "expected the keys splat, name, .* got up, splats; did you mean splat",
+        ),
+        (
+            "splat: point_cloud.ply\nrobot_hieght: 0.4",
+            r"expected the keys .*, got robot_hieght; did you mean robot_height\?",
+        ),
+        ("name: x", "splat: expected the name of a file in this folder, got none"),
         ("splat: ../other.ply", "splat: expected a name, without slashes, got '../other.ply'"),
         ("splat: 3", "splat: expected a name, without slashes, got 3"),
         ("splat: point_cloud.ply\nname: [1]", "name: expected a name, without slashes"),
@@ -159,7 +166,7 @@ def test_a_folder_without_a_frame_or_a_name_takes_the_defaults(folder: Path) -> 
         ("- splat", "expected keys and values, got \\['splat'\\]"),
         ("splat: [", "expected plain YAML, got"),
         ("just text", "expected"),
-        ("", "splat: expected a name, without slashes, got None"),
+        ("", "splat: expected the name of a file in this folder, got none"),
     ],
 )
 def test_a_malformed_scene_yaml_is_refused_by_key(folder: Path, content: str, message: str) -> None:

@@ -112,6 +112,7 @@ class Task(Protocol):
             evaluations use it.
         chooses_episodes: whether each start has a goal of its own, so that evaluations use the episodes of
             ``ChoosingTask``.
+        leeway: how far beyond the motion's bounds robots may go before they count as outside, metres.
         given_together: keys of the memory that depend on each other: a reset is given all of them or none.
     """
 
@@ -119,6 +120,7 @@ class Task(Protocol):
     max_steps: int
     goals_for_success: int | None
     chooses_episodes: bool
+    leeway: float
     given_together: Sequence[str]
 
     @property

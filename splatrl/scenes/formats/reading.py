@@ -30,6 +30,25 @@ def readers() -> dict[str, Reader]:
     return {ending: read for module in modules for ending, read in vars(module).get("READERS", {}).items()}
 
 
+def splat_reader(path: Path) -> Reader:
+    """Return the reader of a splat file.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: for an unknown extension, or an empty file.
+    """
+    reader = readers().get(path.suffix.lower())
+    if reader is None:
+        raise ValueError(
+            f"{path}: expected a file with the extension {', '.join(readers())}, got {path.suffix or 'no extension'!r}"
+        )
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such splat file")
+    if path.stat().st_size == 0:
+        raise ValueError(f"{path}: expected a splat file, got an empty one")
+    return reader
+
+
 def read_gaussians(
     path: str | os.PathLike[str], max_inflation: float = MAX_INFLATION, transform: Tensor | None = None
 ) -> Gaussians:
@@ -53,15 +72,7 @@ def read_gaussians(
         if not (path / META).is_file():
             raise ValueError(f"{path}: expected a splat file, got a folder")
         path = path / META
-    reader = readers().get(path.suffix.lower())
-    if reader is None:
-        raise ValueError(
-            f"{path}: expected a file with the extension {', '.join(readers())}, got {path.suffix or 'no extension'!r}"
-        )
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such splat file")
-    if path.stat().st_size == 0:
-        raise ValueError(f"{path}: expected a splat file, got an empty one")
+    reader = splat_reader(path)
     with refusing(path, "a complete splat file"):
         gaussians = reader(path, max_inflation)
     if transform is not None:
