@@ -88,7 +88,7 @@ def _build_place(cfg: DictConfig, device: torch.device, repeats: int) -> Place:
     """Build the place that a config with one scene describes."""
     scene, robot, task = instantiate(cfg.scene), instantiate(cfg.robot), instantiate(cfg.task)
     check_height(scene.bounds, task)
-    region = _start_region(task, robot.body)
+    region = start_region(task, robot.body)
     with under_key("collision.occupancy"):
         occupancy = instantiate(cfg.collision.occupancy)(scene, *region)
     if occupancy.count == 0:
@@ -125,7 +125,7 @@ def check_place(cfg: DictConfig, bounds: Bounds) -> None:
     """
     robot, task = instantiate(cfg.robot), instantiate(cfg.task)
     check_height(bounds, task)
-    _start_region(task, robot.body)
+    start_region(task, robot.body)
 
 
 def constructor(cfg: DictConfig, group: str, device: torch.device) -> Callable[..., Any]:
@@ -153,7 +153,7 @@ def _fits(bounds: Bounds, solid: Checker, body_to_world: Tensor) -> Tensor:
     return ((place >= lower) & (place <= upper)).all(1) & ~solid.collides(body_to_world)
 
 
-def _start_region(task: Task, body: Body) -> tuple[Tensor, tuple[list[float], list[float]]]:
+def start_region(task: Task, body: Body) -> tuple[Tensor, tuple[list[float], list[float]]]:
     """Return places that robots can reach, [N, 3] in metres, and the corners of the box that contains their bodies.
 
     The places are those of the goal states, or of all states if the task has no goal states.
@@ -163,6 +163,7 @@ def _start_region(task: Task, body: Body) -> tuple[Tensor, tuple[list[float], li
     reached = task.reached(states)
     if reached is not None:
         check_goal(task, reached)
-    margin, (lower, upper) = body.radius + task.leeway, task.motion.region()
+    lower, upper = task.motion.region()
+    margin = body.radius + lower.new_tensor([task.leeway, task.leeway, 0.0])
     lower, upper = lower - margin, upper + margin
     return places if reached is None else places[reached], (lower.tolist(), upper.tolist())

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from splatrl.building.places import Place, build_places
+from splatrl.building.instantiation import instantiate
+from splatrl.building.places import Place, build_places, start_region
 from splatrl.configuration import load_config
 from splatrl.misfits import check_height
 from tests.tiny import tiny_overrides
@@ -58,3 +59,16 @@ def test_only_robots_at_a_fixed_height_must_be_below_the_top_of_the_scene(tmp_pa
         with pytest.raises(ValueError, match=r"robot\.height: expected robots below 0\.4 m, .* got 0\.5"):
             check_height(low, built(tmp_path, task=task).task)
     check_height(low, built(tmp_path, task="circle").task)
+
+
+def test_what_is_solid_is_known_as_far_as_the_task_lets_robots_go() -> None:
+    pytest.importorskip("mujoco")
+    for task, lowest, highest in (("route", [-2.3, -2.3], [2.3, 2.3]), ("gates", [-2.2, -2.2, 1.0], [2.2, 2.2, 2.0])):
+        cfg = load_config([f"task={task}", "device=cpu"])
+        made, body = instantiate(cfg.task), instantiate(cfg.robot).body
+        _, (lower, upper) = start_region(made, body)
+        beside = body.radius + made.leeway
+        assert lower[:2] == pytest.approx([value - beside for value in lowest[:2]])
+        assert upper[:2] == pytest.approx([value + beside for value in highest[:2]])
+        if task == "gates":  # up to the ceiling
+            assert (lower[2], upper[2]) == pytest.approx((1.0 - body.radius, 2.0 + body.radius))
