@@ -77,6 +77,8 @@ class Reconstruction:
         cuts: times at which another take begins, as in ``Photos``.
         focal_lengths: [N] float64, focal length of each image of a film, pixels, where its parts have their own (see
             ``zoom``); None where these were not sought.
+        carried: [N] float64, how well the scale of a film is carried past each image (see ``carrying``); None for
+            photos, whose order may mean nothing, and for poses that were known.
     """
 
     paths: list[Path]
@@ -97,6 +99,7 @@ class Reconstruction:
     turned: Tensor | None = None
     cuts: tuple[float, ...] = ()
     focal_lengths: Tensor | None = None
+    carried: Tensor | None = None
 
     def K_at(self, width: int, height: int) -> Tensor:
         """Return the intrinsics [3, 3] float64 for these images at another size."""

@@ -10,6 +10,7 @@ from torch import Tensor
 from splatrl.array_files import read_arrays
 from splatrl.capture import mapping, structure
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
+from splatrl.capture.carrying import carried
 from splatrl.capture.child import run_child
 from splatrl.capture.job import Job, write_job
 from splatrl.capture.progress import Progress, silent
@@ -144,6 +145,8 @@ def _reconstruction(
     if not exact_camera:
         size = photos.width, photos.height
         paths, K = undistorted(paths, size, K, model["camera"][4:], stages, "undistorted", progress)
+    film = not photos.files and photos.camera_to_world is None
+    seen = model["points"], model["seen_point"], model["seen_by"]
     return Reconstruction(
         paths=paths,
         width=photos.width,
@@ -162,6 +165,7 @@ def _reconstruction(
         turned=None if photos.turned is None else photos.turned[torch.tensor(images, dtype=torch.int64)],
         cuts=photos.cuts,
         focal_lengths=_tensor(model, "focal_lengths") if len(model["focal_lengths"]) else None,
+        carried=torch.from_numpy(carried(model["camera_to_world"][:, :3, 3], *seen)) if film else None,
     )
 
 

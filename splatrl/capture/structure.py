@@ -175,7 +175,7 @@ def _keep(folder: Path, job: Job, model: Any, focal: dict[str, float] | None = N
     elif job.camera_to_world is not None:
         found = {image.name: image for image in model.images.values()}
     else:
-        found = {model.images[number].name: model.images[number] for number in joined(model)}
+        found = {model.images[number].name: model.images[number] for number in joined(model, job)}
     images = [number for number, name in enumerate(job.names) if name in found]
     camera_to_world = np.zeros((len(images), 4, 4))
     for row, number in enumerate(images):
