@@ -158,18 +158,40 @@ def joined(model: Any, job: Job) -> set[int]:
     if model is None:
         return set()
     images = np.array(sorted(image.image_id for image in model.images.values() if image.has_pose), np.int64)
-    tracks = [sorted({element.image_id for element in point.track.elements}) for point in model.points3D.values()]
-    rows = np.searchsorted(images, [number for track in tracks for number in track])
-    columns = np.repeat(np.arange(len(tracks)), [len(track) for track in tracks])
-    sees = csr_array((np.ones(len(rows), np.int32), (rows, columns)), shape=(len(images), len(tracks)))
-    parts = connected_components((sees @ sees.T).toarray() >= SHARED, directed=False)[1]
     if not len(images):
         return set()
-    largest = parts == np.bincount(parts).argmax()
+    _, columns, rows = _sightings(model, images)
+    sees = csr_array((np.ones(len(rows), np.int32), (rows, columns)), shape=(len(images), len(model.points3D)))
+    parts = connected_components((sees @ sees.T).toarray() >= SHARED, directed=False)[1]
+    images = images[parts == np.bincount(parts).argmax()]
     if job.seconds is not None:
-        places = np.array([model.images[one].cam_from_world().inverse().translation for one in images[largest]])
-        points = np.array([point.xyz for point in model.points3D.values()]).reshape(-1, 3)
-        within = largest[rows]
-        ways = carried(places, points, columns[within], (np.cumsum(largest) - 1)[rows[within]])
-        largest[largest] = longest_stretch(ways)
-    return set(images[largest].tolist())
+        images = images[longest_stretch(_carried(model, images))]
+    return set(images.tolist())
+
+
+def least_carried(model: Any, job: Job) -> float:
+    """Return how well the scale of a film is carried on where that is worst, among the images that hold together."""
+    images = np.array(sorted(joined(model, job)), np.int64)
+    return float(_carried(model, images).min()) if len(images) else 0.0
+
+
+def _carried(model: Any, images: NDArray[np.int64]) -> NDArray[np.float64]:
+    places = np.array([model.images[one].cam_from_world().inverse().translation for one in images.tolist()])
+    return carried(places, *_sightings(model, images))
+
+
+def _sightings(
+    model: Any, images: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the points of a model [P, 3], and the point and the image of each sighting, as ``carried`` takes them.
+
+    Args:
+        model: COLMAP's model.
+        images: [N] ids of the images that count, ascending.
+    """
+    points = np.array([point.xyz for point in model.points3D.values()], np.float64).reshape(-1, 3)
+    tracks = [{element.image_id for element in point.track.elements} for point in model.points3D.values()]
+    seen_by = np.array([number for track in tracks for number in sorted(track)], np.int64)
+    counted = np.isin(seen_by, images)
+    seen_point = np.repeat(np.arange(len(tracks)), [len(track) for track in tracks])
+    return points, seen_point[counted], np.searchsorted(images, seen_by[counted])
