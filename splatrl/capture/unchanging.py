@@ -119,9 +119,11 @@ def left_out_at(found: Reconstruction, height: int, width: int) -> Tensor | None
 def said(mask: Path) -> str:
     """Return a remark for the report: how much of the image a mask leaves out, and where."""
     dark = left_out(mask)
+    where = _where(dark)
+    hides = " If it hides the floor, a table may be taken for that: set the scale by a marker or a distance."
     return (
-        f"{100 * dark.mean():.2g} % of the image, {_where(dark)}, never changes, like the body of a robot that carries "
-        "the camera, and is left out."
+        f"{100 * dark.mean():.2g} % of the image, {where}, never changes, like the body of a robot that carries the "
+        f"camera, and is left out.{hides if 'bottom' in where else ''}"
     )
 
 
