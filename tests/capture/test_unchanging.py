@@ -1,5 +1,7 @@
 """What never changes in a film, like the deck of the robot that carries the camera, is found and left out."""
 
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,6 +15,7 @@ from scipy import ndimage
 from splatrl.capture import pipeline
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.check import colour_corrected, psnr, ssim
+from splatrl.capture.job import DATABASE
 from splatrl.capture.matches import features
 from splatrl.capture.pipeline import CaptureSettings, reconstruct
 from splatrl.capture.stereo import Depths
@@ -26,7 +29,7 @@ DECK[70:, 20:] = True
 
 
 def _film(deck: float = 40.0, drift: float = 0.0, bare: bool = False) -> np.ndarray:
-    """Return grey images [N, H, W] of changing texture, with a deck whose texture has the given contrast; 0 for none.
+    """Return grey images [N, H, W] of changing texture, with a deck that is textured on its left; 0 for none.
 
     Args:
         deck: standard deviation of the deck's texture, grey levels.
@@ -36,6 +39,7 @@ def _film(deck: float = 40.0, drift: float = 0.0, bare: bool = False) -> np.ndar
     random = np.random.default_rng(0)
     texture = ndimage.gaussian_filter(random.normal(size=(COUNT + 1, HEIGHT, WIDTH)), (0, 2, 2))
     texture *= 40.0 / texture.std()
+    texture[COUNT, :, 110:] = 0.0
     images = 120.0 + texture[:COUNT]
     if bare:
         images[:, : HEIGHT // 2] = 150.0
@@ -47,8 +51,9 @@ def _film(deck: float = 40.0, drift: float = 0.0, bare: bool = False) -> np.ndar
 
 @pytest.mark.parametrize("drift", [0.0, 0.25])
 def test_a_deck_is_found_although_the_brightness_drifts_and_the_rest_is_kept(drift: float) -> None:
-    found = unchanging(_film(drift=drift))
-    assert found[DECK].all() and not found[:64].any() and not found[:, :14].any()
+    for bare in (False, True):
+        found = unchanging(_film(drift=drift, bare=bare))
+        assert found[DECK].all() and not found[:64].any() and not found[:, :14].any()
 
 
 @pytest.mark.parametrize("bare", [False, True])
@@ -117,14 +122,18 @@ def test_cameras_of_a_robot_that_sees_its_own_deck_are_found(tmp_path: Path, mon
     assert any("mostly at the bottom, never changes" in note for note in notes) and notes[-1] in "\n".join(said)
     found, true = placed.reconstruction, torch.from_numpy(truth)
     assert len(found.paths) == len(truth) and seen[0] is not None
-    masked, whole = (features(tmp_path / "in" / "0000.png", mask).points for mask in (seen[0], None))
-    assert masked[:, 1].max() < top < whole[:, 1].max() and len(masked) > 50
+    masked, whole = (features(tmp_path / "in" / "0000.png", mask) for mask in (seen[0], None))
+    assert masked.points[:, 1].max() < top < whole.points[:, 1].max() and 50 < masked.distinct < whole.distinct
+    with closing(sqlite3.connect(tmp_path / "out" / "stages" / "structure" / DATABASE)) as database:
+        for count, columns, data in database.execute("SELECT rows, cols, data FROM keypoints"):
+            assert count > 50 and np.frombuffer(data, np.float32).reshape(count, columns)[:, 1].max() < top
     far = [(poses[:, None, :3, 3] - poses[:, :3, 3]).norm(dim=-1) for poses in (found.camera_to_world, true)]
     assert torch.allclose(far[0] * float((far[1] / far[0]).nanmedian()), far[1], atol=0.04)
     world_to_camera = torch.linalg.inv(found.camera_to_world)[found.seen_by]
     local = world_to_camera[:, :3] @ torch.nn.functional.pad(found.points[found.seen_point], (0, 1), value=1)[..., None]
     pixel = (found.K @ local)[..., 0]
     assert float((pixel[:, 1] / pixel[:, 2]).max()) < top
+    assert found.mask is not None and found.mask.parent.name == "undistorted_mask"
     small = left_out_at(found, 60, 80)
     assert small is not None and small[43:].all() and not small[:38].any()
 
