@@ -6,8 +6,10 @@
 
 Each yard is filmed as in ``benchmarks/capture.py``, its images are matched, and the cameras are found by both of
 COLMAP's mappers: incremental and global. Each row gives the number of registered images, the jerks of the camera's path
-(by which ``splatrl.capture.mapping`` chooses), and the root-mean-square and maximum camera error in metres, after
-alignment by the closest similarity. ``--keep FOLDER`` keeps films and matches.
+(by which ``splatrl.capture.mapping`` chooses), how well the scale is carried on where that is worst (by which
+``splatrl.capture.carrying`` warns) and the ratio of the largest to the smallest scale of an eighth of the film, and the
+root-mean-square and maximum camera error in metres, after alignment by the closest similarity. ``--keep FOLDER`` keeps
+films and matches.
 """
 
 import argparse
@@ -27,11 +29,14 @@ from record import print_markdown, write_json
 from splatrl.capture.frames import read_photos
 from splatrl.capture.jerks import jerks, leaps
 from splatrl.capture.job import Job
-from splatrl.capture.mapping import camera_places, find_cameras, map_at_once, map_one_by_one
+from splatrl.capture.mapping import camera_places, find_cameras, least_carried, map_at_once, map_one_by_one
 from splatrl.capture.pipeline import CaptureSettings
 from splatrl.capture.poses import job_of
 from splatrl.capture.structure import match_images
-from splatrl.capture.truth import Truth, distances, poses_at, read_truth
+from splatrl.capture.truth import Truth, closest_similarity, distances, poses_at, read_truth
+
+PARTS = 8
+"""Number of parts of a film whose scales are compared."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,8 @@ class Map:
     images: int
     posed: int
     jerks: float
+    carried: float
+    scales: float
     ate_metres: float
     worst_metres: float
     cpu: float
@@ -70,14 +77,18 @@ def filmed_yard(yard: int, folder: Path, options: argparse.Namespace) -> Path:
     return filmed(folder / "walk.mp4", argparse.Namespace(**{**vars(options), "yard": yard}))
 
 
-def against(truth: Truth, job: Job, model: Any) -> tuple[int, float, float, float]:
-    """Return the number of registered images, the jerks, and the RMS and maximum camera error, metres."""
+def against(truth: Truth, job: Job, model: Any) -> tuple[int, float, float, float, float, float]:
+    """Return what a ``Map`` says of a model, from the number of registered images to the maximum error."""
     images, places = camera_places(model, job)
-    if len(images) < 3:
-        return len(images), 0.0, float("nan"), float("nan")
+    if len(images) < 3 * PARTS:
+        return len(images), *5 * (float("nan"),)
     seconds = np.array(job.seconds)[images]
-    away = distances(torch.from_numpy(places), poses_at(torch.from_numpy(seconds), truth)[:, :3, 3])
-    return len(images), jerks(leaps(places, seconds, job.cuts)), float(away.square().mean().sqrt()), float(away.max())
+    found, true = torch.from_numpy(places), poses_at(torch.from_numpy(seconds), truth)[:, :3, 3]
+    parts = zip(found.tensor_split(PARTS), true.tensor_split(PARTS), strict=True)
+    scales = [float(closest_similarity(*part)[:3, :3].det()) ** (1 / 3) for part in parts]
+    errors = distances(found, true)
+    figures = jerks(leaps(places, seconds, job.cuts)), least_carried(model, job), max(scales) / min(scales)
+    return len(images), *figures, float(errors.square().mean().sqrt()), float(errors.max())
 
 
 def mapped(name: str, film: Path, folder: Path, seed: int) -> list[Map]:
@@ -96,10 +107,11 @@ def mapped(name: str, film: Path, folder: Path, seed: int) -> list[Map]:
 
 def print_maps(maps: list[Map]) -> None:
     """Print a table with one row per map."""
-    header = ["film", "mapper", "images", "jerks", "RMS error, m", "max error, m", "CPU s"]
+    header = ["film", "mapper", "images", "jerks", "carried", "scales", "RMS error, m", "max error, m", "CPU s"]
     rows = []
     for one in maps:
-        figures = [f"{one.jerks:.1f}", f"{one.ate_metres:.3f}", f"{one.worst_metres:.2f}", f"{one.cpu:.0f}"]
+        figures = [f"{one.jerks:.1f}", f"{one.carried:.2f}", f"{one.scales:.2f}"]
+        figures += [f"{one.ate_metres:.3f}", f"{one.worst_metres:.2f}", f"{one.cpu:.0f}"]
         rows.append([one.film, one.way, f"{one.posed} of {one.images}", *figures])
     print_markdown(header, rows)
 

@@ -35,6 +35,7 @@ class Photos:
         remarks: what of the source was not used although it should have been, one sentence each.
         files: N names of the source's files, for messages; empty where the images are known by their ``seconds``.
         cuts: times at which another take begins in a film that was put together from several, in those of ``seconds``.
+        mask: image of the same size, black where all images show the same (see ``unchanging``); None where they do not.
     """
 
     paths: list[Path]
@@ -51,6 +52,7 @@ class Photos:
     remarks: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     cuts: tuple[float, ...] = ()
+    mask: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,9 @@ class Reconstruction:
         cuts: times at which another take begins, as in ``Photos``.
         focal_lengths: [N] float64, focal length of each image of a film, pixels, where its parts have their own (see
             ``zoom``); None where these were not sought.
+        carried: [N] float64, how well the scale of a film is carried past each image (see ``carrying``); None for
+            photos, whose order may mean nothing, and for poses that were known.
+        mask: as in ``Photos``, without lens distortion.
     """
 
     paths: list[Path]
@@ -97,6 +102,8 @@ class Reconstruction:
     turned: Tensor | None = None
     cuts: tuple[float, ...] = ()
     focal_lengths: Tensor | None = None
+    carried: Tensor | None = None
+    mask: Path | None = None
 
     def K_at(self, width: int, height: int) -> Tensor:
         """Return the intrinsics [3, 3] float64 for these images at another size."""

@@ -16,6 +16,7 @@ from splatrl.capture.floaters import seen_through
 from splatrl.capture.pictures import comparison_line, comparison_rows, draw_comparison, draw_map
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.suggestions import NOTHING, Suggestions
+from splatrl.capture.unchanging import left_out_at
 from splatrl.capture.videos import shrunk, shrunk_size
 from splatrl.capture.world import Placed
 from splatrl.images import read_photo
@@ -23,6 +24,7 @@ from splatrl.renderers import NativeRenderer
 from splatrl.scenes.gaussians import Gaussians
 
 Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 COMPARISON, MAP = "held_out.png", "map.png"
 LONGEST = 960
@@ -94,10 +96,12 @@ def check(
     free = path_is_free(area.occupancy, placed.reconstruction.camera_to_world)
     scores, lines, drawn = [], [], comparison_rows(len(held_out))
     for row, (photo, render) in enumerate(_views(gaussians, placed.reconstruction, held_out)):
-        corrected = colour_corrected(render, photo)
-        scores.append(
-            (psnr(render, photo), ssim(render, photo), psnr(corrected, photo), ssim(corrected, photo)),
-        )
+        height, width = photo.shape[:2]
+        dark = left_out_at(placed.reconstruction, height, width)
+        counted = np.ones((height, width), bool) if dark is None else ~dark.numpy()
+        corrected = colour_corrected(render, photo, counted)
+        images, measures = (render, corrected), (psnr, ssim)
+        scores.append([measure(image, photo, counted=counted) for image in images for measure in measures])
         if row in drawn:
             lines.append(comparison_line(photo, render, scores[row][0]))
         progress("check", row + 1, len(held_out))
@@ -118,13 +122,26 @@ def check(
     )
 
 
-def psnr(image: Floats, reference: Floats) -> float:
-    """Return the peak signal-to-noise ratio of images [H, W, 3] in [0, 1], dB; at most 100."""
-    return float(-10 * np.log10(max(float(np.mean((image - reference) ** 2)), 1e-10)))
+def psnr(image: Floats, reference: Floats, counted: Mask | None = None) -> float:
+    """Return the peak signal-to-noise ratio of images [H, W, 3] in [0, 1], dB; at most 100.
+
+    Args:
+        image: an image.
+        reference: what it should show.
+        counted: [H, W] pixels that count; None counts all.
+    """
+    errors = (image - reference) ** 2
+    return float(-10 * np.log10(max(float(np.mean(errors if counted is None else errors[counted])), 1e-10)))
 
 
-def ssim(image: Floats, reference: Floats) -> float:
-    """Return the mean structural similarity of images [H, W, 3] in [0, 1] (Wang et al. 2004, eq. 13), per channel."""
+def ssim(image: Floats, reference: Floats, counted: Mask | None = None) -> float:
+    """Return the mean structural similarity of images [H, W, 3] in [0, 1] (Wang et al. 2004, eq. 13), per channel.
+
+    Args:
+        image: an image.
+        reference: what it should show.
+        counted: [H, W] pixels that count; None counts all.
+    """
 
     def local(values: Floats) -> Floats:
         blurred: Floats = ndimage.gaussian_filter(values, (SIGMA, SIGMA, 0.0), radius=(5, 5, 0))
@@ -134,17 +151,24 @@ def ssim(image: Floats, reference: Floats) -> float:
     covariance = local(image * reference) - a * b
     variances = local(image**2) - a**2 + local(reference**2) - b**2
     c1, c2 = 0.01**2, 0.03**2
-    return float(np.mean((2 * a * b + c1) * (2 * covariance + c2) / ((a**2 + b**2 + c1) * (variances + c2))))
+    alike = (2 * a * b + c1) * (2 * covariance + c2) / ((a**2 + b**2 + c1) * (variances + c2))
+    return float(np.mean(alike if counted is None else alike[counted]))
 
 
-def colour_corrected(image: Floats, reference: Floats) -> Floats:
-    """Return an image with each channel fitted to that of a reference by a gain and an offset, by least squares."""
-    result = np.empty_like(image)
+def colour_corrected(image: Floats, reference: Floats, counted: Mask | None = None) -> Floats:
+    """Return an image with each channel fitted to that of a reference by a gain and an offset, by least squares.
+
+    Args:
+        image: an image.
+        reference: what it should show.
+        counted: [H, W] pixels to which it is fitted; None takes all.
+    """
+    result, some = np.empty_like(image), slice(None) if counted is None else counted
     for channel in range(3):
-        x, y = image[..., channel], reference[..., channel]
+        x, y = image[some][..., channel], reference[some][..., channel]
         variance = float(x.var())
         factor = float(((x - x.mean()) * (y - y.mean())).mean()) / variance if variance > 1e-9 else 0.0
-        result[..., channel] = np.clip(factor * (x - x.mean()) + y.mean(), 0.0, 1.0)
+        result[..., channel] = np.clip(factor * (image[..., channel] - x.mean()) + y.mean(), 0.0, 1.0)
     return result
 
 

@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from splatrl.capture.carrying import weakest
 from splatrl.capture.ground import lowest_level
 from splatrl.capture.jerks import TORN, camera_leaps, jerks
 from splatrl.capture.world import Placed
@@ -60,6 +61,23 @@ def lost_scale(placed: Placed) -> str | None:
     return (
         f"The camera seems {most:.2f} m above the floor at {places[0]} and {least:.2f} m at {places[1]}: the scale was "
         "lost in between, for example by turning on the spot. Film it again and turn in wide arcs, or cut one part out."
+    )
+
+
+def weak_scale(placed: Placed) -> str | None:
+    """Return a warning where hardly anything carries the scale on; None where nothing suggests that.
+
+    Args:
+        placed: cameras and points in the world.
+    """
+    found = weakest(placed.reconstruction)
+    if found is None:
+        return None
+    when, share = found
+    return (
+        f"The parts before and after {when:.0f} s may differ in scale: only {100 * share:.0f} % as many points as an "
+        "image shows were measured from both. Film that part again, more slowly and sharply, sideways rather than "
+        "turning, and with more in view; or cut one part out."
     )
 
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from splatrl.capture.area import SOLID, Area, survey_area
 from splatrl.capture.check import COMPARISON, MAP, Quality, check
-from splatrl.capture.drift import leap, lost_scale
+from splatrl.capture.drift import leap, lost_scale, weak_scale
 from splatrl.capture.page import report_page
 from splatrl.capture.pictures import GOALS, draw_cameras, draw_goals, draw_moving
 from splatrl.capture.progress import Progress, silent
@@ -132,7 +132,7 @@ def problems(placed: Placed, found: Suggestions, quality: Quality) -> list[str]:
         "No image was held out, so the image quality is unknown.": quality.held_out == 0,
         "No free pose with something to see was found on the path: set landmarks.goal yourself.": not found.goals,
     }
-    serious = [said for said in (lost_scale(placed), leap(placed), placed.contradicted) if said]
+    serious = [said for said in (lost_scale(placed), weak_scale(placed), leap(placed), placed.contradicted) if said]
     return [*serious, *(text for text, wrong in checks.items() if wrong)]
 
 

@@ -24,6 +24,7 @@ class Job:
         seed: seed of every random sample.
         seconds: [N] time at which each image of a film was taken, ascending; None for photos.
         cuts: times at which another take of the film begins.
+        mask: image that is black where no features are sought; None to seek them everywhere.
     """
 
     images: str
@@ -36,6 +37,7 @@ class Job:
     seed: int = 0
     seconds: list[float] | None = None
     cuts: tuple[float, ...] = ()
+    mask: str | None = None
 
 
 def write_job(folder: Path, job: Job) -> None:

@@ -163,7 +163,7 @@ def look(photos: Photos, progress: Progress = silent) -> Look:
     seen: list[Features] = []
     for number in chosen.tolist():
         progress("look", len(seen), 5 * len(chosen))
-        seen.append(features(photos.paths[number]))
+        seen.append(features(photos.paths[number], photos.mask))
     unordered = bool(photos.files) or len(seen) <= FEW
     near = list(_pairs(len(seen), group))
     pairs = [*near, *itertools.combinations(range(len(seen)), 2)] if unordered else near

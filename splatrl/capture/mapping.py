@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from splatrl.capture.carrying import carried, longest_stretch
 from splatrl.capture.jerks import jerks, leaps
 from splatrl.capture.job import DATABASE, Job, tell
 
@@ -59,13 +60,13 @@ def find_cameras(pycolmap: Any, folder: Path, job: Job) -> Any:
     at_once = functools.cache(functools.partial(map_at_once, pycolmap, folder, job))
     found = map_one_by_one(pycolmap, folder, job)
     for share in (1.0,) if job.fixed else NARROWER:
-        if len(joined(found)) >= ENOUGH * len(job.names):
+        if len(joined(found, job)) >= ENOUGH * len(job.names):
             break
-        found = _largest([found, at_once(share)])
+        found = _largest([found, at_once(share)], job)
     uneven = _jerks(found, job)
     if uneven > UNEVEN:
         other = at_once(1.0)
-        if len(joined(other)) >= NEARLY * len(joined(found)) and _jerks(other, job) < uneven:
+        if len(joined(other, job)) >= NEARLY * len(joined(found, job)) and _jerks(other, job) < uneven:
             return other
     return found
 
@@ -82,7 +83,7 @@ def map_one_by_one(pycolmap: Any, folder: Path, job: Job) -> Any:
     models = pycolmap.incremental_mapping(
         folder / DATABASE, job.images, folder / "sparse", options, next_image_callback=next_image
     )
-    return _largest([*models.values()])
+    return _largest([*models.values()], job)
 
 
 def map_at_once(pycolmap: Any, folder: Path, job: Job, share: float = 1.0) -> Any:
@@ -120,12 +121,13 @@ def map_at_once(pycolmap: Any, folder: Path, job: Job, share: float = 1.0) -> An
     tell("map globally", 0, mapper.ba_num_iterations)  # COLMAP prints the end of each iteration
     models = pycolmap.global_mapping(own / DATABASE, job.images, own, options)
     shutil.rmtree(own)
-    return _largest([*models.values()])
+    return _largest([*models.values()], job)
 
 
-def _largest(models: list[Any]) -> Any:
+def _largest(models: list[Any], job: Job) -> Any:
     """Return the model with the most images that hold together, the first of equals; None where there is none."""
-    return max((model for model in models if model is not None), key=lambda model: len(joined(model)), default=None)
+    found = (model for model in models if model is not None)
+    return max(found, key=lambda model: len(joined(model, job)), default=None)
 
 
 def _jerks(model: Any, job: Job) -> float:
@@ -139,19 +141,57 @@ def _jerks(model: Any, job: Job) -> float:
 def camera_places(model: Any, job: Job) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return which of the job's images hold together in a model, [N] ascending indices, and their positions [N, 3]."""
     numbers = {name: number for number, name in enumerate(job.names)}
-    held = {} if model is None else {numbers[model.images[one].name]: model.images[one] for one in joined(model)}
+    held = {} if model is None else {numbers[model.images[one].name]: model.images[one] for one in joined(model, job)}
     images = np.array(sorted(held), np.int64)
     return images, np.array([held[one].cam_from_world().inverse().translation for one in images]).reshape(-1, 3)
 
 
-def joined(model: Any) -> set[int]:
-    """Return the COLMAP ids of the images in the largest part of a model that holds together."""
+def joined(model: Any, job: Job) -> set[int]:
+    """Return the COLMAP ids of the images in the largest part of a model that holds together.
+
+    A film is also parted where its scale is not carried on.
+
+    Args:
+        model: COLMAP's model; None where there is none.
+        job: the job description; the ids of its images ascend as their names do.
+    """
     if model is None:
         return set()
     images = np.array(sorted(image.image_id for image in model.images.values() if image.has_pose), np.int64)
-    tracks = [{element.image_id for element in point.track.elements} for point in model.points3D.values()]
-    rows = np.searchsorted(images, [number for track in tracks for number in track])
-    columns = np.repeat(np.arange(len(tracks)), [len(track) for track in tracks])
-    sees = csr_array((np.ones(len(rows), np.int32), (rows, columns)), shape=(len(images), len(tracks)))
+    if not len(images):
+        return set()
+    _, columns, rows = _sightings(model, images)
+    sees = csr_array((np.ones(len(rows), np.int32), (rows, columns)), shape=(len(images), len(model.points3D)))
     parts = connected_components((sees @ sees.T).toarray() >= SHARED, directed=False)[1]
-    return set(images[parts == np.bincount(parts).argmax()].tolist()) if len(images) else set()
+    images = images[parts == np.bincount(parts).argmax()]
+    if job.seconds is not None:
+        images = images[longest_stretch(_carried(model, images))]
+    return set(images.tolist())
+
+
+def least_carried(model: Any, job: Job) -> float:
+    """Return how well the scale of a film is carried on where that is worst, among the images that hold together."""
+    images = np.array(sorted(joined(model, job)), np.int64)
+    return float(_carried(model, images).min()) if len(images) else 0.0
+
+
+def _carried(model: Any, images: NDArray[np.int64]) -> NDArray[np.float64]:
+    places = np.array([model.images[one].cam_from_world().inverse().translation for one in images.tolist()])
+    return carried(places, *_sightings(model, images))
+
+
+def _sightings(
+    model: Any, images: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the points of a model [P, 3], and the point and the image of each sighting, as ``carried`` takes them.
+
+    Args:
+        model: COLMAP's model.
+        images: [N] ids of the images that count, ascending.
+    """
+    points = np.array([point.xyz for point in model.points3D.values()], np.float64).reshape(-1, 3)
+    tracks = [{element.image_id for element in point.track.elements} for point in model.points3D.values()]
+    seen_by = np.array([number for track in tracks for number in sorted(track)], np.int64)
+    counted = np.isin(seen_by, images)
+    seen_point = np.repeat(np.arange(len(tracks)), [len(track) for track in tracks])
+    return points, seen_point[counted], np.searchsorted(images, seen_by[counted])

@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from splatrl.capture.unchanging import left_out
 from splatrl.extras import require
 
 LONGEST, FEATURES = 640, 1500
@@ -55,26 +56,29 @@ class Pair:
     shift: float = 0.0
 
 
-def features(path: Path) -> Features:
+def features(path: Path, mask: Path | None = None) -> Features:
     """Extract the SIFT features of an image, scaled down to at most 640 pixels in width and height.
 
     Descriptors are the square roots of L1-normalised ones.
 
     Args:
         path: the image file.
+        mask: image of the same size, black where no features are sought; None to seek them everywhere.
     """
     cv2 = require("cv2", "capture")
     grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if grey is None:
         raise ValueError(f"{path}: expected an image, got an unreadable file")
-    brightness = float(grey.mean())
+    sought = None if mask is None else np.uint8(255) * ~left_out(mask)
+    brightness = float(grey.mean() if sought is None else grey[sought > 0].mean())
     scale = LONGEST / max(grey.shape)
     if scale < 1:
         grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    keypoints, descriptors = cv2.SIFT_create(FEATURES, contrastThreshold=CONTRAST).detectAndCompute(grey, None)
+        sought = None if sought is None else cv2.resize(sought, grey.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    keypoints, descriptors = cv2.SIFT_create(FEATURES, contrastThreshold=CONTRAST).detectAndCompute(grey, sought)
     distinct, size = len(keypoints), (grey.shape[1], grey.shape[0])
     if distinct < FEW:
-        keypoints, descriptors = cv2.SIFT_create(FEATURES, contrastThreshold=FAINT).detectAndCompute(grey, None)
+        keypoints, descriptors = cv2.SIFT_create(FEATURES, contrastThreshold=FAINT).detectAndCompute(grey, sought)
     if descriptors is None:
         return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32), 0, brightness, size)
     points = np.array([keypoint.pt for keypoint in keypoints]).reshape(-1, 2) + 0.5

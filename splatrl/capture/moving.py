@@ -69,7 +69,7 @@ def find_moving(
 
     Args:
         reconstruction: photos with poses.
-        depths: depths of their pixels, as ``find_depths`` returns them.
+        depths: depths of their pixels, as ``find_depths`` returns them, perhaps without what never changes.
         settings: settings of the fit that is to come; they determine how long this takes.
         progress: called after every step of the small fit.
 
@@ -95,7 +95,8 @@ def find_moving(
     depths = replace(depths, likely=depths.known)  # whatever no other photo confirms may have moved
     fitting = Fitting(reconstruction, small, depths)
     seen, _ = fitting.level(0.0)
-    moving = torch.zeros_like(depths.known, dtype=torch.bool)
+    still = torch.zeros_like(depths.known, dtype=torch.bool) if depths.moving is None else depths.moving
+    moving = still.clone()
     steps = math.ceil(small.views / fitting.views)
     ends = [round(steps * (number + 1) / ROUNDS) for number in range(ROUNDS)]
     for step in range(steps):
@@ -104,9 +105,9 @@ def find_moving(
         if step + 1 in ends:
             last = step + 1 == steps
             found = compared(fitting, seen, reconstruction, moving, depths.known > 0)
-            moving[rows] = resized(found.things(last).float(), moving.shape[1:]) > 0
+            moving[rows] = still[rows] | (resized(found.things(last).float(), moving.shape[1:]) > 0)
             fitting.levels = {1.0: (seen, depths.without(moving).at(seen, rows))}
-    return moving
+    return moving & ~still
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import torch
@@ -29,6 +29,7 @@ from splatrl.capture.resolution import Resolution
 from splatrl.capture.scale import Distance
 from splatrl.capture.stages import Stages, fingerprint
 from splatrl.capture.stereo import Depths, find_depths
+from splatrl.capture.unchanging import left_out_at, said, too_much, with_mask
 from splatrl.capture.upright_check import why_not_upright
 from splatrl.capture.world import FEWEST, Placed, place
 from splatrl.capture.zoom import REFUSED, zoomed
@@ -162,7 +163,11 @@ def reconstruct(
     knows = f", with poses{' and depth' if photos.depths else ''}" if known else ""
     frames = f"frames      {len(photos.paths)} of {photos.width} × {photos.height} pixels{knows}"
     say("\n".join([frames, *(f"            {remark}" for remark in photos.remarks)]))
+    photos = with_mask(photos, stages, progress)
     notes = [*photos.remarks, *([] if known else _first_look(photos, settings.force, progress, say))]
+    if photos.mask is not None:
+        notes.append(said(photos.mask))
+        say(f"unchanging  {notes[-1]}")
     least = 0.0 if settings.force else ENOUGH
     found = with_measured_points(find_poses(photos, stages, settings.seed, progress, least=least))
     lost = f"\n            missing: {', '.join(found.lost)}" if found.lost else ""
@@ -212,10 +217,14 @@ def build_scene(
     finely = settings.fit
     if settings.resolution is not None:
         finely = settings.resolution.of(placed.reconstruction, finely)
+    unchanged, moving = left_out_at(placed.reconstruction, *depths.known.shape[1:]), None
+    if unchanged is not None:
+        depths = depths.without(unchanged.expand_as(depths.known))
     if not settings.still:
-        depths = depths.without(_moving(placed, depths, stages, finely, progress))
-        if depths.moving is not None and depths.moving.any():
-            say(f"moving      {share_of(depths.moving)} of the image area shows moving things and is masked out")
+        moving = _moving(placed, depths, stages, finely, progress)
+        depths = depths.without(moving)
+        if moving.any():
+            say(f"moving      {share_of(moving)} of the image area shows moving things and is masked out")
     gaussians = _fitted(placed, depths, stages, finely, progress, say)
     gaussians, carved = without_floaters(gaussians, dense_voxels(gaussians, placed), placed.reconstruction)
     size = f"{finely.width} pixels wide, {carved} voxels of floaters removed"
@@ -230,7 +239,7 @@ def build_scene(
         force=settings.force,
         known=depths.far(frame),
         splat=settings.splat,
-        moving=depths.moving,
+        moving=moving,
         work=stages.place,
         progress=progress,
     )
@@ -240,8 +249,8 @@ def build_scene(
 
 def _first_look(photos: Photos, force: bool, progress: Progress, say: Callable[[str], object]) -> list[str]:
     """Refuse a capture that cannot work, or with ``force`` return the reason for the report."""
-    seen = look(photos, progress)
-    cause = seen.cause()
+    covered = None if photos.mask is None else too_much(photos.mask)
+    cause = look(photos if covered is None else replace(photos, mask=None), progress).cause() or covered
     if cause is None:
         say("look        no problems found")
         return []
@@ -274,7 +283,7 @@ def _moving(placed: Placed, depths: Depths, stages: Stages, settings: FitSetting
     def find() -> dict[str, torch.Tensor]:
         return {"moving": find_moving(found, depths, settings, progress)}
 
-    return stages.arrays("moving", _key(found, settings), find)["moving"]
+    return stages.arrays("moving", _key(found, settings, depths.moving), find)["moving"]
 
 
 def _fitted(

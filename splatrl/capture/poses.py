@@ -10,6 +10,7 @@ from torch import Tensor
 from splatrl.array_files import read_arrays
 from splatrl.capture import mapping, structure
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
+from splatrl.capture.carrying import carried
 from splatrl.capture.child import run_child
 from splatrl.capture.job import Job, write_job
 from splatrl.capture.progress import Progress, silent
@@ -54,8 +55,11 @@ def find_poses(
         raise ValueError("photos.K: expected intrinsics, as poses are known or the camera is exact, got none")
     stages = Stages(folder)
     job = job_of(photos, seed, exact_camera)
-    recipe = asdict(job) | {"images": None, "pycolmap": str(getattr(require("pycolmap", "capture"), "__version__", ""))}
-    work = stages.workplace("structure", fingerprint(recipe, files=photos.paths))
+    version = str(getattr(require("pycolmap", "capture"), "__version__", ""))
+    recipe = asdict(job) | {"images": None, "mask": None, "pycolmap": version}
+    work = stages.workplace(
+        "structure", fingerprint(recipe, files=photos.paths if photos.mask is None else [*photos.paths, photos.mask])
+    )
     try:
         model = read_arrays(work / structure.MODEL)
     except (FileNotFoundError, ValueError):  # nothing there yet, or damaged
@@ -88,6 +92,7 @@ def job_of(photos: Photos, seed: int = 0, exact_camera: bool = False) -> Job:
         seed=seed,
         seconds=None if photos.files else photos.seconds.tolist(),
         cuts=photos.cuts,
+        mask=None if photos.mask is None else str(photos.mask),
     )
 
 
@@ -140,10 +145,14 @@ def _reconstruction(
     images = model["images"].tolist()
     fx, fy, cx, cy = model["camera"][:4].tolist()
     K = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
-    paths = [photos.paths[number] for number in images]
+    paths, mask = [photos.paths[number] for number in images], photos.mask
     if not exact_camera:
         size = photos.width, photos.height
+        if mask is not None:
+            (mask,), _ = undistorted([mask], size, K, model["camera"][4:], stages, "undistorted_mask")
         paths, K = undistorted(paths, size, K, model["camera"][4:], stages, "undistorted", progress)
+    film = not photos.files and photos.camera_to_world is None
+    seen = model["points"], model["seen_point"], model["seen_by"]
     return Reconstruction(
         paths=paths,
         width=photos.width,
@@ -162,6 +171,8 @@ def _reconstruction(
         turned=None if photos.turned is None else photos.turned[torch.tensor(images, dtype=torch.int64)],
         cuts=photos.cuts,
         focal_lengths=_tensor(model, "focal_lengths") if len(model["focal_lengths"]) else None,
+        carried=torch.from_numpy(carried(model["camera_to_world"][:, :3, 3], *seen)) if film else None,
+        mask=mask,
     )
 
 

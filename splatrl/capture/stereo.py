@@ -47,7 +47,8 @@ class Depths:
     Attributes:
         likely: [N, H, W] float32 inverse depths, the best guess; 0 where there is none.
         known: [N, H, W] float32 inverse depths that a sensor measured or other photos confirm; 0 elsewhere.
-        moving: [N, H, W] bool, where photos show moving things, which a fit leaves out; None where unknown.
+        moving: [N, H, W] bool, where photos show what a fit leaves out: moving things, and what never changes; None
+            where unknown.
     """
 
     likely: Tensor
@@ -59,14 +60,15 @@ class Depths:
         return torch.where(self.known > 0, frame.extent / self.known.clamp_min(1e-12), 0.0)
 
     def without(self, moving: Tensor) -> "Depths":
-        """Return the depths without the pixels that show moving things, given as [N, H, W] bool."""
+        """Return the depths without these pixels, too, given as [N, H, W] bool."""
+        moving = moving if self.moving is None else moving | self.moving
         likely, known = (torch.where(moving, 0.0, inverse) for inverse in (self.likely, self.known))
         return Depths(likely, known, moving)
 
     def at(self, seen: Pictures, rows: Tensor) -> Tensor:
         """Return the known inverse depths of these photos at another size, points that they saw included: [N, H, W].
 
-        Pixels that show moving things are ``IGNORED``.
+        Pixels that are left out are ``IGNORED``.
         """
         size = seen.pixels.shape[1:3]
         out = resized(self.known, size)

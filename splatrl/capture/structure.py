@@ -87,6 +87,8 @@ def _extract(pycolmap: Any, folder: Path, job: Job) -> None:
     """
     database = folder / DATABASE
     reader = pycolmap.ImageReaderOptions(camera_model="PINHOLE" if job.fixed else "RADIAL")
+    if job.mask is not None:
+        reader.camera_mask_path = job.mask
     if job.K is not None:
         intrinsics = [job.K[0][0], job.K[1][1], job.K[0][2], job.K[1][2]]
         reader.camera_params = ", ".join(map(repr, intrinsics if job.fixed else [*intrinsics[1:], 0.0, 0.0]))
@@ -175,7 +177,7 @@ def _keep(folder: Path, job: Job, model: Any, focal: dict[str, float] | None = N
     elif job.camera_to_world is not None:
         found = {image.name: image for image in model.images.values()}
     else:
-        found = {model.images[number].name: model.images[number] for number in joined(model)}
+        found = {model.images[number].name: model.images[number] for number in joined(model, job)}
     images = [number for number, name in enumerate(job.names) if name in found]
     camera_to_world = np.zeros((len(images), 4, 4))
     for row, number in enumerate(images):

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.capture.base import CaptureError, Reconstruction
+from splatrl.capture.carrying import weakest
 from splatrl.capture.ground import MIN_INLIERS, Ground, UpFrom, find_ground
 from splatrl.capture.jerks import TORN, camera_leaps, jerks
 from splatrl.capture.marker import MARKER_SIDE, scale_by_marker
@@ -110,7 +111,8 @@ def place(
         raise CaptureError("expected a floor below the cameras, found none; film so that the floor is visible")
     above += ground.below
     scale, scale_from, error = _scale(reconstruction, ground, above, metric, marker, distance, camera_height, progress)
-    if scale_from != "recorded" and jerks(camera_leaps(reconstruction)) >= TORN:
+    torn = jerks(camera_leaps(reconstruction)) >= TORN or weakest(reconstruction) is not None
+    if scale_from != "recorded" and torn:
         error = None  # parts may be joined wrongly
     floor = ground.up_from != "cameras" and ground.inliers >= MIN_INLIERS
     compared = camera_height if floor else None  # otherwise the height above what may be no floor

@@ -39,6 +39,7 @@ def test_a_row_gives_the_number_of_images_the_jerks_and_the_errors_of_a_map(
         monkeypatch.setattr(mappers, name, lambda *_, found=found: found)
     monkeypatch.setattr(mappers, "pycolmap", SimpleNamespace(logging=SimpleNamespace()))  # leaves its log alone
     monkeypatch.setattr(mappers, "camera_places", lambda model, _: model)
+    monkeypatch.setattr(mappers, "least_carried", lambda *_: 0.25)
     monkeypatch.setattr(mappers, "match_images", lambda *_: None)
     monkeypatch.setattr(mappers, "read_photos", lambda *_: None)
     monkeypatch.setattr(mappers, "job_of", lambda *_: job)
@@ -49,7 +50,8 @@ def test_a_row_gives_the_number_of_images_the_jerks_and_the_errors_of_a_map(
     mappers.main()
     one, once, taken = mappers.mapped("yard 7", film, tmp_path / "again", 0)
     assert (one.film, one.posed, one.images, once.posed, taken.posed) == ("yard 7", COUNT, COUNT, COUNT - 5, 2)
-    assert one.jerks > 4.0 > once.jerks
+    assert one.jerks > 4.0 > once.jerks and one.carried == 0.25
+    assert once.scales == pytest.approx(1.0) and one.scales > 1.02
     assert 0.9 * WRONG < one.worst_metres < WRONG and 0.9 * WRONG < one.ate_metres * COUNT**0.5 < WRONG
     assert once.worst_metres < 1e-9 and np.isnan(taken.worst_metres)
     rows = [[cell.strip() for cell in line.split("|")] for line in capsys.readouterr().out.splitlines()]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from splatrl.capture.drift import leap, lost_scale
+from splatrl.capture.drift import leap, lost_scale, weak_scale
 from splatrl.capture.world import SCALE_ERROR, Placed, moved, place
 from tests.capture.walks import CAMERAS, walk
 
@@ -31,6 +31,19 @@ def test_only_a_large_change_of_scale_half_way_counts_as_lost_scale(scale: float
     said = lost_scale(place(both, marker=None, camera_height=1.4))
     assert (said is not None) == lost
     assert not lost or "m above the floor at" in str(said)
+
+
+def test_a_film_whose_scale_is_hardly_carried_on_is_reported_with_the_time_and_states_no_error() -> None:
+    ways = torch.full((CAMERAS,), 0.2, dtype=torch.float64)
+    film = replace(walk(), seconds=torch.arange(CAMERAS, dtype=torch.float64) / 4, carried=ways.clone())
+    good = place(film, marker=None, camera_height=1.4)
+    assert good.scale_error == SCALE_ERROR["camera_height"] and weak_scale(good) is None
+    ways[24] = 0.06
+    film = replace(film, carried=ways)
+    weak = place(film, marker=None, camera_height=1.4)
+    assert weak.scale_error is None
+    assert "before and after 6 s may differ in scale: only 6 %" in str(weak_scale(weak))
+    assert place(film, metric=True, marker=None).scale_error == SCALE_ERROR["recorded"]
 
 
 HALF, STILL = 40, 90

@@ -172,6 +172,13 @@ def test_gps_positions_that_do_not_give_the_scale_are_mentioned(written: tuple[P
         assert any("GPS" in problem for problem in problems(without, NOTHING, quality)) == told
 
 
+def test_a_scale_that_is_hardly_carried_on_is_the_first_problem(written: tuple[Path, Placed, Quality]) -> None:
+    _, placed, quality = written
+    ways = torch.full((CAMERAS,), 0.05, dtype=torch.float64)
+    film = replace(placed.reconstruction, seconds=torch.arange(CAMERAS, dtype=torch.float64), carried=ways)
+    assert "may differ in scale" in problems(replace(placed, reconstruction=film), NOTHING, quality)[0]
+
+
 def test_a_folder_is_written_completely_or_not_at_all(
     written: tuple[Path, Placed, Quality], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

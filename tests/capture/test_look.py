@@ -85,7 +85,7 @@ def test_photos_in_any_order_pass_if_each_shares_points_with_two_others(
         compared.append(abs(int(a.points[0, 0] - b.points[0, 0])))
         return Pair("moved" if compared[-1] <= 2 else "none", 0.2, 0.3)
 
-    monkeypatch.setattr(look_module, "features", seen.__getitem__)
+    monkeypatch.setattr(look_module, "features", lambda path, _: seen[path])
     monkeypatch.setattr(look_module, "related", related)
     photos = Photos([*seen], 64, 48, torch.arange(count).double(), files=tuple(map(str, order)))
     figures = look(photos)

@@ -98,9 +98,13 @@ def test_nothing_is_found_where_nothing_moves(still: Reconstruction, still_depth
     assert not find_moving(still, still_depths, SETTINGS).any()
 
 
-def test_the_result_does_not_depend_on_the_number_of_threads(capture: Reconstruction, depths: Depths) -> None:
-    short = replace(SETTINGS, views=60)
-    assert torch.equal(find_moving(capture, depths, short), find_moving(capture, depths, replace(short, threads=2)))
+def test_what_never_changes_does_not_move_whatever_the_number_of_threads(
+    capture: Reconstruction, depths: Depths
+) -> None:
+    short, deck = replace(SETTINGS, views=160), torch.zeros(COUNT, HEIGHT, WIDTH, dtype=torch.bool)
+    deck[..., : WIDTH // 2] = True
+    found, again = (find_moving(capture, depths.without(deck), replace(short, threads=count)) for count in (1, 2))
+    assert torch.equal(found, again) and found.any() and not found[deck].any()
 
 
 def test_pixels_that_show_moving_things_never_influence_a_fit(

@@ -17,6 +17,7 @@ from splatrl.array_files import read_arrays
 from splatrl.capture import mapping
 from splatrl.capture import poses as poses_module
 from splatrl.capture.base import CaptureError
+from splatrl.capture.carrying import weakest
 from splatrl.capture.child import _pass_on, run_child
 from splatrl.capture.job import Job, write_job
 from splatrl.capture.mapping import SHARED, find_cameras
@@ -58,6 +59,7 @@ def test_poses_of_a_walk_are_found_cached_and_reproducible(tmp_path: Path) -> No
     assert {"extract", "match", "map", "undistort"} <= set(told)
     distance, angle = _similar(found.camera_to_world.numpy(), truth)
     assert distance < 0.02 and angle < 0.01 and found.missing == 0
+    assert found.carried is None, "the order of photos may mean nothing"
     assert found.K[0, 0].item() == pytest.approx(K[0, 0], rel=0.03)
     assert len(found.points) > 300 and found.seen_point.max() == len(found.points) - 1
     assert all(path.is_file() and path.parent.name == "undistorted" for path in found.paths)
@@ -95,7 +97,9 @@ def test_images_without_a_pose_are_named_and_left_out_where_that_is_allowed(
         CaptureError, match=r"tracking lost: only 6 of 9 images .* Missing: 3\.0 s to 4\.0 s \(3 images\)"
     ):
         find_poses(photos, tmp_path / "out")
-    assert find_poses(photos, tmp_path / "out", least=0.5).missing == pytest.approx(3 / 9)
+    film = find_poses(photos, tmp_path / "out", least=0.5)
+    assert film.missing == pytest.approx(3 / 9)
+    assert film.carried is not None and len(film.carried) == 6 and weakest(film) is None
 
     def found_again(_: str, work: Path, *__: object) -> None:
         shutil.copy(tmp_path / "out" / "structure" / MODEL, work)
