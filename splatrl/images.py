@@ -24,6 +24,9 @@ ORIENTATION = 0x0112
 """EXIF tag of the orientation."""
 MAX_PIXELS = 64 * 2**20
 """Maximum number of pixels in one image, more than any phone takes."""
+UNNAMED, HD = 2, (1280, 720)
+"""FFmpeg's number of a colour matrix that a file does not name, and the width or height from which it is then BT.709,
+not BT.601."""
 MOST_OBLONG = 4.0
 """Maximum aspect ratio of a video's pixels, longer side over shorter; anamorphic lenses have 2."""
 
@@ -174,7 +177,7 @@ def displayed(frame: "VideoFrame", aspect: float) -> Image.Image:
         frame: the frame as decoded.
         aspect: the video's ``pixel_aspect``.
     """
-    image = frame.to_image()
+    image = in_colour(frame)
     image = square_pixels(one_field(image), aspect / 2) if frame.interlaced_frame else square_pixels(image, aspect)
     told: Any = frame.side_data  # PyAV's stubs know only motion vectors
     if (matrix := told.get("DISPLAYMATRIX")) is None:
@@ -183,6 +186,14 @@ def displayed(frame: "VideoFrame", aspect: float) -> Image.Image:
     if a * d < b * c:  # a mirror image, whose rotation FFmpeg takes from the horizontal axis alone
         image = image.transpose(Image.Transpose.FLIP_TOP_BOTTOM)
     return image.rotate(frame.rotation, expand=True)
+
+
+def in_colour(frame: "VideoFrame") -> Image.Image:
+    """Return a video frame as RGB; where its file does not name its colour matrix, that of its size, as players do."""
+    from av.video.reformatter import Colorspace
+
+    large = frame.width >= HD[0] or frame.height >= HD[1]
+    return frame.to_image(src_colorspace=Colorspace.ITU709 if frame.colorspace == UNNAMED and large else None)
 
 
 def require_small(path: Path, width: int, height: int) -> None:

@@ -6,10 +6,12 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
+from av.video.reformatter import Colorspace
 from PIL import Image
 
 from splatrl import images
 from splatrl.evaluation.clip_files import film_images
+from splatrl.evaluation.video import encode
 
 
 def _coded(side: int) -> list[av.Packet]:
@@ -112,6 +114,26 @@ def test_anamorphic_films_are_shown_with_square_pixels(aspect: str, shown: tuple
         pixels = np.asarray(image).astype(int)
         assert image.size == shown
         assert pixels[:, : shown[0] // 3 - 2, 0].min() > 240 and pixels[:, shown[0] // 3 + 2 :].max() < 70
+
+
+@pytest.mark.parametrize(("height", "matrix"), [(480, Colorspace.ITU601), (720, Colorspace.ITU709)])
+def test_the_colours_of_a_film_that_does_not_name_its_matrix_are_those_of_its_size(
+    height: int, matrix: Colorspace, tmp_path: Path
+) -> None:
+    red = av.VideoFrame.from_ndarray(np.full((height, 64, 3), (255, 0, 0), np.uint8))
+    with av.open(str(tmp_path / "film.mp4"), "w") as container:
+        stream = container.add_stream("libx264", rate=10, options={"crf": "4"})
+        stream.width, stream.height, stream.pix_fmt = 64, height, "yuv420p"
+        frame = red.reformat(format="yuv420p", dst_colorspace=matrix)
+        container.mux([*stream.encode(frame), *stream.encode(None)])
+    (image,) = film_images(tmp_path / "film.mp4")
+    np.testing.assert_allclose(image.getpixel((32, 32)), (255, 0, 0), atol=3)
+
+
+def test_a_film_of_ours_names_its_colour_matrix(tmp_path: Path) -> None:
+    encode([Image.new("RGB", (64, 720), (255, 0, 0))], tmp_path / "film.mp4", 10)
+    (image,) = film_images(tmp_path / "film.mp4")
+    np.testing.assert_allclose(image.getpixel((32, 32)), (255, 0, 0), atol=3)
 
 
 def test_a_film_whose_pixels_are_far_from_square_is_refused(tmp_path: Path) -> None:

@@ -3,7 +3,9 @@
 from itertools import pairwise
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from splatrl.capture.beneath import AROUND
 from splatrl.capture.carrying import weakest
 from splatrl.capture.ground import lowest_level
 from splatrl.capture.jerks import TORN, camera_leaps, jerks
@@ -16,6 +18,8 @@ LOWEST, LEAST, LEVEL = 0.12, 40, 0.5
 level; and the minimum fraction of these that must."""
 SEEN = 3
 """Minimum number of the part's cameras that must have seen such a point."""
+LOWER = 0.1
+"""Depth below the floor, in heights of the cameras, of a place that is not the floor of a part far from it."""
 MOST = 3.0
 """Ratio of two parts' heights from which the scale counts as lost; tables and steps in view raise it to 2.3 in captures
 that are right."""
@@ -82,15 +86,20 @@ def weak_scale(placed: Placed) -> str | None:
 
 
 def _heights(placed: Placed) -> list[tuple[int, float]]:
-    """For each part that shows its floor, return its middle camera and the cameras' median height above that floor."""
-    found = placed.reconstruction
+    """For each part that shows its floor, return its middle camera and the cameras' median height above that floor.
+
+    A place far below the path, as seen from a terrace, is no part's floor.
+    """
+    found, above = placed.reconstruction, placed.camera_height
     cameras, points = found.camera_to_world[:, 2, 3].numpy(), found.points[:, 2].numpy()
+    away = cKDTree(found.camera_to_world[:, :2, 3].numpy()).query(found.points[:, :2].numpy())[0]
+    points = np.where((points < -LOWER * above) & (away > AROUND * above), np.nan, points)
     seen_by, seen_point = found.seen_by.numpy(), found.seen_point.numpy()
     edges = np.linspace(0, len(cameras), PARTS + 1).astype(int).tolist()
     heights = []
     for first, last in pairwise(edges):
         times = np.bincount(seen_point[(seen_by >= first) & (seen_by < last)], minlength=len(points))
-        near = points[times >= SEEN]
+        near = points[(times >= SEEN) & ~np.isnan(points)]
         if len(near) < LEAST:
             continue
         low = near[near <= np.quantile(near, LOWEST)]

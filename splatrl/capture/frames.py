@@ -86,7 +86,9 @@ def read_photos(
         told, read = _Told(), _from_folder if source.is_dir() else _from_video
         _write(made, read(source, count, longest, progress, told), source, told)
 
-    key = fingerprint([count, longest], files=photo_files.photos_of(source) if source.is_dir() else [source])
+    films = photo_files.films_beside(source) if source.is_dir() else []
+    files = photo_files.photos_of(source) if source.is_dir() else [source]
+    key = fingerprint([count, longest, films], files=files)
     return _photos(Stages(folder).folder("frames", key, write))
 
 
@@ -165,6 +167,8 @@ def _from_folder(
     source: Path, count: tuple[int, int], longest: int, progress: Progress, told: _Told
 ) -> Iterator[_Taken]:
     paths = photo_files.photos_of(source)
+    if films := photo_files.films_beside(source):
+        told.remarks.append(f"Only the photos in {source} are used, not the films: {', '.join(films)}.")
     lying = photo_files.lying(paths, longest)
     groups = np.array_split(np.arange(len(paths)), min(len(paths), count[1]))
     if len(groups) < len(paths):

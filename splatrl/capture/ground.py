@@ -1,13 +1,13 @@
 """The upward direction and the floor of a reconstruction."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splatrl.capture.upright import Held, straightened
+from splatrl.capture.upright import ONE_WAY, Held, straightened
 
 Floats = NDArray[np.float64]
 UpFrom = Literal["recorded", "floor", "walls", "cameras"]
@@ -39,7 +39,8 @@ LOOKS_UP, OVERHEAD, FLAT = math.radians(5.0), 0.5, 0.1
 floor there, for a film that is upside down. People hold cameras level or look down, by 0° to 28° in trials, and at most
 0.4 of what they film is above the cameras."""
 ERROR_DEG: dict[UpFrom, float] = {"recorded": 1.0, "floor": 1.5, "walls": 4.0, "cameras": 5.0}
-"""Largest error found in trials, by the source of up; for cameras that look one way, their lean is added."""
+"""Largest error found in trials, by the source of up; for cameras that look one way, their lean is added. On ground
+that slopes, a floor's normal is off by the slope."""
 CLEAR_TILT = math.radians(3.0)
 """Largest angle between a floor's normal and up in a place that is clearly upright: a strip of floor, or a floor with a
 bed beside it, may seem tilted."""
@@ -56,6 +57,8 @@ class Ground:
         up_from: source of ``up``.
         error_deg: possible error of ``up``, degrees.
         inliers: number of points on the floor.
+        slope_deg: by how much the floor slopes at least, degrees, according to cameras that look all around; 0 where
+            up is not its normal.
     """
 
     up: Floats
@@ -64,6 +67,7 @@ class Ground:
     up_from: UpFrom
     error_deg: float
     inliers: int
+    slope_deg: float = 0.0
 
 
 def find_ground(camera_to_world: Floats, points: Floats, recorded_up: Floats | None = None) -> Ground:
@@ -87,7 +91,10 @@ def find_ground(camera_to_world: Floats, points: Floats, recorded_up: Floats | N
     if found is not None:
         normal, on_floor = found
         level = float(np.median(on_floor @ normal))
-        return _ground(points, centers, normal, level, "floor", ERROR_DEG["floor"], len(on_floor))
+        tilt_deg = math.degrees(math.acos(min(1.0, float(normal @ held.up)))) if held.lean < ONE_WAY else 0.0
+        error_deg = max(ERROR_DEG["floor"], tilt_deg)
+        level_there = _ground(points, centers, normal, level, "floor", error_deg, len(on_floor))
+        return replace(level_there, slope_deg=max(0.0, tilt_deg - math.degrees(held.lean)))
     if clear:
         return _on_level(points, centers, up, "walls")
     return _on_level(points, centers, up, "cameras", math.degrees(held.lean))
@@ -103,10 +110,19 @@ def _ground(
     points: Floats, centers: Floats, up: Floats, level: float, up_from: UpFrom, error_deg: float, count: int
 ) -> Ground:
     """Return the ground at a level, with how far below it people measure heights from."""
-    around = points @ up - level
-    around = around[np.abs(around) <= NEAR * (float(np.median(centers @ up)) - level)]
-    below = max(0.0, -float(np.quantile(around, LOW))) if len(around) else 0.0
+    below = depth_below(points @ up - level, float(np.median(centers @ up)) - level)
     return Ground(up, level, below, up_from, error_deg, count)
+
+
+def depth_below(heights: Floats, above: float) -> float:
+    """Return how far below a level the ground lies from which people measure heights; at least 0.
+
+    Args:
+        heights: [P] heights of the points above the level.
+        above: height of the cameras above it.
+    """
+    around = heights[np.abs(heights) <= NEAR * above]
+    return max(0.0, -float(np.quantile(around, LOW))) if len(around) else 0.0
 
 
 def _lowest(points: Floats, up: Floats) -> Floats:

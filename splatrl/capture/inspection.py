@@ -1,7 +1,7 @@
 """What robots could do in a scene that comes without cameras: what is solid, where to walk, and what to look for."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -141,7 +141,7 @@ def propose(scene: Scene, occupancy: Occupancy, floor: float, height: float, pic
     lines = _drew(pictures.of_goals(scene, found.goals, area.robot_height))
     for number, goal in enumerate(found.goals, 1):
         lines.append(f"goal {number}      {list(goal)}" + (", written as the scene's goal" if number == 1 else ""))
-    lines += inspect_terrain(scene, area.occupancy, area.walk, height, pictures)
+    lines += inspect_terrain(replace(scene, bounds=area.bounds), area.occupancy, area.walk, height, pictures)
     (left, bottom), (right, top) = area.walk
     lines.append(f"walk        x {left:g} to {right:g}, y {bottom:g} to {top:g} m, steps of {area.step or GRID:g} m")
     return Proposed(area.bounds, place_proposals(area, found), lines)

@@ -70,7 +70,7 @@ def _figures(placed: Placed, area: Area, found: Suggestions, quality: Quality) -
         ("Images without a pose", f"{100 * reconstruction.missing:.0f} %"),
         ("Scale from", f"{placed.scale_from.replace('_', ' ')}, {within}" if placed.metric else "unknown: not metric"),
         ("Up from", f"{placed.up_from}, within {placed.up_error_deg:.2g}°"),
-        ("Camera above the floor", f"{placed.camera_height:.2f} m"),
+        ("Camera above the ground", f"{placed.camera_height:.2f} m"),
         ("Size", f"{size} m"),
         ("Walkable area", f"{x1 - x0:.1f} × {y1 - y0:.1f} m at {area.robot_height:.2f} m"),
         ("Free part of the camera's path", f"{100 * quality.path_free:.1f} %"),

@@ -60,6 +60,13 @@ def photos_of(folder: Path) -> list[Path]:
     return found
 
 
+def films_beside(folder: Path) -> list[str]:
+    """Return the names of the films in a folder of photos, without those that belong to a photo, as in Live Photos."""
+    photos = {path.stem for path in photos_of(folder)}
+    films = (path for path in folder.iterdir() if path.suffix.lower() in FILMS and not path.name.startswith("."))
+    return sorted(path.name for path in films if path.is_file() and path.stem not in photos)
+
+
 def read_photo(path: Path, stream: BinaryIO | None = None, upright: bool = True) -> Image.Image:
     """Read a photo as RGB; arguments as for ``images.read_photo``.
 

@@ -186,8 +186,11 @@ def reconstruct(
     placed = place(found, photos.up, photos.metric, *stated, progress=progress)
     if placed.up_from == "cameras" and (torn := leap(placed)) is not None:  # with force, the report says both
         _unless_forced(f"{torn} No floor was found, either: the scale may be far off.", settings.force, "world", say)
-    say(f"world       up from {placed.up_from}, scale from {placed.scale_from}, camera at {placed.camera_height:.2f} m")
-    return placed, notes
+    world = (
+        f"world       up from {placed.up_from}, scale from {placed.scale_from}, camera at {placed.camera_height:.2f} m"
+    )
+    say("\n".join([world, *(f"            {remark}" for remark in placed.remarks)]))
+    return placed, [*notes, *placed.remarks]
 
 
 def build_scene(

@@ -8,8 +8,9 @@ from scipy import ndimage
 
 from splatrl.capture.area import BESIDE, VOXEL, Area, whole_steps
 from splatrl.collision.occupancy import Occupancy
+from splatrl.collision.voxel_grid import within
 from splatrl.collision.voxels import Voxels
-from splatrl.scenes.scene import Bounds, Scene
+from splatrl.scenes.scene import OPAQUE, Bounds, Scene
 
 REACH = 6.0
 """Maximum distance from the most open place to the edge of the walkable area, along x and y, metres."""
@@ -23,10 +24,15 @@ MOST_VOXELS = 256
 """Maximum number of voxels along the diagonal of where robots can be."""
 VIEW = 2.0
 """Maximum margin around the walkable area that pictures of it show, metres."""
+AROUND, SPARSE = 0.5, 0.1
+"""Standard deviation, metres, of the window in which the Gaussians around a place are counted, and the fraction of
+their usual number below which a place belongs to the background: a capture shows its surroundings with far fewer."""
 
 
 def walkable_area(scene: Scene, occupancy: Occupancy, floor: float, height: float) -> Area | None:
-    """Find the free floor around the most open place, and what is solid there.
+    """Find the free floor around the most open place that was captured well, and what is solid there.
+
+    Of the parts of the free floor, the one with the most Gaussians is taken, without what belongs to the background.
 
     Args:
         scene: the scene, world frame.
@@ -36,12 +42,21 @@ def walkable_area(scene: Scene, occupancy: Occupancy, floor: float, height: floa
 
     Returns:
         The area; None where too little floor is free at that height.
+
+    Raises:
+        ValueError: where one voxel is larger than the area could be.
     """
+    if occupancy.resolution > 2 * REACH:
+        raise ValueError(
+            f"expected voxels of at most {2 * REACH:g} m to find where robots could walk, got {occupancy.resolution:g}"
+        )
+    crowded = _crowded(scene, occupancy, floor, height)
     free = _free_floor(occupancy, floor, height)
     labels, count = ndimage.label(free)
     if count == 0:
         return None
-    part = labels == 1 + int(np.bincount(labels.reshape(-1))[1:].argmax())
+    part = labels == 1 + int(ndimage.sum_labels(crowded, labels, np.arange(1, count + 1)).argmax())
+    part &= crowded >= SPARSE * np.average(crowded[part], weights=crowded[part])
     if part.sum() < FEWEST:
         return None
     room = ndimage.distance_transform_edt(np.pad(part, 1))[1:-1, 1:-1]
@@ -61,6 +76,17 @@ def walkable_area(scene: Scene, occupancy: Occupancy, floor: float, height: floa
     solid = Occupancy.from_gaussians(scene.gaussians, voxel, crop=bounds)
     nothing = Voxels(np.zeros((0, 0, 0), bool), (0, 0, 0), voxel)
     return Area(bounds, walk, step, round(floor + height, 3), solid, nothing)
+
+
+def _crowded(scene: Scene, occupancy: Occupancy, floor: float, height: float) -> NDArray[np.float64]:
+    """Return how many opaque Gaussians are around each column of voxels, from the floor to a robot's height: [X, Y]."""
+    edge, counts = occupancy.resolution, np.zeros(occupancy.occupied.shape[:2])
+    means = scene.gaussians.means[scene.gaussians.opacities >= OPAQUE].double().cpu().numpy()
+    means = means[(means[:, 2] > floor - 2 * edge) & (means[:, 2] < floor + height + 2 * edge)]
+    columns = np.floor(means[:, :2] / edge).astype(np.int64) - np.array(occupancy.origin_key[:2])
+    np.add.at(counts, tuple(columns[within(columns, counts.shape)].T), 1.0)
+    result: NDArray[np.float64] = ndimage.gaussian_filter(counts, AROUND / edge)
+    return result
 
 
 def _free_floor(occupancy: Occupancy, floor: float, height: float) -> NDArray[np.bool_]:

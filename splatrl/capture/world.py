@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.capture.base import CaptureError, Reconstruction
+from splatrl.capture.beneath import Footing, stood_on
 from splatrl.capture.carrying import weakest
-from splatrl.capture.ground import MIN_INLIERS, Ground, UpFrom, find_ground
+from splatrl.capture.ground import MIN_INLIERS, NEAR, Ground, UpFrom, find_ground
 from splatrl.capture.jerks import TORN, camera_leaps, jerks
 from splatrl.capture.marker import MARKER_SIDE, scale_by_marker
 from splatrl.capture.progress import Progress, silent
@@ -24,6 +25,10 @@ USUAL_HEIGHT = 1.5
 """Height at which people hold a camera, metres; a place of unknown scale is scaled as if they had."""
 SCALE_ERROR = {"recorded": 0.01, "distance": 0.03, "camera_height": 0.05}
 """Largest relative errors found in trials, by the source of the scale; a marker's own views tell its error."""
+LEVELS_ERROR = 0.12
+"""The same for the camera's height above ground with steps or a slope."""
+SLOPING = 4.0
+"""Slope of the floor, degrees, from which the report mentions it."""
 FEWEST = 20
 """Minimum number of points among which a floor is sought."""
 UNEVEN = 3.0
@@ -37,6 +42,8 @@ _TURNS = np.radians(np.arange(0.0, 90.0, 0.5))
 class Placed:
     """A reconstruction in the world: z up, floor at z = 0, x along the longest wall, x = y = 0 in mid-walk.
 
+    The floor is the lowest one on which people stood.
+
     Attributes:
         reconstruction: cameras and points in that frame, in metres where ``metric``.
         world_from_capture: [4, 4] float64 similarity that brought it there.
@@ -46,10 +53,11 @@ class Placed:
             that was stated contradicts it.
         up_from: source of the upward direction.
         up_error_deg: possible error of the upward direction, degrees.
-        camera_height: mean height of the cameras above the floor, as defined by ``mean_height``, metres.
+        camera_height: mean height of the cameras above the ground beneath them, as defined by ``mean_height``, metres.
         floor_points: number of points of the reconstruction that lie on the floor.
         contradicted: how a stated height or distance contradicts the source of the scale, in sentences; None where
             nothing does.
+        remarks: what is unusual about the ground, one sentence each.
     """
 
     reconstruction: Reconstruction
@@ -61,6 +69,7 @@ class Placed:
     camera_height: float
     floor_points: int
     contradicted: str | None = None
+    remarks: tuple[str, ...] = ()
 
     @property
     def metric(self) -> bool:
@@ -104,13 +113,15 @@ def place(
         raise CaptureError(
             f"expected at least 2 cameras and {FEWEST} points to find the floor, got {len(poses)} and {len(points)}"
         )
-    ground = find_ground(held_poses(reconstruction), points, None if up is None else up.double().numpy())
+    lowest = find_ground(held_poses(reconstruction), points, None if up is None else up.double().numpy())
+    footing = stood_on(lowest, poses[:, :3, 3], points)
+    ground = footing.ground
     missing = len(poses) * reconstruction.missing / (1.0 - reconstruction.missing)
-    above = mean_height(poses[:, :3, 3] @ ground.up, reconstruction.seconds, missing) - ground.height
+    above = mean_height(poses[:, :3, 3] @ ground.up - footing.beneath, reconstruction.seconds, missing)
     if not above > 0:
         raise CaptureError("expected a floor below the cameras, found none; film so that the floor is visible")
     above += ground.below
-    scale, scale_from, error = _scale(reconstruction, ground, above, metric, marker, distance, camera_height, progress)
+    scale, scale_from, error = _scale(reconstruction, footing, above, metric, marker, distance, camera_height, progress)
     torn = jerks(camera_leaps(reconstruction)) >= TORN or weakest(reconstruction) is not None
     if scale_from != "recorded" and torn:
         error = None  # parts may be joined wrongly
@@ -128,6 +139,7 @@ def place(
         scale * above,
         ground.inliers,
         contradicted,
+        _remarks(lowest, footing, scale, above),
     )
 
 
@@ -174,7 +186,7 @@ def held_poses(reconstruction: Reconstruction) -> Floats:
 
 def _scale(
     reconstruction: Reconstruction,
-    ground: Ground,
+    footing: Footing,
     above: float,
     metric: bool,
     marker: float | None,
@@ -191,14 +203,29 @@ def _scale(
     if distance is not None:
         return scale_by_distance(reconstruction, distance), "distance", SCALE_ERROR["distance"]
     if camera_height is not None:
-        seen = ground.up_from != "cameras"
-        return camera_height / above, "camera_height", SCALE_ERROR["camera_height"] if seen else None
+        usual = LEVELS_ERROR if footing.rise > NEAR * above else SCALE_ERROR["camera_height"]
+        seen = footing.seen and footing.ground.up_from != "cameras"
+        return camera_height / above, "camera_height", usual + footing.unsure if seen else None
     by_gps = scale_by_gps(
-        reconstruction.gps, (reconstruction.camera_to_world[:, :3, 3].numpy() @ _standing(ground.up).T)[:, :2]
+        reconstruction.gps, (reconstruction.camera_to_world[:, :3, 3].numpy() @ _standing(footing.ground.up).T)[:, :2]
     )
     if by_gps is not None:
         return by_gps[0], "gps", by_gps[1]
     return USUAL_HEIGHT / above, "unknown", None
+
+
+def _remarks(lowest: Ground, footing: Footing, scale: float, above: float) -> tuple[str, ...]:
+    """Return what is unusual about the ground, one sentence each."""
+    slope, rise, lower = lowest.slope_deg, footing.rise, footing.ground.height - lowest.height
+    remarks = {
+        f"The floor seems to slope by {slope:.0f}° or more, judging by how the camera was held. Up is perpendicular to "
+        "it: what stands upright there leans in the scene.": slope > SLOPING,
+        f"The ground beneath the camera rises by {scale * rise:.2f} m, by steps or a slope: z = 0 is where it is "
+        "lowest, and the camera's height counts from the ground beneath it.": rise > NEAR * above,
+        f"There is lower ground in view, {scale * lower:.1f} m down; z = 0 is the floor where the camera was.": lower
+        > 0,
+    }
+    return tuple(said for said, true in remarks.items() if true)
 
 
 def _world_from_capture(poses: Floats, points: Floats, ground: Ground, scale: float) -> Floats:

@@ -82,8 +82,11 @@ def _widened(
     first, end = origin, origin + occupied.shape
     if around is not None:
         corners = checked_box("around", around) / resolution
-        first = np.minimum(first, np.floor(corners[0])).astype(np.int64)
-        end = np.maximum(end, np.ceil(corners[1])).astype(np.int64)
+        low, high = np.floor(corners[0]).astype(np.int64), np.ceil(corners[1]).astype(np.int64)
+        if occupied.size == 0:  # the key of an empty grid's first voxel means nothing
+            first, end, origin = low, high, low
+        else:
+            first, end = np.minimum(first, low), np.maximum(end, high)
     free = np.ones(grid_shape(first, end, resolution, max_voxels), bool)
     inner = tuple(slice(int(a), int(a) + n) for a, n in zip(origin - first, occupied.shape, strict=True))
     free[inner] = ~occupied

@@ -20,17 +20,18 @@ from splatrl.scenes.frame import similarity
 from splatrl.scenes.nerfstudio import antialiased_beside
 from splatrl.scenes.placement import floor_height
 from splatrl.scenes.proposals import PROPOSALS
-from splatrl.scenes.scene import Scene, robust_bounds
+from splatrl.scenes.scene import Scene, captured_bounds
 from splatrl.scenes.sources import read_scene, splat_file, splat_name
 from splatrl.scenes.stated import StatedFrame, described_upright, typed_frame
 from splatrl.scenes.survey import survey
-from splatrl.scenes.upright import UNKNOWN
+from splatrl.scenes.upright import GIVEN, UNKNOWN
 from splatrl.values import require_number
 
 STILL_TO_TYPE = {"robot_height": "robot.height=0.4", "goal": "'landmarks.goal=[x,y,yaw]'"}
 """Overrides that the user must type for keys for which no proposal was found."""
 ROBOT_HEIGHT = 0.4
 """Height of the robot where neither ``--height`` nor a ``scene.yaml`` states it, metres."""
+PASS_SCALE = "pass --scale or --distance"
 FRAME_OPTIONS = ("up", "axes", "scale", "translation", "matrix", "nerfstudio", "distance")
 
 
@@ -76,7 +77,7 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
     frame = stated.frame(upright)
     world_from_splat = similarity(**frame)
     standing = read_gaussians(path, transform=world_from_splat)
-    scene = Scene(splat_name(path), standing, robust_bounds(standing))
+    scene = Scene(splat_name(path), standing, captured_bounds(standing))
     drawn, floor = antialiased_beside(path), floor_height(upright, world_from_splat)
     pictures = inspection.ScenePictures(target.path, drawn is not False)
     height = options.height or ROBOT_HEIGHT
@@ -86,7 +87,8 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
         proposed = inspection.propose(scene, occupancy, floor, height, pictures)
     except ValueError as error:
         across = max(high - low for low, high in zip(*scene.bounds, strict=True))
-        raise ValueError(f"{error}; if the scene is not {across:.3g} m across, pass --scale or --distance") from error
+        advice = "check the scale that was given" if upright.units_guess.confidence == GIVEN else PASS_SCALE
+        raise ValueError(f"{error}; if the scene is not {across:.3g} m across, {advice}") from error
     show(proposed.lines)
     if proposed.settings and proposed.settings.get("goal") is None:
         print("goals       none: nothing to recognise near a free place")

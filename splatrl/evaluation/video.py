@@ -186,12 +186,14 @@ def encode(
         options: further encoder options.
     """
     import av
+    from av.video.reformatter import Colorspace
 
     x264 = "libx264" in av.codecs_available
     # opened by name: FFmpeg then reports disk errors itself
     with replacing(path) as file, av.open(file.name, "w", format="mp4") as container:
         stream = container.add_stream("libx264" if x264 else "mpeg4", rate=fps)
         stream.pix_fmt = "yuv420p"
+        stream.codec_context.colorspace = Colorspace.ITU601  # as from_image; unnamed, HD is shown as BT.709
         stream.options = {**(X264 if x264 else {"qscale": "3"}), **options}
         for number, image in enumerate(frames):
             if number == 0:

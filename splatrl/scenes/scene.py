@@ -21,6 +21,9 @@ Bounds = tuple[Point, Point]
 
 OPAQUE = 0.5
 TRIM = 0.005  # fraction of the opaque Gaussians cut off at each end of each axis as floaters
+MIDDLE, WIDENED, SURROUNDED = (0.1, 0.9), 0.25, 1 / 3
+"""Quantiles of the opaque Gaussians between which a captured place mostly lies, the margin around that, and the maximum
+ratio of the diagonals of the place and of everything where it has surroundings."""
 
 CACHE_VERSION = 1
 """Part of every cache key; increase it when the arrays cached under the same settings change meaning."""
@@ -132,6 +135,23 @@ def robust_bounds(gaussians: Gaussians) -> Bounds:
     opaque = gaussians.means[gaussians.opacities >= OPAQUE]
     means = opaque if len(opaque) else gaussians.means
     lower, upper = np.quantile(means.detach().cpu().double().numpy(), [TRIM, 1 - TRIM], axis=0).tolist()
+    return (lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2])
+
+
+def captured_bounds(gaussians: Gaussians) -> Bounds:
+    """Return the bounds of the place that was captured: the robust ones, without surroundings far larger than it.
+
+    Most Gaussians of a capture show the place, and few what is around it, up to the sky. So where the box of the middle
+    four fifths along each axis, widened by a quarter, is far smaller than the robust bounds, it is the place.
+    """
+    robust, means = np.array(robust_bounds(gaussians)), gaussians.means[gaussians.opacities >= OPAQUE]
+    if len(means):
+        low, high = np.quantile(means.detach().cpu().double().numpy(), MIDDLE, axis=0)
+        margin = WIDENED * (high - low)
+        inner = np.maximum(robust[0], low - margin), np.minimum(robust[1], high + margin)
+        if np.linalg.norm(inner[1] - inner[0]) < SURROUNDED * np.linalg.norm(robust[1] - robust[0]):
+            robust = np.array(inner)
+    lower, upper = robust.tolist()
     return (lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2])
 
 

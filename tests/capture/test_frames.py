@@ -174,6 +174,16 @@ def test_of_too_many_photos_the_sharpest_of_each_group_is_used_and_that_is_said(
     assert read_photos(tmp_path / "in", tmp_path / "out", count=(2, 6)).remarks == ()
 
 
+def test_films_among_photos_are_named_as_unused_except_those_of_live_photos(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    Image.new("RGB", (64, 48)).save(tmp_path / "in" / "IMG_1.jpg")
+    (tmp_path / "in" / "IMG_1.mov").touch()
+    assert read_photos(tmp_path / "in", tmp_path / "out").remarks == ()
+    (tmp_path / "in" / "garden.MP4").touch()
+    (remark,) = read_photos(tmp_path / "in", tmp_path / "out").remarks
+    assert remark.endswith("are used, not the films: garden.MP4.")
+
+
 def test_photos_are_upright_in_numeric_order_and_take_their_focal_length_from_exif(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     for number in (9, 10):

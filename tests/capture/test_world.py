@@ -218,6 +218,16 @@ def test_the_advice_on_images_that_are_not_upright_depends_on_their_source(
         assert said is not None and what in said and advice in said
 
 
+@pytest.mark.parametrize(("quarters", "by"), [(0, None), (1, "a quarter"), (-1, "a quarter"), (2, "half a")])
+def test_a_take_that_is_rotated_against_the_first_is_named(quarters: int, by: str | None) -> None:
+    poses, roll = walk().camera_to_world.clone(), 0.5 * math.pi * quarters
+    turn = torch.tensor([[math.cos(roll), -math.sin(roll)], [math.sin(roll), math.cos(roll)]]).double()
+    poses[26:, :3, :2] = poses[26:, :3, :2] @ turn
+    film = replace(walk(), camera_to_world=poses, seconds=torch.arange(CAMERAS).double(), cuts=(25.5,))
+    said = why_not_upright(film, Photos([], 320, 180, torch.zeros(0)))
+    assert said is None if by is None else f"the take from 26 s to 39 s are rotated by {by} turn" in str(said)
+
+
 def one_way(pitch_deg: float, seed: int) -> np.ndarray:
     """Return poses [40, 4, 4] of a camera that walks along the yard's far fence and looks at it, pitched up or down."""
     rng, yaw = np.random.default_rng(seed), 0.5 * math.pi

@@ -106,6 +106,11 @@ def test_without_free_space_near_the_seeds_nothing_is_filled_and_a_warning_says_
         assert Occupancy.empty().solid(0.2).count == 0
 
 
+def test_an_empty_grid_is_only_as_large_as_the_space_around_the_robots() -> None:
+    around = (100.0, 100.0, 0.0), (101.0, 101.0, 1.0)
+    assert Occupancy.empty(0.05).solid(0.2, around=around, max_voxels=21**3).count == 0
+
+
 def test_a_larger_grid_can_be_filled_and_get_boxes_when_it_is_allowed() -> None:
     box, around = hollow((0.2, 0.2, 0.2), (0.6, 0.6, 0.6)), ((-1.0, -1.0, 0.0), (1.0, 1.0, 1.0))  # 40 × 40 × 20 voxels
     with pytest.raises(ValueError, match="expected at most 31999 voxels"):

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from splatrl import images
 from splatrl.capture import videos
 from splatrl.capture.base import CaptureError
 from splatrl.capture.frames import SHARPNESS_WIDTH
@@ -113,7 +114,7 @@ class FramePicture:
 
     def image(self) -> Image.Image:
         """Return the whole frame, RGB."""
-        return self.frame.to_image()
+        return images.in_colour(self.frame)
 
 
 def _pictures(video: Path, times: Floats, wanted: Sequence[int]) -> Iterator[tuple[int, Picture]]:
