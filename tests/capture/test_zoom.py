@@ -96,6 +96,7 @@ def test_a_slight_zoom_is_noted_and_a_strong_one_refused_unless_forced(
     film: Reconstruction = replace(walk(), seconds=SECONDS, focal_lengths=focal)
     photos = Photos(film.paths, film.width, film.height, SECONDS)
     monkeypatch.setattr(pipeline, "read_photos", lambda *_: photos)
+    monkeypatch.setattr(pipeline, "with_mask", lambda photos, *_: photos)
     monkeypatch.setattr(pipeline, "look", lambda *_: SimpleNamespace(cause=lambda: None))
     monkeypatch.setattr(pipeline, "find_poses", lambda *_, **__: film)
     monkeypatch.setattr(
