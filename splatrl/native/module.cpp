@@ -20,6 +20,7 @@ void bind_isa(nanobind::module_& m) {
 }  // namespace splatrl
 
 NB_MODULE(_core, m) {
+    nanobind::set_leak_warnings(false);  // threads of PyTorch may still hold functions when Python exits
     splatrl::bind_collision(m);
     splatrl::bind_distances(m);
     splatrl::bind_fit(m);
