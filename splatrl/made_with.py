@@ -76,10 +76,12 @@ def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
     common = now["files"].keys() & began.keys()  # a new file is told by the setting or the file that refers to it
     changed += [f"{path}: its content differs" for path in sorted(common) if now["files"][path] != began[path]]
     if changed:
-        lines = ["resume: expected the scene, settings and files with which the run began, got different ones:"]
         robots = any(line.startswith(f"{ROBOTS}:") for line in changed)
         way_out = "a training keeps its number of robots" if robots else ANYWAY
-        raise ValueError("\n".join([*lines, *(f"  {line}" for line in changed), way_out]))
+        raise ValueError(
+            "resume: expected the scene, settings and files with which the run began, got different ones: "
+            + "; ".join([*changed, way_out])
+        )
     other = [f"{key} {now[key]} instead of {then[key]}" for key in ("isa", "threads") if now[key] != then[key]]
     if other:
         warnings.warn(f"resume: resuming with {', '.join(other)}; results may differ in the last bits", stacklevel=2)

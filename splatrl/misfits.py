@@ -1,5 +1,6 @@
 """Checks that scene, robot and goal fit together; errors name the key to change, before anything is trained."""
 
+import warnings
 from collections.abc import Sequence
 
 import torch
@@ -13,9 +14,10 @@ from splatrl.scenes.scene import Bounds, Scene
 
 
 def check_height(bounds: Bounds, task: Task) -> None:
-    """Refuse robots that would move below the scene, or at a fixed height above it.
+    """Refuse robots that would move below the scene, or at a fixed height far above it.
 
-    Robots whose height varies, because they orbit an object or fly, may be above it.
+    Far is more than its longest side: a floor may be all that was captured. Robots whose height varies, because they
+    orbit an object or fly, may be anywhere above it.
 
     Args:
         bounds: bounds of the scene, world frame, metres.
@@ -26,9 +28,13 @@ def check_height(bounds: Bounds, task: Task) -> None:
             MJCF; the limit of what fits; and what was given.
     """
     lowest = float(task.motion.body_to_world(task.motion.states())[:, 2, 3].min())
-    (_, _, bottom), (_, _, top) = bounds
-    if task.motion.height is not None and lowest > top + 1e-6:
-        raise ValueError(f"robot.height: expected robots below {top:.3g} m, the top of scene.bounds, got {lowest:.3g}")
+    lower, upper = bounds
+    bottom, top, longest = lower[2], upper[2], max(b - a for a, b in zip(lower, upper, strict=True))
+    if task.motion.height is not None and lowest > top + longest:
+        raise ValueError(
+            f"robot.height: expected robots less than {longest:.3g} m above the top of scene.bounds, {top:.3g} m, "
+            f"got {lowest:.3g}"
+        )
     if lowest >= bottom - 1e-6:
         return
     if task.motion.seconds_per_step is not None:
@@ -38,8 +44,8 @@ def check_height(bounds: Bounds, task: Task) -> None:
     )
 
 
-def check_captured(scene: Scene, task: Task, solid: Checker) -> None:
-    """Refuse robots that could move where nothing was captured, since nothing would stop them there or be seen.
+def warn_of_uncaptured(scene: Scene, task: Task, solid: Checker) -> None:
+    """Warn of robots that could move where nothing was captured, since nothing would stop them there or be seen.
 
     Robots that orbit an object, which they always see, may be there.
 
@@ -47,27 +53,27 @@ def check_captured(scene: Scene, task: Task, solid: Checker) -> None:
         scene: the scene; a tenth of their longest side is tolerated beyond its Gaussians and its bounds.
         task: the task, whose motion defines where robots are.
         solid: tells where the body does not fit, such as behind a closed wall, where robots never are.
-
-    Raises:
-        ValueError: names where the scene was captured, and where free poses were found.
     """
     motion = task.motion
-    (lower, upper), extent = torch.tensor(widened(scene.bounds, scene.extent))[:, :2], scene.extent
-
-    def outside(places: Tensor) -> Tensor:
-        return ((places < lower) | (places > upper)).any(1)
-
-    if isinstance(motion, OrbitMotion) or not outside(motion.region()[:, :2]).any():
+    if isinstance(motion, OrbitMotion) or not _beyond(widened(scene.bounds), motion.region()).any():
         return
+    extent = scene.extent
     poses = motion.body_to_world(motion.states())
-    poses = poses[outside(poses[:, :2, 3])]
+    poses = poses[_beyond(widened(scene.bounds, extent), poses[:, :3, 3])]
     places = poses[~solid.collides(poses)][:, :2, 3]
     if len(places):
-        got = _ranges(places.amin(0).tolist(), places.amax(0).tolist())
-        raise ValueError(
-            f"task.motion: expected robots where the scene was captured, {_ranges(*extent)}, got free poses at {got}; "
-            "narrow task.motion.lower and upper, or widen scene.bounds"
+        free = _ranges(places.amin(0).tolist(), places.amax(0).tolist())
+        warnings.warn(
+            f"{scene.name}: robots may go where nothing was captured, {free}, beyond {_ranges(*extent)}; narrower "
+            "task.motion.lower and upper keep them out",
+            stacklevel=2,
         )
+
+
+def _beyond(box: Sequence[Sequence[float]], places: Tensor) -> Tensor:
+    """Return which places lie beside a box: [N, 3] -> [N] bool."""
+    lower, upper = torch.tensor(box)[:, :2]
+    return ((places[:, :2] < lower) | (places[:, :2] > upper)).any(1)
 
 
 def _ranges(lower: Sequence[float], upper: Sequence[float]) -> str:

@@ -25,7 +25,7 @@ from splatrl.envs.robot import Robot
 from splatrl.envs.sensors import Sensor
 from splatrl.envs.tasks import Task
 from splatrl.envs.world import World, Worlds
-from splatrl.misfits import check_captured, check_goal, check_height
+from splatrl.misfits import check_goal, check_height, warn_of_uncaptured
 from splatrl.motions import Site
 from splatrl.native.threads import threads_of
 from splatrl.scenes.scene import Bounds, Scene
@@ -100,7 +100,7 @@ def _build_place(cfg: DictConfig, device: torch.device, repeats: int) -> Place:
     shared = device.type == "cpu" and obstacles is occupancy
     planner = checker if shared else instantiate(cfg.collision.cpu)(obstacles, robot.body)
     solid = planner if isinstance(planner, NativeChecker) else NativeChecker(obstacles, robot.body)
-    check_captured(scene, task, solid)
+    warn_of_uncaptured(scene, task, solid)
     with under_key("task"):
         fits = task.settle(
             Site(scene, occupancy, planner, robot.body, antialiased), partial(_fits, scene.bounds, solid)

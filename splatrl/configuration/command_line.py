@@ -3,6 +3,8 @@
 import difflib
 import itertools
 import os
+import re
+import shlex
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
@@ -139,11 +141,12 @@ def _check_brackets(arguments: Sequence[str]) -> None:
         if "=" in word and not word.startswith("-") and _open(word) > 0:
             ends = (end for end in range(place + 2, len(arguments) + 1) if _open(" ".join(arguments[place:end])) == 0)
             if end := next(ends, None):
-                raise UserError(f"{word}: expected one word; quote it: '{' '.join(arguments[place:end])}'")
+                raise UserError(f"{word}: expected one word; quote it: {shlex.quote(' '.join(arguments[place:end]))}")
 
 
 def _open(text: str) -> int:
-    """Return how many more brackets a text opens than it closes."""
+    """Return how many more brackets a text opens than it closes, outside quotes."""
+    text = re.sub(r"'[^']*'|\"[^\"]*\"", "", text)
     return sum(text.count(bracket) for bracket in "[{") - sum(text.count(bracket) for bracket in "]}")
 
 

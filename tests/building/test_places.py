@@ -34,14 +34,15 @@ def test_walls_beyond_the_bounds_of_the_scene_are_solid_where_robots_may_walk(tm
     assert (starts.abs() <= torch.tensor([0.6, 1.1])).all()
 
 
-def test_robots_that_could_walk_where_nothing_was_captured_are_refused(tmp_path: Path) -> None:
+def test_a_warning_tells_of_robots_that_could_walk_where_nothing_was_captured(tmp_path: Path) -> None:
     wider = ["task.motion.lower=[-3.0,-3.5]", "task.motion.upper=[3.0,3.5]"]
-    built(tmp_path, *wider)  # the room is closed: all beyond its walls is solid
-    with pytest.raises(
-        ValueError, match=r"where the scene was captured, x from -1\.5\S* to 1\.5.*got free poses at x from -3"
-    ):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        built(tmp_path, *wider)  # the room is closed: all beyond its walls is solid
+        built(tmp_path, *wider, "collision.occupancy.fill=null", "scene.bounds=[[-3,-3.5,0],[3,3.5,1.2]]")
+    where = r"tiny: robots may go where nothing was captured, x from -3.* beyond x from -1\.5\S* to 1\.5"
+    with pytest.warns(UserWarning, match=where):
         built(tmp_path, *wider, "collision.occupancy.fill=null")
-    built(tmp_path, *wider, "collision.occupancy.fill=null", "scene.bounds=[[-3,-3.5,0],[3,3.5,1.2]]")
 
 
 def test_a_scene_in_which_nothing_is_solid_causes_a_warning(tmp_path: Path) -> None:
@@ -53,12 +54,15 @@ def test_a_scene_in_which_nothing_is_solid_causes_a_warning(tmp_path: Path) -> N
         assert "problem" not in str(built(tmp_path).occupancy.report())
 
 
-def test_only_robots_at_a_fixed_height_must_be_below_the_top_of_the_scene(tmp_path: Path) -> None:
-    low = ((-1.5, -2.0, 0.0), (1.5, 2.0, 0.4))
+def test_only_robots_at_a_fixed_height_must_not_be_far_above_the_scene(tmp_path: Path) -> None:
+    floor, deep = ((-1.5, -2.0, -0.1), (1.5, 2.0, 0.0)), ((-0.1, -0.1, -0.3), (0.1, 0.1, -0.1))
     for task in ("grid", "drive"):
-        with pytest.raises(ValueError, match=r"robot\.height: expected robots below 0\.4 m, .* got 0\.5"):
-            check_height(low, built(tmp_path, task=task).task)
-    check_height(low, built(tmp_path, task="circle").task)
+        robots = built(tmp_path, task=task).task
+        check_height(floor, robots)
+        above = r"robot\.height: expected robots less than 0\.2 m above the top of scene\.bounds, -0\.1 m, got 0\.5"
+        with pytest.raises(ValueError, match=above):
+            check_height(deep, robots)
+    check_height(deep, built(tmp_path, task="circle").task)
 
 
 def test_what_is_solid_is_known_as_far_as_the_task_lets_robots_go() -> None:

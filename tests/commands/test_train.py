@@ -188,7 +188,7 @@ def test_resuming_a_run_with_changed_settings_is_refused_by_default(
     changed = resumed_config(folder, [f"resume={folder}", change.format(other=other)])
     changed.resume = str(folder)
     with pytest.raises(
-        ValueError, match=f"got different ones:\n  {line}\nto resume with them anyway, type resume_changed=true"
+        ValueError, match=f"got different ones: {line}; to resume with them anyway, type resume_changed=true"
     ):
         check_made_with(made_with(changed, build_world(changed).scene.digest), then(folder))
     assert (folder / "config.yaml").read_text() == before

@@ -76,6 +76,7 @@ ERRORS = [
         "landmarks.goal=[0.4,: expected one word; quote it: 'landmarks.goal=[0.4, 0.4, 0.0]'",
     ),
     ("view landmarks.goal=[0.4, 0.4, 0.0]", "landmarks.goal=[0.4,: expected one word; quote it: 'landmarks.goal=[0.4,"),
+    ("""train 'scene.name="a[b"' task=Gird 'logger.project="c]d"'""", "task: expected one of apple, circle, drive"),
     ("train -seed=3", "-seed=3: expected seed=3, without -"),
     ("train -frob=3", "-frob=3: expected key=value, or an option that --hydra-help lists"),
     ("train landmarks.goal=[0.4,0.4", "landmarks.goal=[0.4,0.4: expected landmarks.goal=value with balanced brackets"),
@@ -129,7 +130,7 @@ ERRORS = [
     ),
     # Values that do not fit together.
     (f"train {ROOM} robot.height=-1.0", "robot.height: expected robots above"),
-    (f"train {ROOM} robot.height=40", "robot.height: expected robots below 1.21 m, the top of scene.bounds, got 40"),
+    (f"train {ROOM} robot.height=40", "robot.height: expected robots less than 4.01 m above the top"),
     (
         f"train {GRID} landmarks.goal=[9,9,0]",
         "task.goal: expected a point in the walkable area, x from -1 to 1 and",
