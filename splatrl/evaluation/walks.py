@@ -110,7 +110,7 @@ def paths(plan: Plan, starts: Tensor, generator: torch.Generator) -> list[Tensor
         drawn = torch.multinomial(allowed.float() + 1e-9, 1, generator=generator)
         goes_on = allowed.gather(1, last.clamp_min(0)) & (last >= 0)
         last = torch.where(goes_on, last, drawn)
-        ahead, _ = plan.moves(states[-1], plan.actions[last.squeeze(1).to(plan.actions.device)])
+        ahead = plan.moves(states[-1], plan.actions[last.squeeze(1).to(plan.actions.device)]).state
         if len(states) > 1:
             walks &= ((ahead - states[-2]).abs() > 1e-4).any(1).cpu()
         states.append(ahead)
