@@ -120,7 +120,7 @@ def cost_field(moves: Moves) -> Field:
     The cost of a state is that of its best successor plus the steps of the action that leads there. Where every action
     leads from node to node, as with finitely many states, the field is exact and equals a breadth-first search.
     Otherwise costs are interpolated among the free nodes (a semi-Lagrangian scheme), so the field is smooth, paths that
-    descend it do not circle, and it resolves differences between actions of less than a step.
+    descend it seldom circle, and it resolves differences between actions of less than a step.
 
     Args:
         moves: where the actions lead.
