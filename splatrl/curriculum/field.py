@@ -1,7 +1,8 @@
 """Cost-to-go of every state: the number of steps to the goal, by value iteration over the nodes of a motion."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -20,6 +21,20 @@ PATIENCE = 2.0
 """Seconds after which value iteration shows its progress."""
 
 
+class Reach(NamedTuple):
+    """Where N actions have led.
+
+    Attributes:
+        state: [N, ...], the states.
+        steps: [N] float32, number of steps taken.
+        blocked: [N] bool, whether the last of them was blocked.
+    """
+
+    state: Tensor
+    steps: Tensor
+    blocked: Tensor
+
+
 @dataclass(frozen=True)
 class Moves:
     """Where actions lead robots, and which actions are blocked.
@@ -36,15 +51,24 @@ class Moves:
     reached: Reached
     repeats: int = 1
 
-    def __call__(self, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
-        """Return where actions lead, and whether they are blocked: [N, ...], [N, ...] -> [N, ...], [N] bool."""
+    def __call__(self, state: Tensor, action: Tensor) -> Reach:
+        """Return where actions lead: states [N, ...], actions [N, ...]."""
+        *_, last = self.each(state, action)
+        return last
+
+    def each(self, state: Tensor, action: Tensor) -> Iterator[Reach]:
+        """Yield where actions have led after one step, after two, and so on; where an action ends, it stays."""
         ahead, blocked = self._once(state, action)
+        steps = torch.ones(len(state), device=state.device)
+        yield Reach(ahead, steps, blocked)
         for _ in range(self.repeats - 1):
             rows = (~blocked).nonzero().squeeze(1)
             at_goal = self.reached(ahead[rows])
             rows = rows if at_goal is None else rows[~at_goal]
+            ahead, steps, blocked = ahead.clone(), steps.clone(), blocked.clone()
             ahead[rows], blocked[rows] = self._once(ahead[rows], action[rows])
-        return ahead, blocked
+            steps[rows] += 1
+            yield Reach(ahead, steps, blocked)
 
     def _once(self, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         ahead = self.motion.advance(state, action)
@@ -91,12 +115,12 @@ def _slim(taps: Taps) -> Taps:
 
 
 def cost_field(moves: Moves) -> Field:
-    """Compute the steps to the goal from every state by value iteration; a repeated action counts as one step.
+    """Compute the steps to the goal from every state by value iteration.
 
-    The cost of a state is one step more than that of its best successor. Where every action leads from node to node, as
-    with finitely many states, the field is exact and equals a breadth-first search. Otherwise costs are interpolated
-    among the free nodes (a semi-Lagrangian scheme), so the field is smooth, paths that descend it do not circle, and it
-    resolves differences between actions of less than a step.
+    The cost of a state is that of its best successor plus the steps of the action that leads there. Where every action
+    leads from node to node, as with finitely many states, the field is exact and equals a breadth-first search.
+    Otherwise costs are interpolated among the free nodes (a semi-Lagrangian scheme), so the field is smooth, paths that
+    descend it seldom circle, and it resolves differences between actions of less than a step.
 
     Args:
         moves: where the actions lead.
@@ -114,21 +138,29 @@ def cost_field(moves: Moves) -> Field:
     if not (goals := free & at_goal).any():
         raise NoPath(f"task: expected a free pose at the goal, found none among {int(at_goal.sum())} poses there")
     rows = (free & ~goals).nonzero().squeeze(1)
-    taps = [_open(moves, nodes[rows], action) for action in motion.actions()]
-    costs = _settle(torch.where(goals, 0.0, FAR), rows, [_slim(_among(tap, free)) for tap in taps])
+    ways = [_open(moves, nodes[rows], action) for action in motion.actions()]
+    costs = _settle(torch.where(goals, 0.0, FAR), rows, ways, free)
     joined = costs < 0.5 * FAR  # nor may free nodes without a path contribute to interpolation
     if not torch.equal(joined, free):
-        taps = [Taps(tap.node[joined[rows]], tap.weight[joined[rows]]) for tap in taps]
-        rows = rows[joined[rows]]
-        costs = _settle(torch.where(joined, costs, FAR), rows, [_slim(_among(tap, joined)) for tap in taps])
+        kept = joined[rows]
+        ways = [(Taps(taps.node[kept], taps.weight[kept]), steps[kept]) for taps, steps in ways]
+        costs = _settle(torch.where(joined, costs, FAR), rows[kept], ways, joined)
     return Field(motion, costs)
 
 
-def _settle(costs: Tensor, rows: Tensor, taps: list[Taps]) -> Tensor:
-    """Set the cost of each row to one more than that of its best successor, until nothing changes."""
+def _settle(costs: Tensor, rows: Tensor, ways: list[tuple[Taps, Tensor]], allowed: Tensor) -> Tensor:
+    """Set the cost of each row to that of its best successor plus the steps to it, until nothing changes.
+
+    Args:
+        costs: [C] float32, costs of all nodes at first.
+        rows: [N] int64, the nodes whose costs are to be found.
+        ways: for each action, the taps of where it leads from each row, and its steps [N].
+        allowed: [C] bool, the nodes among which costs are interpolated.
+    """
+    slim = [(_slim(_among(taps, allowed)), steps) for taps, steps in ways]
     with tqdm(desc="shortest paths", unit="sweep", delay=PATIENCE, leave=False, dynamic_ncols=True) as bar:
         while True:
-            best = torch.stack([_mean(costs, tap) for tap in taps]).amin(0).add(1).clamp_max(FAR)
+            best = torch.stack([_mean(costs, taps) + steps for taps, steps in slim]).amin(0).clamp_max(FAR)
             settled = bool(((costs[rows] - best).abs() <= SETTLED).all())
             costs = costs.index_put((rows,), best)
             if settled:
@@ -136,7 +168,8 @@ def _settle(costs: Tensor, rows: Tensor, taps: list[Taps]) -> Tensor:
             bar.update()
 
 
-def _open(moves: Moves, state: Tensor, action: Tensor) -> Taps:
-    """Return where an action leads from states; a blocked move leads back to its own state, so it shortens no path."""
-    ahead, blocked = moves(state, action.expand(len(state), *action.shape))
-    return moves.motion.taps(torch.where(blocked.view(-1, *[1] * (state.ndim - 1)), state, ahead))
+def _open(moves: Moves, state: Tensor, action: Tensor) -> tuple[Taps, Tensor]:
+    """Return where an action leads from states, and its steps; a blocked move leads back, so it shortens no path."""
+    ahead, steps, blocked = moves(state, action.expand(len(state), *action.shape))
+    back = blocked.view(-1, *[1] * (state.ndim - 1))
+    return moves.motion.taps(torch.where(back, state, ahead)), steps

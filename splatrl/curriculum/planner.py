@@ -23,8 +23,8 @@ class Plan:
     Attributes:
         states: [S, D], all candidate start states.
         free: [S] bool, whether an episode could begin in a state: the body touches nothing, and ``fits`` allows it.
-        distance: [S] int64, fewest steps to the goal, each of which is one action, however often it is repeated; 0 at
-            the goal, UNREACHABLE where there is no path. Without a goal, 0 where the body fits.
+        distance: [S] int64, fewest steps to the goal; 0 at the goal, UNREACHABLE where there is no path. An action that
+            is repeated k times takes k steps, or fewer if it ends at the goal. Without a goal, 0 where the body fits.
         actions: [A, ...], the actions from which paths are made.
         moves: where actions lead.
         start_rows: [N] int64, rows of the start set: the free states, other than goal states, from which a goal state
@@ -88,16 +88,16 @@ class Plan:
         Raises:
             ValueError: for a plan without a goal.
         """
-        after = torch.stack([self._after(state, action) for action in self.actions], 1)
-        best = after.amin(1, keepdim=True)
-        return (after <= best + ALIKE) & (best < FAR) & ~self.at_goal(state).unsqueeze(1)
+        left = torch.stack([self._by_way_of(state, action) for action in self.actions], 1)
+        best = left.amin(1, keepdim=True)
+        return (left <= best + ALIKE) & (best < FAR) & ~self.at_goal(state).unsqueeze(1)
 
-    def _after(self, state: Tensor, action: Tensor) -> Tensor:
-        """Return the steps left after an action, [N] float32: 0 where it reaches the goal, FAR where it is blocked."""
-        ahead, blocked = self.moves(state, action.expand(len(state), *action.shape))
+    def _by_way_of(self, state: Tensor, action: Tensor) -> Tensor:
+        """Return the steps to the goal by way of an action, [N] float32; at least FAR where it leads to none."""
+        ahead, steps, blocked = self.moves(state, action.expand(len(state), *action.shape))
         left = torch.full((len(state),), FAR, device=state.device)
         rows = (~blocked).nonzero().squeeze(1)
-        left[rows] = torch.where(self.at_goal(ahead[rows]), 0.0, self.cost_to_go(ahead[rows]))
+        left[rows] = torch.where(self.at_goal(ahead[rows]), 0.0, self.cost_to_go(ahead[rows])) + steps[rows]
         return left
 
 

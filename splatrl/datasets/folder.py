@@ -65,7 +65,9 @@ def read_demonstrations(folder: Path) -> Demonstrations:
     facts = read_json(path, MAX_HEADER)
     version = facts.get("version") if isinstance(facts, dict) else None
     if version != VERSION:
-        raise ValueError(f"{path}: expected demonstrations of format version {VERSION}, got {version!r:.80}")
+        raise ValueError(
+            f"{path}: expected demonstrations of format version {VERSION}, got {version!r:.80}; record them again"
+        )
     names = facts.get("action_names")
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise ValueError(f"{path}: expected a list of names under action_names, got {names!r:.80}")

@@ -79,7 +79,7 @@ def evaluate(
     else:
         world, starts = given_episodes(world, Path(settings.episodes), settings.starts)
     sampled, argmax = _run(world, policy, starts, settings)
-    summary = summarise(sampled, argmax, starts.distance if world.planned else None, world.repeats) | facts
+    summary = summarise(sampled, argmax, starts.distance if world.planned else None) | facts
     summary |= _facts_of_starts(plans, starts)
     if len(world.names) > 1:
         summary["scenes"] = by_scene(world.names, sampled, argmax)

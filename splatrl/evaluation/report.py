@@ -9,15 +9,14 @@ from splatrl.envs.tasks import Outcome
 from splatrl.evaluation.rollouts import Episodes
 
 
-def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None, steps: int = 1) -> dict[str, float]:
+def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None) -> dict[str, float]:
     """Summarise the episodes of an evaluation, with sampled and with most likely actions.
 
     Args:
         sampled: episodes with actions sampled from the policy, repetitions of a start in a row; the headline results.
         argmax: episodes with the policy's most likely actions, one from each start.
-        shortest: [N] int64, length of the shortest path from each start, actions; None if there are no such paths, or
+        shortest: [N] int64, length of the shortest path from each start, steps; None if there are no such paths, or
             if episodes do not end at a goal.
-        steps: number of steps that an action takes; see ``FrameSkip``.
 
     Returns:
         Rates in [0, 1], mean numbers of goals, mean returns and mean lengths; for navigation tasks also the measures
@@ -38,7 +37,7 @@ def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None, step
         summary |= {f"{key}{suffix}": value for key, value in episodes.navigation().items()}
         if shortest is not None:
             repeats = len(episodes.outcome) // len(shortest)
-            summary[f"step_spl{suffix}"] = episodes.step_spl(shortest.repeat_interleave(repeats), steps)
+            summary[f"step_spl{suffix}"] = episodes.step_spl(shortest.repeat_interleave(repeats))
     summary["episodes"] = len(sampled.outcome)
     if shortest is not None:
         summary["mean_shortest"] = shortest.double().mean().item()

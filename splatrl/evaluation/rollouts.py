@@ -74,15 +74,13 @@ class Episodes:
         means |= {"distance_to_goal": far, "collisions": self.measures["collisions"].double()}
         return {key: values.mean().item() for key, values in means.items()}
 
-    def step_spl(self, shortest: Tensor, repeats: int = 1) -> float:
-        """Compute success weighted by path length (Anderson et al. 2018, eq. 1), with lengths in actions.
+    def step_spl(self, shortest: Tensor) -> float:
+        """Compute success weighted by path length (Anderson et al. 2018, eq. 1), with lengths in steps.
 
         Args:
-            shortest: [N] int64, length of the shortest path from each start, actions.
-            repeats: number of steps that an action takes, unless the episode ends before.
+            shortest: [N] int64, length of the shortest path from each start, steps.
         """
-        taken = (self.length + repeats - 1) // repeats
-        ratio = shortest.double() / torch.maximum(shortest, taken).double()
+        ratio = shortest.double() / torch.maximum(shortest, self.length).double()
         return (self.success * ratio).mean().item()
 
 

@@ -98,25 +98,29 @@ def paths(plan: Plan, starts: Tensor, generator: torch.Generator) -> list[Tensor
         generator: chooses among optimal actions.
 
     Returns:
-        B paths of [N, D] states, from the start to the goal; a path ends early where it would step back and forth.
+        B paths of [N, D] states, one for each step from the start to the goal; a path ends early where it would go back
+        and forth.
     """
-    states, lengths = [starts], torch.ones(len(starts), dtype=torch.int64)
-    last = torch.full((len(starts), 1), -1)
-    for _ in range(math.ceil(PATIENCE * max(1.0, float(plan.cost_to_go(starts).amax())))):
-        allowed = plan.optimal(states[-1]).cpu()
-        walks = allowed.any(1) & (lengths == len(states))
+    states, walked = [starts], [torch.ones(len(starts), dtype=torch.bool)]
+    before, last = starts, torch.full((len(starts), 1), -1)
+    walks, repeats = walked[0], plan.moves.repeats
+    for number in range(math.ceil(PATIENCE * max(1.0, float(plan.cost_to_go(starts).amax()) / repeats))):
+        now = states[-1]
+        allowed = plan.optimal(now).cpu()
+        walks = allowed.any(1) & walks
         if not walks.any():
             break
         drawn = torch.multinomial(allowed.float() + 1e-9, 1, generator=generator)
         goes_on = allowed.gather(1, last.clamp_min(0)) & (last >= 0)
         last = torch.where(goes_on, last, drawn)
-        ahead, _ = plan.moves(states[-1], plan.actions[last.squeeze(1).to(plan.actions.device)])
-        if len(states) > 1:
-            walks &= ((ahead - states[-2]).abs() > 1e-4).any(1).cpu()
-        states.append(ahead)
-        lengths += walks
-    every = torch.stack(states, 1)
-    return [row[:length] for row, length in zip(every, lengths.tolist(), strict=True)]
+        way = list(plan.moves.each(now, plan.actions[last.squeeze(1).to(plan.actions.device)]))
+        if number:
+            walks &= ((way[-1].state - before).abs() > 1e-4).any(1).cpu()
+        states += [reach.state for reach in way]
+        walked += [walks & (reach.steps > taken).cpu() for taken, reach in enumerate(way)]
+        before = now
+    every, kept = torch.stack(states, 1), torch.stack(walked, 1).to(starts.device)
+    return [row[steps] for row, steps in zip(every, kept, strict=True)]
 
 
 def awkwardness(plan: Plan, states: Tensor) -> float:

@@ -213,18 +213,22 @@ def test_paths_of_repeated_actions_match_a_search_over_the_steps_of_an_env(repea
     env = StatefulEnv(tiny_env((len(states),), max_steps=50), FrameSkip(repeats))
     ends = torch.zeros(len(states), actions)
     leads_to = torch.zeros(len(states), actions, dtype=torch.int64)
+    taken = torch.zeros(len(states), actions)
     for action in range(actions):
         given = env.reset(TensorDict({"state": states.clone()}, [len(states)]), set_state=True)
         after = env.step(given.set("action", torch.full((len(states),), action)))["next"]
         outcome = after["outcome"].squeeze(1)
         ends[:, action] = torch.where(outcome == Outcome.GOAL, 0.0, torch.where(outcome > 0, FAR, torch.nan))
         leads_to[:, action] = task.motion.index(after["state"])
+        taken[:, action] = after["step_count"].squeeze(1)
     steps = torch.full((len(states),), FAR)
     for _ in range(len(states)):
-        after = torch.where(ends.isnan(), steps[leads_to], ends)
-        steps = torch.minimum(steps, after.amin(1) + 1)
+        after = torch.where(ends.isnan(), steps[leads_to], ends) + taken
+        steps = torch.minimum(steps, after.amin(1))
     starts, unsolvable = found.start_rows, (steps >= FAR) & found.free
     assert torch.equal(found.distance[starts].float(), steps[starts])
     assert (found.distance[unsolvable] == UNREACHABLE).all() and (repeats == 2 or unsolvable.any())
-    best = after[starts] == (steps[starts] - 1).unsqueeze(1)
+    best = after[starts] == steps[starts].unsqueeze(1)
     assert torch.equal(found.optimal(states[starts]), best) and not best.all()
+    near = plan(task.motion, BlockChecker(), task.reached, farthest=5, repeats=repeats).start_rows
+    assert torch.equal(near, starts[steps[starts] <= 5]) and len(near) < len(starts)

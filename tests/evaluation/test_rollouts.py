@@ -4,18 +4,19 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
+from splatrl.curriculum import Plan, plan
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks import Outcome
-from splatrl.envs.transforms import Appearance, Latency
+from splatrl.envs.transforms import Appearance, FrameSkip, Latency
 from splatrl.evaluation.rollouts import Episodes, run_episodes
-from tests.tiny import CountingRenderer, tiny_env, tiny_plan
+from tests.tiny import BlockChecker, CountingRenderer, tiny_env, tiny_plan, tiny_task
 
 
 class Planner:
     """Follows the shortest path, but takes a random action with probability ``slip``."""
 
-    def __init__(self, slip: float = 0.0):
-        self.plan, self.slip = tiny_plan(), slip
+    def __init__(self, slip: float = 0.0, found: Plan | None = None):
+        self.plan, self.slip = found or tiny_plan(), slip
 
     def __call__(self, td: TensorDictBase) -> TensorDictBase:
         best = self.plan.optimal(td["state"]).int().argmax(1)
@@ -41,6 +42,16 @@ def test_the_planner_reaches_the_goal_from_every_start_in_the_fewest_steps(robot
     assert episodes.step_spl(shortest) == 1.0
     torch.testing.assert_close(episodes.episode_return, 50 - 0.2 * (shortest - 1).float())
     assert sum(finished) == len(some)
+
+
+def test_the_planner_with_repeated_actions_reaches_the_goal_in_the_fewest_steps() -> None:
+    task = tiny_task()
+    found = plan(task.motion, BlockChecker(), task.reached, repeats=2)
+    shortest = found.distance[found.start_rows]
+    env = StatefulEnv(tiny_env([64], max_steps=50), FrameSkip(2))
+    episodes = run_episodes(env, Planner(found=found), found.starts)
+    assert torch.equal(episodes.length, shortest) and episodes.step_spl(shortest) == 1.0
+    assert set((shortest % 2).tolist()) == {0, 1}  # an action that reaches the goal may end after one step
 
 
 def test_robots_without_a_start_are_not_rendered() -> None:

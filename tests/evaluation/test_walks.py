@@ -35,7 +35,16 @@ from splatrl.motions.base import PlannedMotion
 from splatrl.renderers import Parts, RenderOutput
 from splatrl.renderers.base import to_pixels
 from splatrl.scenes import Scene
-from tests.tiny import HEIGHT, BlockChecker, tiny_gaussians, tiny_motion, tiny_plan, tiny_renderer, tiny_robot
+from tests.tiny import (
+    HEIGHT,
+    BlockChecker,
+    tiny_gaussians,
+    tiny_motion,
+    tiny_plan,
+    tiny_renderer,
+    tiny_robot,
+    tiny_task,
+)
 
 STILL = Hand(place=0.0, height=0.0, pitch_deg=0.0, roll_deg=0.0, yaw_deg=0.0)
 NAMES = ForwardMotion(HEIGHT).action_names
@@ -99,6 +108,19 @@ def test_paths_on_a_lattice_are_shortest_from_every_start_and_vary_with_the_seed
     assert all(found.at_goal(states)[-1] and not found.at_goal(states[:-1]).any() for states in walked)
     again = paths(found, starts, generator(1))
     assert any(not torch.equal(one, other) for one, other in zip(walked, again, strict=True))
+
+
+def test_a_path_of_repeated_actions_has_a_state_for_each_step() -> None:
+    task = tiny_task()
+    found = plan(task.motion, BlockChecker(), task.reached, repeats=3)
+    walked = paths(found, found.starts, generator())
+    assert [len(states) - 1 for states in walked] == found.distance[found.start_rows].tolist()
+    for states in walked:
+        led = torch.stack(
+            [found.motion.advance(states[:-1], action.expand(len(states) - 1)) for action in found.actions]
+        )
+        assert (led == states[1:]).all(2).any(0).all()
+        assert found.at_goal(states)[-1] and not found.at_goal(states[:-1]).any()
 
 
 def test_a_path_repeats_its_action_while_that_is_optimal() -> None:

@@ -2,13 +2,16 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from omegaconf import OmegaConf
 from PIL import Image
+from tensordict import TensorDictBase
 
+from splatrl.building import build_one_world
 from splatrl.configuration import load_config, placed, run_config
-from splatrl.experiments import Experiment, Run, planned
+from splatrl.experiments import Experiment, Run, planned, transfer
 from splatrl.experiments.report import write_report
 from splatrl.experiments.tables import transfer_sentences, transfer_table
 from splatrl.experiments.transfer import score_everywhere
@@ -44,6 +47,20 @@ def test_every_policy_is_tested_in_every_scene(tmp_path: Path) -> None:
     assert all(0 <= row["success_rate"] <= 1 and 0 <= row["step_spl"] <= 1 for row in rows)
     assert [row["starts"] for row in rows] == [9, 9, 5, 5]
     assert rows == score_everywhere(runs, tmp_path)
+
+
+def test_a_policy_that_repeats_actions_is_measured_by_the_steps_of_shortest_paths(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cfg = load_config([*tiny_overrides(tmp_path), "transforms/skip=four"])
+    world = build_one_world(cfg)
+
+    def planner(td: TensorDictBase) -> TensorDictBase:
+        return td.set("action", world.plan.optimal(td["state"]).int().argmax(1))
+
+    monkeypatch.setattr(transfer, "load_policy", lambda *given, **more: SimpleNamespace(policy=planner))
+    rates = transfer.tested(tmp_path, cfg, world)
+    assert rates["success_rate"] == rates["step_spl"] == 1.0
 
 
 def test_a_policy_keeps_its_network_and_takes_the_robot_and_goal_of_the_test_place(tmp_path: Path) -> None:
