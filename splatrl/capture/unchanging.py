@@ -127,8 +127,8 @@ def said(mask: Path) -> str:
     percent = 100 * dark.mean()
     hides = " If it hides the floor, a table may be taken for that: set the scale by a marker or a distance."
     return (
-        f"{percent:.{0 if percent >= 10 else 1}f} % of the image, {where}, never changes, like the body of a robot that carries the "
-        f"camera, and is left out.{hides if 'bottom' in where else ''}"
+        f"{percent:.{0 if percent >= 10 else 1}f} % of the image, {where}, never changes, like the body of a "
+        f"robot that carries the camera, and is left out.{hides if 'bottom' in where else ''}"
     )
 
 
