@@ -28,6 +28,9 @@ SEEN = 0.1
 """Minimum fraction of the cameras beneath which the ground is seen; with fewer, nothing is known."""
 SWAY = 0.02
 """Maximum relative difference between the mean heights of cameras above one floor."""
+DEEP, MUCH = 0.1, 0.25
+"""Minimum depth of points below a floor, in heights of the cameras, and their ratio to the points on the floor, both
+near the path, from which it may be a table."""
 LOWEST = 0.1
 """Fraction of the cameras that may stand lower than a new floor."""
 
@@ -94,6 +97,22 @@ def stood_on(ground: Ground, centers: Floats, points: Floats) -> Footing:
     return Footing(ground, between, seen=True, unsure=unsure if unsure > SWAY else 0.0)
 
 
+def much_below(ground: Ground, centers: Floats, points: Floats, above: float) -> bool:
+    """Return whether much lies below a floor near the path, as where a table hides the floor or is taken for it.
+
+    Args:
+        ground: up and the floor on which people seem to have stood.
+        centers: [N, 3] positions of the cameras.
+        points: [P, 3].
+        above: height of the cameras above that floor.
+    """
+    heights = points @ ground.up - ground.height
+    across = np.linalg.svd(ground.up[None])[2][1:].T
+    near = cKDTree(centers @ across).query(points @ across)[0] <= AROUND * above
+    below, on_floor = heights < -DEEP * above, np.abs(heights) <= NEAR * above
+    return int((below & near).sum()) > MUCH * int((on_floor & near).sum())
+
+
 def _beneath(tree: cKDTree, places: Floats, heights: Floats, cameras: Floats, floor: float) -> tuple[Floats, float]:
     """Return the heights of the ground beneath each camera, NaN where unseen, and the cameras' median height above it.
 
@@ -107,7 +126,7 @@ def _beneath(tree: cKDTree, places: Floats, heights: Floats, cameras: Floats, fl
     above = float(np.median(cameras)) - floor
     found = np.full(len(cameras), np.nan)
     for _ in range(ROUNDS):  # the cameras may be far less above what they stand on than above that floor
-        near = tree.query_ball_point(places, REACH * above)
+        near = (tree.query_ball_point(place, REACH * above) for place in places)  # all at once may need gigabytes
         found = np.array([_level(heights[rows], each, floor, above) for rows, each in zip(near, cameras, strict=True)])
         nearer = 0.5 * above if np.isnan(found).all() else float(np.nanmedian(cameras - found))
         if abs(nearer - above) <= SETTLED * above:

@@ -29,7 +29,7 @@ class Features:
         points: [N, 2] float64, pixels.
         descriptors: [N, 128] float32, unit vectors.
         distinct: number of points with the contrast of a distinct one.
-        brightness: mean grey level, 0 to 255.
+        brightness: mean grey level where features are sought, 0 to 255; of the whole image where none are.
         size: width and height, pixels.
     """
 
@@ -70,7 +70,7 @@ def features(path: Path, mask: Path | None = None) -> Features:
     if grey is None:
         raise ValueError(f"{path}: expected an image, got an unreadable file")
     sought = None if mask is None else np.uint8(255) * ~left_out(mask)
-    brightness = float(grey.mean() if sought is None else grey[sought > 0].mean())
+    brightness = float(grey.mean() if sought is None or not sought.any() else grey[sought > 0].mean())
     scale = LONGEST / max(grey.shape)
     if scale < 1:
         grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)

@@ -2,7 +2,7 @@
 
 They move with the camera, so that a map with them is bent, and a scene has them floating in it. What is uniform never
 changes either, such as a bare wall in every image; so edges decide, which stay in place and of one strength only where
-they belong to the camera.
+they belong to the camera, and what is far from them stays.
 """
 
 from dataclasses import replace
@@ -36,6 +36,9 @@ EDGES = 0.02
 """Minimum fraction of a part's pixels that must be edges which never change."""
 LEAST, MOST = 0.003, 0.5
 """Fraction of the image from which parts are left out, and from which too little of it is left."""
+REACH = 16
+"""Maximum distance of a pixel from an edge that never changes, pixels at ``LONGEST``: a bare floor may begin where the
+deck ends, and only edges tell them apart."""
 GROWN = 3
 """Pixels, at ``LONGEST``, by which parts are grown: features next to them would show both."""
 
@@ -80,7 +83,8 @@ def unchanging(greys: Floats) -> Mask:
         return stays
     gains = np.median(greys[:, stays] / np.maximum(usual[stays], 1.0), 1)
     same = (np.abs(greys - gains[:, None, None] * usual) <= SAME).mean(0) >= ALWAYS
-    parts, count = ndimage.label(ndimage.binary_closing(same | stays))
+    near = ndimage.distance_transform_edt(~stays) <= REACH
+    parts, count = ndimage.label(ndimage.binary_closing((same | stays) & near))
     each = np.arange(1, count + 1)
     found: Mask = np.isin(parts, each[ndimage.mean(stays, parts, each) >= EDGES])
     return ndimage.binary_dilation(found, iterations=GROWN) if found.any() else found
@@ -120,10 +124,11 @@ def said(mask: Path) -> str:
     """Return a remark for the report: how much of the image a mask leaves out, and where."""
     dark = left_out(mask)
     where = _where(dark)
+    percent = 100 * dark.mean()
     hides = " If it hides the floor, a table may be taken for that: set the scale by a marker or a distance."
     return (
-        f"{100 * dark.mean():.2g} % of the image, {where}, never changes, like the body of a robot that carries the "
-        f"camera, and is left out.{hides if 'bottom' in where else ''}"
+        f"{percent:.{0 if percent >= 10 else 1}f} % of the image, {where}, never changes, like the body of a "
+        f"robot that carries the camera, and is left out.{hides if 'bottom' in where else ''}"
     )
 
 

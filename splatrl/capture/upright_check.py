@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from splatrl.capture.base import Photos, Reconstruction
 from splatrl.capture.cuts import takes
 from splatrl.capture.ground import cameras_up, on_its_side, upside_down
+from splatrl.capture.upright import ONE_WAY
 from splatrl.capture.world import held_poses
 
 Floats = NDArray[np.float64]
@@ -60,12 +61,18 @@ def why_not_upright(found: Reconstruction, photos: Photos) -> str | None:
 
 
 def _rotated_take(found: Reconstruction, held: Floats) -> str | None:
-    """Return which take of a film is rotated against its first one; None if none is."""
+    """Return which take of a film is rotated against its first one; None if none is.
+
+    Where the first take looks one way, up may be off by its pitch, which looks like a roll of takes that look to other
+    sides.
+    """
     if found.seconds is None or not found.cuts:
         return None
     seconds = found.seconds.numpy()
     take = takes(seconds, found.cuts)
-    up = cameras_up(held[take == take[0]]).up
+    up, _, lean = cameras_up(held[take == take[0]])
+    if lean >= ONE_WAY:
+        return None
     for number in np.unique(take)[1:]:
         rows = take == number
         right, own = held[rows, :3, 0] @ up, -held[rows, :3, 1] @ up

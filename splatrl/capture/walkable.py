@@ -32,7 +32,8 @@ their usual number below which a place belongs to the background: a capture show
 def walkable_area(scene: Scene, occupancy: Occupancy, floor: float, height: float) -> Area | None:
     """Find the free floor around the most open place that was captured well, and what is solid there.
 
-    Of the parts of the free floor, the one with the most Gaussians is taken, without what belongs to the background.
+    Of the parts of the free floor, the one with the most Gaussians is taken, without what belongs to the background;
+    the largest one where all Gaussians are faint.
 
     Args:
         scene: the scene, world frame.
@@ -55,8 +56,10 @@ def walkable_area(scene: Scene, occupancy: Occupancy, floor: float, height: floa
     labels, count = ndimage.label(free)
     if count == 0:
         return None
-    part = labels == 1 + int(ndimage.sum_labels(crowded, labels, np.arange(1, count + 1)).argmax())
-    part &= crowded >= SPARSE * np.average(crowded[part], weights=crowded[part])
+    around, sizes = ndimage.sum_labels(crowded, labels, np.arange(1, count + 1)), np.bincount(labels.ravel())[1:]
+    part = labels == 1 + int(np.lexsort((sizes, around))[-1])
+    if crowded[part].any():
+        part &= crowded >= SPARSE * np.average(crowded[part], weights=crowded[part])
     if part.sum() < FEWEST:
         return None
     room = ndimage.distance_transform_edt(np.pad(part, 1))[1:-1, 1:-1]

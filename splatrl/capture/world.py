@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.capture.base import CaptureError, Reconstruction
-from splatrl.capture.beneath import Footing, stood_on
+from splatrl.capture.beneath import Footing, much_below, stood_on
 from splatrl.capture.carrying import weakest
-from splatrl.capture.ground import MIN_INLIERS, NEAR, Ground, UpFrom, find_ground
+from splatrl.capture.ground import ERROR_DEG, MIN_INLIERS, NEAR, Ground, UpFrom, find_ground
 from splatrl.capture.jerks import TORN, camera_leaps, jerks
 from splatrl.capture.marker import MARKER_SIDE, scale_by_marker
 from splatrl.capture.progress import Progress, silent
@@ -49,10 +49,10 @@ class Placed:
         world_from_capture: [4, 4] float64 similarity that brought it there.
         scale_from: source of the scale.
         scale_error: possible relative error of the scale; None where it is unknown, as without a scale, with the
-            camera's height above a floor that was hardly seen, or where parts may be joined wrongly or something else
-            that was stated contradicts it.
+            camera's height above a floor that was hardly seen or has much below it near the path, or where parts may be
+            joined wrongly or something else that was stated contradicts it.
         up_from: source of the upward direction.
-        up_error_deg: possible error of the upward direction, degrees.
+        up_error_deg: possible error of the upward direction, degrees; larger where parts may be joined wrongly.
         camera_height: mean height of the cameras above the ground beneath them, as defined by ``mean_height``, metres.
         floor_points: number of points of the reconstruction that lie on the floor.
         contradicted: how a stated height or distance contradicts the source of the scale, in sentences; None where
@@ -122,10 +122,13 @@ def place(
         raise CaptureError("expected a floor below the cameras, found none; film so that the floor is visible")
     above += ground.below
     scale, scale_from, error = _scale(reconstruction, footing, above, metric, marker, distance, camera_height, progress)
-    torn = jerks(camera_leaps(reconstruction)) >= TORN or weakest(reconstruction) is not None
-    if scale_from != "recorded" and torn:
-        error = None  # parts may be joined wrongly
-    floor = ground.up_from != "cameras" and ground.inliers >= MIN_INLIERS
+    deep = much_below(ground, poses[:, :3, 3], points, above)
+    floor = ground.up_from != "cameras" and ground.inliers >= MIN_INLIERS and not deep
+    if scale_from == "camera_height" and not floor:
+        error = None
+    up_error_deg = ground.error_deg
+    if not metric and (jerks(camera_leaps(reconstruction)) >= TORN or weakest(reconstruction) is not None):
+        error, up_error_deg = None, max(up_error_deg, ERROR_DEG["cameras"])  # parts may be joined wrongly
     compared = camera_height if floor else None  # otherwise the height above what may be no floor
     contradicted = contradiction(reconstruction, scale, scale_from, scale * above, distance, compared)
     transform = _world_from_capture(poses, points, ground, scale)
@@ -135,11 +138,11 @@ def place(
         scale_from,
         error if contradicted is None else None,
         ground.up_from,
-        ground.error_deg,
+        up_error_deg,
         scale * above,
         ground.inliers,
         contradicted,
-        _remarks(lowest, footing, scale, above),
+        _remarks(lowest, footing, scale, above, deep),
     )
 
 
@@ -204,8 +207,7 @@ def _scale(
         return scale_by_distance(reconstruction, distance), "distance", SCALE_ERROR["distance"]
     if camera_height is not None:
         usual = LEVELS_ERROR if footing.rise > NEAR * above else SCALE_ERROR["camera_height"]
-        seen = footing.seen and footing.ground.up_from != "cameras"
-        return camera_height / above, "camera_height", usual + footing.unsure if seen else None
+        return camera_height / above, "camera_height", usual + footing.unsure if footing.seen else None
     by_gps = scale_by_gps(
         reconstruction.gps, (reconstruction.camera_to_world[:, :3, 3].numpy() @ _standing(footing.ground.up).T)[:, :2]
     )
@@ -214,7 +216,7 @@ def _scale(
     return USUAL_HEIGHT / above, "unknown", None
 
 
-def _remarks(lowest: Ground, footing: Footing, scale: float, above: float) -> tuple[str, ...]:
+def _remarks(lowest: Ground, footing: Footing, scale: float, above: float, deep: bool) -> tuple[str, ...]:
     """Return what is unusual about the ground, one sentence each."""
     slope, rise, lower = lowest.slope_deg, footing.rise, footing.ground.height - lowest.height
     remarks = {
@@ -224,6 +226,8 @@ def _remarks(lowest: Ground, footing: Footing, scale: float, above: float) -> tu
         "lowest, and the camera's height counts from the ground beneath it.": rise > NEAR * above,
         f"There is lower ground in view, {scale * lower:.1f} m down; z = 0 is the floor where the camera was.": lower
         > 0,
+        "Much lies below what was taken for the floor, near the path: it may be a table. Film the floor, or set the "
+        "scale by a printed marker or a distance.": deep,
     }
     return tuple(said for said, true in remarks.items() if true)
 

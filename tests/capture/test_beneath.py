@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 import torch
 
+from splatrl.capture import world
 from splatrl.capture.base import Reconstruction
 from splatrl.capture.drift import lost_scale
+from splatrl.capture.ground import MIN_INLIERS, find_ground
 from splatrl.capture.world import LEVELS_ERROR, SCALE_ERROR, moved, place
-from tests.capture.walks import ABOVE, similarity_of, walk, without_points
+from tests.capture.walks import ABOVE, CAMERAS, similarity_of, walk, without_points
 
 
 def bent(rise: float, slope: float = 0.0) -> Reconstruction:
@@ -64,6 +66,26 @@ def test_a_street_below_a_terrace_is_not_its_floor(depth: float) -> None:
 def test_a_table_beside_the_path_is_not_the_ground() -> None:
     top = np.random.default_rng(0).uniform([1.0, -1.0, 0.78], [2.0, 1.0, 0.8], (2000, 3))
     assert scale_error(with_points(top, torch.arange(12)), SCALE_ERROR["camera_height"], None) < 0.03
+
+
+def test_the_scale_has_no_known_error_where_much_lies_below_the_floor_near_the_path(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ground = find_ground(walk().camera_to_world.numpy(), walk().points.numpy())
+    monkeypatch.setattr(world, "find_ground", lambda *_: ground)
+    count = int((walk().points[:, 2].abs() < 0.1).sum())
+    for share, much in ((0.1, False), (0.4, True)):
+        pit = np.random.default_rng(0).uniform([-2.0, -2.0, -1.5], [2.0, 2.0, -0.2], (int(share * count), 3))
+        placed = place(with_points(pit, torch.arange(CAMERAS)), marker=None, camera_height=ABOVE)
+        assert (placed.scale_error is None) == much == ("Much lies below" in str(placed.remarks))
+
+
+def test_a_floor_of_few_points_states_no_error_of_the_scale(monkeypatch: pytest.MonkeyPatch) -> None:
+    ground = find_ground(walk().camera_to_world.numpy(), walk().points.numpy())
+    for count, said in ((MIN_INLIERS, SCALE_ERROR["camera_height"]), (MIN_INLIERS - 1, None)):
+        few = replace(ground, up_from="walls", inliers=count)
+        monkeypatch.setattr(world, "find_ground", lambda *_, few=few: few)
+        assert place(walk(), marker=None, camera_height=ABOVE).scale_error == said
 
 
 def test_the_scale_has_no_known_error_where_the_ground_beneath_the_camera_is_not_seen() -> None:

@@ -41,6 +41,15 @@ def test_robots_walk_in_the_yard_and_not_in_the_meadow_around_it() -> None:
         assert left - 0.3 < x0 and x1 < right + 0.3 and front - 0.3 < y0 and y1 < back + 0.3
 
 
+def test_a_place_of_faint_gaussians_has_a_walkable_area() -> None:
+    gaussians = room(1.0, sky=False)
+    scene = Scene("room", gaussians, robust_bounds(gaussians))
+    solid = survey_occupancy(scene)
+    scene.gaussians.opacities = scene.gaussians.opacities.clamp(max=0.45)
+    area = walkable_area(scene, solid, 0.0, 0.4)
+    assert area is not None and area.walk[1][0] - area.walk[0][0] > 2.0
+
+
 def test_a_place_without_surroundings_keeps_its_bounds() -> None:
     assert captured_bounds(room(1.0, sky=False)) == robust_bounds(room(1.0, sky=False))
     assert captured_bounds(room(1.0, sky=True))[1][2] < 4.0 < robust_bounds(room(1.0, sky=True))[1][2]

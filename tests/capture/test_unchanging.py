@@ -19,30 +19,31 @@ from splatrl.capture.job import DATABASE
 from splatrl.capture.matches import features
 from splatrl.capture.pipeline import CaptureSettings, reconstruct
 from splatrl.capture.stereo import Depths
-from splatrl.capture.unchanging import FEWEST, left_out, left_out_at, said, too_much, unchanging, with_mask
+from splatrl.capture.unchanging import FEWEST, MOST, REACH, left_out, left_out_at, said, too_much, unchanging, with_mask
 from tests.capture import ray_cast
 from tests.capture.ray_cast import photos_of, walk
 
 HEIGHT, WIDTH, COUNT = 90, 160, 24
 DECK = np.zeros((HEIGHT, WIDTH), bool)
 DECK[70:, 20:] = True
+PLAIN = 110
+"""Column from which the deck has no texture."""
 
 
-def _film(deck: float = 40.0, drift: float = 0.0, bare: bool = False) -> np.ndarray:
+def _film(deck: float = 40.0, drift: float = 0.0, bare: int = 0) -> np.ndarray:
     """Return grey images [N, H, W] of changing texture, with a deck that is textured on its left; 0 for none.
 
     Args:
         deck: standard deviation of the deck's texture, grey levels.
         drift: amplitude of a gain that drifts.
-        bare: whether the upper half always shows a bare wall.
+        bare: number of upper rows that always show a bare wall, or a bare floor up to the deck.
     """
     random = np.random.default_rng(0)
     texture = ndimage.gaussian_filter(random.normal(size=(COUNT + 1, HEIGHT, WIDTH)), (0, 2, 2))
     texture *= 40.0 / texture.std()
-    texture[COUNT, :, 110:] = 0.0
+    texture[COUNT, :, PLAIN:] = 0.0
     images = 120.0 + texture[:COUNT]
-    if bare:
-        images[:, : HEIGHT // 2] = 150.0
+    images[:, :bare] = 150.0
     if deck:
         images[:, DECK] = 100.0 + texture[COUNT, DECK] * deck / 40.0
     images *= 1.0 + drift * np.sin(np.arange(COUNT))[:, None, None]
@@ -51,13 +52,24 @@ def _film(deck: float = 40.0, drift: float = 0.0, bare: bool = False) -> np.ndar
 
 @pytest.mark.parametrize("drift", [0.0, 0.25])
 def test_a_deck_is_found_although_the_brightness_drifts_and_the_rest_is_kept(drift: float) -> None:
-    for bare in (False, True):
+    for bare in (0, HEIGHT // 2):
         found = unchanging(_film(drift=drift, bare=bare))
-        assert found[DECK].all() and not found[:64].any() and not found[:, :14].any()
+        deck = DECK[:, : PLAIN + REACH]
+        assert found[:, : PLAIN + REACH][deck].all() and not found[:64].any() and not found[:, :14].any()
 
 
-@pytest.mark.parametrize("bare", [False, True])
-def test_nothing_is_found_in_a_film_without_a_deck_nor_in_one_of_a_bare_wall(bare: bool) -> None:
+@pytest.mark.parametrize("deck", [40.0, 0.0])
+def test_a_bare_floor_that_touches_the_deck_is_left_out_only_next_to_it(deck: float) -> None:
+    images = _film(bare=70)
+    images[:, DECK] += (deck - 40.0) / 40.0 * (images[:, DECK] - 100.0)  # a plain deck has an outline on the floor
+    images[:, 70:, :20] = 150.0
+    found = unchanging(images)
+    assert found[70 : 70 + REACH, 20:].all() and not found[: 70 - REACH - 4].any()
+    assert 0.15 < found.mean() < MOST
+
+
+@pytest.mark.parametrize("bare", [0, HEIGHT // 2])
+def test_nothing_is_found_in_a_film_without_a_deck_nor_in_one_of_a_bare_wall(bare: int) -> None:
     assert not unchanging(_film(deck=0.0, bare=bare)).any()
     assert not unchanging(np.full((COUNT, HEIGHT, WIDTH), 128.0)).any()
 
@@ -71,9 +83,11 @@ def test_the_mask_is_as_large_as_the_photos_and_the_remark_says_where_it_is(tmp_
     found = with_mask(photos, tmp_path)
     assert found.mask is not None
     dark = left_out(found.mask)
-    assert dark.shape == (photos.height, photos.width) and dark[150:, 60:].all() and not dark[:120].any()
-    assert said(found.mask).startswith(f"{100 * dark.mean():.2g} % of the image, mostly at the bottom, never changes")
+    assert dark.shape == (photos.height, photos.width) and dark[150:, 60:240].all() and not dark[:120].any()
+    assert said(found.mask).startswith(f"{100 * dark.mean():.0f} % of the image, mostly at the bottom, never changes")
     assert too_much(found.mask) is None
+    Image.fromarray(np.uint8(255) * (np.indices((10, 100)).sum(0) == 0)).save(tmp_path / "nearly.png")
+    assert said(tmp_path / "nearly.png").startswith("100 % of the image")
     few = replace(photos, paths=photos.paths[: FEWEST - 1])
     for other in (few, replace(photos, camera_to_world=torch.eye(4).expand(COUNT, 4, 4))):
         assert with_mask(other, tmp_path).mask is None
@@ -161,6 +175,13 @@ def test_held_out_images_are_judged_without_what_is_left_out() -> None:
     fitted = colour_corrected(image, painted, ~DECK)
     np.testing.assert_allclose(fitted, colour_corrected(image, photo, ~DECK))
     assert psnr(fitted, photo) > 31 > psnr(colour_corrected(image, painted), photo)
+
+
+def test_an_image_that_is_left_out_as_a_whole_has_a_brightness_and_no_features(tmp_path: Path) -> None:
+    path = _photos(tmp_path / "in", _film()[:1]).paths[0]
+    Image.new("L", (WIDTH, HEIGHT)).save(tmp_path / "black.png")
+    found = features(path, tmp_path / "black.png")
+    assert found.brightness == features(path).brightness and len(found.points) == 0
 
 
 def test_a_mask_that_cannot_be_read_is_named(tmp_path: Path) -> None:

@@ -236,6 +236,18 @@ def one_way(pitch_deg: float, seed: int) -> np.ndarray:
     return camera_poses(torch.from_numpy(np.concatenate([eyes, turned], 1))).numpy()
 
 
+def test_upright_takes_that_look_far_down_to_different_sides_are_not_refused() -> None:
+    first, quarter_turn = torch.from_numpy(one_way(-55.0, 0)), torch.eye(4).double()[[1, 0, 2, 3]]
+    quarter_turn[1] *= -1.0
+    film = replace(
+        walk(),
+        camera_to_world=torch.cat([first, quarter_turn @ first]),
+        seconds=torch.arange(80).double(),
+        cuts=(39.5,),
+    )
+    assert why_not_upright(film, Photos([], 320, 180, torch.zeros(0))) is None
+
+
 @pytest.mark.parametrize("pitch_deg", [-10.0, 0.0, 15.0, 30.0])
 def test_the_floor_determines_up_for_a_camera_that_looks_one_way_at_any_pitch(pitch_deg: float) -> None:
     ground = find_ground(one_way(pitch_deg, 0), walk().points.numpy())

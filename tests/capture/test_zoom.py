@@ -102,7 +102,9 @@ def test_a_slight_zoom_is_noted_and_a_strong_one_refused_unless_forced(
     monkeypatch.setattr(
         pipeline,
         "place",
-        lambda found, *_, **__: SimpleNamespace(up_from="floor", scale_from="camera_height", camera_height=ABOVE),
+        lambda found, *_, **__: SimpleNamespace(
+            up_from="floor", scale_from="camera_height", camera_height=ABOVE, remarks=()
+        ),
     )
     settings = CaptureSettings(camera_height=ABOVE)
     said: list[str] = []
