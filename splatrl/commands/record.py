@@ -1,6 +1,7 @@
 """``splatrl-record``: record demonstrations of a task into a folder."""
 
 import itertools
+import signal
 from contextlib import suppress
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from tqdm import tqdm
 from splatrl.building import build_one_world
 from splatrl.commands.entries import record as main
 from splatrl.commands.faults import in_one_line
+from splatrl.commands.stopping import interrupted_by
 from splatrl.configuration import check_config, conf_dir, save_config
 from splatrl.datasets import Demonstrations, check_lerobot, planner_episodes, write_demonstrations, write_lerobot
 from splatrl.envs.world import World
@@ -75,7 +77,8 @@ def planned(cfg: DictConfig, world: World) -> Demonstrations:
 def driven(cfg: DictConfig, world: World) -> Demonstrations:
     """Record episodes that a person drives in the browser.
 
-    Recording ends when there are enough episodes, or when the person ends it in the browser or by Ctrl-C.
+    Recording ends when there are enough episodes, when the person ends it in the browser or by Ctrl-C, or when the
+    terminal is closed.
     """
     require_number("episodes", cfg.episodes, 1, 10**6, whole=True)
     keys_of(world.task.motion)  # refuses motions that keys cannot drive, before a page is opened
@@ -86,7 +89,7 @@ def driven(cfg: DictConfig, world: World) -> Demonstrations:
     try:
         takes = Takes(world)
         driving = Driving(page, world, cfg.seed, takes, cfg.episodes)
-        with suppress(KeyboardInterrupt):
+        with suppress(KeyboardInterrupt), interrupted_by(signal.SIGTERM, signal.SIGHUP):
             while not driving.finished.wait(1.0):
                 pass
         driving.finished.set()  # so that no further episode is added

@@ -22,7 +22,7 @@ def stoppable(how_to_continue: str) -> Iterator[None]:
         SystemExit: after an interrupt.
     """
     try:
-        with _terminations_as_interrupts():
+        with interrupted_by(signal.SIGTERM):
             yield
     except KeyboardInterrupt:
         print(f"\nstopped; finished work is kept; {how_to_continue}", file=sys.stderr)
@@ -30,14 +30,18 @@ def stoppable(how_to_continue: str) -> Iterator[None]:
 
 
 @contextmanager
-def _terminations_as_interrupts() -> Iterator[None]:
-    before = signal.getsignal(signal.SIGTERM)
+def interrupted_by(*numbers: signal.Signals) -> Iterator[None]:
+    """Let signals that would end the program raise KeyboardInterrupt in the block, unless somebody handles them.
+
+    Args:
+        numbers: such as SIGTERM, or SIGHUP, which a terminal sends when it is closed or its connection is lost.
+    """
     alone = threading.current_thread() is threading.main_thread()  # no other thread can handle signals
-    if before is not signal.SIG_DFL or not alone:
-        yield
-        return
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    taken = [number for number in numbers if alone and signal.getsignal(number) is signal.SIG_DFL]
+    for number in taken:
+        signal.signal(number, signal.default_int_handler)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number in taken:
+            signal.signal(number, signal.SIG_DFL)

@@ -134,7 +134,7 @@ def read_labels(path: Path, action_names: Sequence[str]) -> tuple[dict[int, froz
         if header != HEADER:
             raise ValueError(f"{path}, line 1: expected {','.join(HEADER)}, got {','.join(header)[:80]!r}")
         for row in rows:
-            if not row:
+            if not any(cell.strip() for cell in row):
                 continue
             place = f"{path}, line {rows.line_num}"
             if len(row) != 2:

@@ -1,5 +1,6 @@
 """Conducts experiments: trains, scores and reports, and resumes after an interruption."""
 
+import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -65,16 +66,20 @@ def train_all(experiments: Sequence[Experiment], jobs: int, cores: int, program:
 
 
 def score(experiment: Experiment, scored_by: Score) -> bool:
-    """Score an experiment once all its runs are finished, unless that was done before; return whether scores are new.
+    """Score an experiment once all its runs are finished; return whether scores are new.
+
+    They are not if just these runs were scored before, rather than those of other seeds or scenes.
 
     Args:
         experiment: the experiment to score.
         scored_by: the function that computes the scores.
     """
-    path = experiment.folder / SCORES
-    if path.exists() or any(status(run) != "finished" for run in experiment.runs):
+    path, names = experiment.folder / SCORES, sorted(run.folder.name for run in experiment.runs)
+    if any(status(run) != "finished" for run in experiment.runs):
         return False
-    write_json(path, {"scores": scored_by(experiment.runs, experiment.folder)})
+    if path.exists() and json.loads(path.read_text()).get("runs") == names:
+        return False
+    write_json(path, {"runs": names, "scores": scored_by(experiment.runs, experiment.folder)})
     return True
 
 

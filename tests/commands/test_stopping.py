@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 
 from splatrl.commands.entries import INTERRUPTED
-from splatrl.commands.stopping import stoppable
+from splatrl.commands.stopping import interrupted_by, stoppable
 
 NUMBERS = (signal.SIGINT, signal.SIGTERM)
 
@@ -38,3 +38,19 @@ def test_terminations_are_left_to_whoever_handles_them_already(capsys: pytest.Ca
     with stoppable("type it again"):
         signal.raise_signal(signal.SIGTERM)
     assert found == [signal.SIGTERM] and capsys.readouterr().err == ""
+
+
+def test_a_closed_terminal_interrupts_only_who_asks_for_it() -> None:
+    hangup = signal.SIGHUP
+    before = signal.getsignal(hangup)
+    try:
+        signal.signal(hangup, signal.SIG_DFL)
+        with pytest.raises(KeyboardInterrupt), interrupted_by(signal.SIGTERM, hangup):
+            assert signal.getsignal(hangup) is signal.default_int_handler, "or it would end the tests"
+            signal.raise_signal(hangup)
+        assert signal.getsignal(hangup) is signal.SIG_DFL
+        signal.signal(hangup, signal.SIG_IGN)  # as nohup does
+        with interrupted_by(hangup):
+            signal.raise_signal(hangup)
+    finally:
+        signal.signal(hangup, before)

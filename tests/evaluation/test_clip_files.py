@@ -79,7 +79,7 @@ def test_images_are_ordered_by_number_and_other_files_are_ignored(tmp_path: Path
 
 
 def test_a_video_is_read_with_the_table_beside_it(tmp_path: Path) -> None:
-    video_clip(tmp_path / "walk.mp4", [10, 90, 200], "frame,action\n0,left\n2, forward | left \n")
+    video_clip(tmp_path / "walk.mp4", [10, 90, 200], "frame,action\n0,left\n2, forward | left \n , \n")
     folder_clip(tmp_path / "another")
     another, walk = read_clips(tmp_path, NAMES)
     assert (another.name, walk.name) == ("another", "walk")

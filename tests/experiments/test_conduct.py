@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -82,6 +83,10 @@ def test_an_experiment_is_scored_once_after_all_its_runs_are_finished(tmp_path: 
     assert asked == [experiment.folder]
     rows = json.loads((experiment.folder / "scores.json").read_text())["scores"]
     assert [row["run"] for row in rows] == [run.folder.name for run in experiment.runs]
+    fewer = replace(experiment, runs=experiment.runs[:1])
+    assert score(fewer, scored_by), "scores of other runs say nothing of these"
+    assert not score(fewer, scored_by)
+    assert score(experiment, scored_by)
 
 
 @pytest.mark.usefixtures("blank_curves")
