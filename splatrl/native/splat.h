@@ -36,9 +36,8 @@ struct Footprint {
 // out, as in gsplat. If what is shown may be displaced by a pixel, a quarter of a grey level may be missing from
 // behind, and the last splat is blended.
 SPLAT_INLINE float finished_at(float tolerance) {
-    constexpr float PER_PIXEL = 1e-3f, LEAST = 1.001e-4f, MOST = 1e-3f;
-    static_assert(LEAST > MIN_TRANSMITTANCE, "only exact images may have the least of all, by which kernels know them");
-    return tolerance > 0.0f ? min(max(PER_PIXEL * tolerance, LEAST), MOST) : MIN_TRANSMITTANCE;
+    constexpr float PER_PIXEL = 1e-3f, MOST = 1e-3f;
+    return max(MIN_TRANSMITTANCE, min(PER_PIXEL * tolerance, MOST));
 }
 
 // log2 of the opacity below which a splat is invisible at a pixel: a grey level in classic images, a quarter of it in

@@ -26,7 +26,7 @@ from splatrl.capture.truth import read_truth
 from splatrl.collision import Occupancy
 from splatrl.collision.point_clouds import read_points
 from splatrl.configuration import load_config, run_config
-from splatrl.datasets.folder import read_demonstrations
+from splatrl.datasets.folder import VERSION, read_demonstrations
 from splatrl.envs.drawing.sprite import load_sprite
 from splatrl.evaluation.clip_files import read_clips, read_labels
 from splatrl.evaluation.episode_sets import read_episodes
@@ -403,7 +403,7 @@ def _header(values: dict[str, Any]) -> bytes:
 def around_demonstrations(folder: Path, count: int = 2, side: int = 4) -> None:
     """Write a folder of demonstrations: ``count`` frames of ``side`` × ``side`` pixels."""
     (folder / "memmap" / "next").mkdir(parents=True)
-    facts = {"version": 1, "fps": 10, "action_names": ["forward", "left"]}
+    facts = {"version": VERSION, "fps": 10, "repeats": 1, "action_names": ["forward", "left"]}
     (folder / "demonstrations.json").write_text(json.dumps(facts))
     places = (folder / "memmap", folder / "memmap" / "next")
     for place, values in zip(places, frames(count, side), strict=True):

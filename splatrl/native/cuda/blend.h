@@ -216,7 +216,7 @@ struct Pixels {
 
     // Blend one splat over a pixel, and return its blending weight. The weight is 0 once the transmittance has fallen
     // to `finished`, or in an exact image once the splat would lower it that far; the transmittance itself keeps
-    // falling.
+    // falling. (On a CPU, images with a tolerance below 0.1 pixels count as exact in this: less than 0.03 grey levels.)
     INLINE_MEMBER float blend(const Record& record, float alpha, Pixel& pixel) const {
         const float before = pixel.transmittance, share = before * alpha;
         pixel.transmittance = before - share;
