@@ -72,7 +72,7 @@ def stood_on(ground: Ground, centers: Floats, points: Floats) -> Footing:
         points: [P, 3].
     """
     cameras, heights = centers @ ground.up, points @ ground.up
-    places, flat = centers - cameras[:, None] * ground.up, points - heights[:, None] * ground.up
+    places, flat = _flattened(centers, ground.up), _flattened(points, ground.up)
     beneath, above = _beneath(cKDTree(flat), places, heights, cameras, ground.height)
     known = ~np.isnan(beneath)
     if known.mean() < SEEN:
@@ -107,10 +107,15 @@ def much_below(ground: Ground, centers: Floats, points: Floats, above: float) ->
         above: height of the cameras above that floor.
     """
     heights = points @ ground.up - ground.height
-    across = np.linalg.svd(ground.up[None])[2][1:].T
-    near = cKDTree(centers @ across).query(points @ across)[0] <= AROUND * above
+    away = cKDTree(_flattened(centers, ground.up)).query(_flattened(points, ground.up))[0]
+    near = away <= AROUND * above
     below, on_floor = heights < -DEEP * above, np.abs(heights) <= NEAR * above
     return int((below & near).sum()) > MUCH * int((on_floor & near).sum())
+
+
+def _flattened(places: Floats, up: Floats) -> Floats:
+    """Return places moved along up to height 0: [N, 3] -> [N, 3]."""
+    return places - (places @ up)[:, None] * up
 
 
 def _beneath(tree: cKDTree, places: Floats, heights: Floats, cameras: Floats, floor: float) -> tuple[Floats, float]:

@@ -95,10 +95,10 @@ def check(
     area = survey_area(gaussians, placed) if area is None else area
     free = path_is_free(area.occupancy, placed.reconstruction.camera_to_world)
     scores, lines, drawn = [], [], comparison_rows(len(held_out))
+    width, height = shrunk_size((placed.reconstruction.width, placed.reconstruction.height), LONGEST)
+    dark = left_out_at(placed.reconstruction, height, width)
+    counted = np.ones((height, width), bool) if dark is None else ~dark.numpy()
     for row, (photo, render) in enumerate(_views(gaussians, placed.reconstruction, held_out)):
-        height, width = photo.shape[:2]
-        dark = left_out_at(placed.reconstruction, height, width)
-        counted = np.ones((height, width), bool) if dark is None else ~dark.numpy()
         corrected = colour_corrected(render, photo, counted)
         images, measures = (render, corrected), (psnr, ssim)
         scores.append([measure(image, photo, counted=counted) for image in images for measure in measures])

@@ -141,9 +141,9 @@ def _jerks(model: Any, job: Job) -> float:
 def camera_places(model: Any, job: Job) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return which of the job's images hold together in a model, [N] ascending indices, and their positions [N, 3]."""
     numbers = {name: number for number, name in enumerate(job.names)}
-    held = {} if model is None else {numbers[model.images[one].name]: model.images[one] for one in joined(model, job)}
-    images = np.array(sorted(held), np.int64)
-    return images, np.array([held[one].cam_from_world().inverse().translation for one in images]).reshape(-1, 3)
+    held = {} if model is None else {numbers[model.images[one].name]: one for one in joined(model, job)}
+    images = sorted(held)
+    return np.array(images, np.int64), _places(model, np.array([held[one] for one in images], np.int64))
 
 
 def joined(model: Any, job: Job) -> set[int]:
@@ -160,24 +160,27 @@ def joined(model: Any, job: Job) -> set[int]:
     images = np.array(sorted(image.image_id for image in model.images.values() if image.has_pose), np.int64)
     if not len(images):
         return set()
-    _, columns, rows = _sightings(model, images)
-    sees = csr_array((np.ones(len(rows), np.int32), (rows, columns)), shape=(len(images), len(model.points3D)))
+    points, seen_point, seen_by = _sightings(model, images)
+    sees = csr_array((np.ones(len(seen_by), np.int32), (seen_by, seen_point)), shape=(len(images), len(points)))
     parts = connected_components((sees @ sees.T).toarray() >= SHARED, directed=False)[1]
-    images = images[parts == np.bincount(parts).argmax()]
+    held = parts == np.bincount(parts).argmax()
+    images, counted = images[held], held[seen_by]
     if job.seconds is not None:
-        images = images[longest_stretch(_carried(model, images))]
+        seen_by = (np.cumsum(held) - 1)[seen_by[counted]]
+        images = images[longest_stretch(carried(_places(model, images), points, seen_point[counted], seen_by))]
     return set(images.tolist())
 
 
 def least_carried(model: Any, job: Job) -> float:
     """Return how well the scale of a film is carried on where that is worst, among the images that hold together."""
     images = np.array(sorted(joined(model, job)), np.int64)
-    return float(_carried(model, images).min()) if len(images) else 0.0
+    return float(carried(_places(model, images), *_sightings(model, images)).min()) if len(images) else 0.0
 
 
-def _carried(model: Any, images: NDArray[np.int64]) -> NDArray[np.float64]:
-    places = np.array([model.images[one].cam_from_world().inverse().translation for one in images.tolist()])
-    return carried(places, *_sightings(model, images))
+def _places(model: Any, images: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the positions [N, 3] of the cameras that took images, by their ids."""
+    found = [model.images[one].cam_from_world().inverse().translation for one in images.tolist()]
+    return np.array(found).reshape(-1, 3)
 
 
 def _sightings(

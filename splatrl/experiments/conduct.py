@@ -1,12 +1,11 @@
 """Conducts experiments: trains, scores and reports, and resumes after an interruption."""
 
-import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from splatrl.documents import read_yaml, write_json
+from splatrl.documents import read_json, read_yaml, write_json
 from splatrl.experiments.experiment import Experiment, Run
 from splatrl.experiments.folders import status
 from splatrl.experiments.machine import machine
@@ -77,7 +76,7 @@ def score(experiment: Experiment, scored_by: Score) -> bool:
     path, names = experiment.folder / SCORES, sorted(run.folder.name for run in experiment.runs)
     if any(status(run) != "finished" for run in experiment.runs):
         return False
-    if path.exists() and json.loads(path.read_text()).get("runs") == names:
+    if path.exists() and read_json(path).get("runs") == names:
         return False
     write_json(path, {"runs": names, "scores": scored_by(experiment.runs, experiment.folder)})
     return True

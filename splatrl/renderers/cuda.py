@@ -151,8 +151,8 @@ class CudaRenderer:
             raise ValueError(f"most_gaussians: expected a number from 1 to {MOST_INDICES:,}, got {most_gaussians:,}")
         packer = Packer(models_of(scene), antialiased, checked_background(background), tolerance)
         self._load = load or (lambda source, defines: CudaKernels(source, device, defines))
-        self._settings = antialiased, packer.sh_degree, tolerance > 0
         self._exact = tolerance == 0
+        self._settings = antialiased, packer.sh_degree, not self._exact
         self._kernels = self._load("render", kernel_defines(*self._settings))
         self._parts: tuple[Kernels, CudaParts] | None = None  # loaded when first needed
         self.device = self._kernels.device
