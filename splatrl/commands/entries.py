@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from functools import partial
 from importlib import import_module
 
-import splatrl
 from splatrl.commands import parsers
 
 INTERRUPTED = 130
@@ -33,7 +32,7 @@ def start(name: str, arguments: Sequence[str] | None = None) -> None:
             stream.reconfigure(errors="replace")  # pages and messages hold signs that not every encoding has
     try:
         if "--version" in (sys.argv[1:] if arguments is None else arguments):
-            print(f"splatrl {splatrl.__version__}")
+            print(f"splatrl {import_module('importlib.metadata').version('splatrl')}")
             return
         _start(name, sys.argv[1:] if arguments is None else arguments)
     except KeyboardInterrupt:  # resumable commands catch it themselves and say so
