@@ -22,7 +22,6 @@ using namespace std::chrono_literals;
 
 std::atomic<int> released{0};  // calls that are running without the GIL
 std::atomic<bool> ending{false};
-std::atomic<bool> forked{false};
 
 // Handles signals at most ten times a second, so that Ctrl-C interrupts long work, and stops work that runs without the
 // GIL once the interpreter is shutting down.
@@ -39,7 +38,6 @@ void answer() {
 // Runs as Python exits, before daemon threads lose the GIL for good: waits until no call is running without it.
 void end() {
     ending = true;
-    nb::set_leak_warnings(released == 0 && !forked);  // what those threads still hold at exit is no leak of ours
     const nb::gil_scoped_release release;
     while (released > 0) std::this_thread::sleep_for(1ms);
 }
@@ -62,7 +60,7 @@ void bind_interpreter(nb::module_&) {
     on_poll = answer;
     nb::module_::import_("atexit").attr("register")(nb::cpp_function(&end));
 #if !defined(_WIN32)
-    pthread_atfork(nullptr, nullptr, [] { released = 0, forked = true; });  // a child has none of the other threads
+    pthread_atfork(nullptr, nullptr, [] { released = 0; });  // a child has none of the other threads
 #endif
 }
 

@@ -1,6 +1,7 @@
 // Tests thousands of bodies against a grid at once. A block takes some queries. Its threads first look up one pose each
-// in the distance field, which settles most of them, and collect those that it leaves open; its warps then take these
-// one at a time, and all lanes search the voxels around the body together. An answer depends neither on other queries
+// in the distance field, and whether some points inside the body are solid. That settles most of them; those that it
+// leaves open are collected. The warps then take these one at a time, and all lanes search the voxels around the body
+// together. An answer depends neither on other queries
 // nor on their order or the batch.
 //
 // The macro BODY_KIND is a Shape::Kind, so that each kind is compiled separately. An invalid pose is recorded in
@@ -8,6 +9,7 @@
 #include "platform.h"
 
 #include "collision.h"
+#include "inside.h"
 #include "rays.h"
 #include "rigid.h"
 #include "warp_contact.h"
@@ -110,6 +112,12 @@ SPLAT_INLINE Matrix matrix_in(const float* poses, int row) {
     return out;
 }
 
+SPLAT_INLINE bool same_rotation(const Matrix& a, const Matrix& b) {
+    bool out = true;
+    for (int i = 0; i < 12; ++i) out = out && (i % 4 == 3 || a.at[i] == b.at[i]);
+    return out;
+}
+
 SPLAT_INLINE Shape of_this_kind(Shape shape) {
     shape.kind = Shape::Kind(BODY_KIND);
     return shape;
@@ -126,7 +134,9 @@ extern "C" __global__ void __launch_bounds__(BLOCK_THREADS, BLOCKS_A_MULTIPROCES
         const Matrix pose = matrix_in(queries.start, row);
         const bool right = is_pose(pose.at);
         if (!right) atomicMin(queries.fault, row);
-        const Verdict verdict = right ? judge(grid, shape, position_of(grid, pose.at)) : Verdict::HIT;
+        const Vec3 position = position_of(grid, pose.at);
+        Verdict verdict = right ? judge(grid, shape, position) : Verdict::HIT;
+        if (verdict == Verdict::MAYBE && holds_solid(grid, shape, pose.at, position)) verdict = Verdict::HIT;
         if (verdict != Verdict::MAYBE) queries.hits[row] = verdict == Verdict::HIT;
         return verdict != Verdict::MAYBE;
     };
@@ -149,14 +159,25 @@ extern "C" __global__ void __launch_bounds__(BLOCK_THREADS, BLOCKS_A_MULTIPROCES
         else
             queries.fractions[row] = rounded_down(free);
     };
+    // Whether a point inside the body is solid at the start or, if that suffices, at the end or halfway.
+    const auto hits = [&](int row, bool turns, const Vec3& from, const Vec3& way) {
+        const int places = !any ? 1 : turns ? 2 : 3;
+#pragma unroll 1
+        for (int i = 0; i < places; ++i) {
+            const float* pose = (i == 1 ? queries.end : queries.start) + 16 * size_t(row);
+            if (holds_solid(grid, shape, pose, along(from, way, i == 0 ? 0.0 : 1.0 / i))) return true;
+        }
+        return false;
+    };
     const auto settled = [&](int row) {
         const Matrix start = matrix_in(queries.start, row), end = matrix_in(queries.end, row);
         const bool right = is_pose(start.at) && is_pose(end.at);
         if (!right) atomicMin(queries.fault, row);
         const Vec3 from = position_of(grid, start.at), way = between(from, position_of(grid, end.at));
         const bool passed = right && passes(grid, shape, from, way);
-        if (passed || !right) write(row, passed ? 1.0 : 0.0);
-        return passed || !right;
+        const bool hit = !right || (!passed && hits(row, !same_rotation(start, end), from, way));
+        if (passed || hit) write(row, passed ? 1.0 : 0.0);
+        return passed || hit;
     };
     const auto answer = [&](int row, Search& search) {
         __syncwarp();
