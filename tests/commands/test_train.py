@@ -172,7 +172,7 @@ def test_a_run_folder_is_used_by_one_process_at_a_time(scene: list[str], tmp_pat
         ("seed=1", "seed: asked for 1, found 0"),
         ("task.motion.step=0.25", "task.motion.step: asked for 0.25, found 0.5"),
         ("loss.gamma=0.5", "loss.gamma: asked for 0.5, found 0.97"),
-        ("scene.path={other}", "scene: its Gaussians differ"),
+        ("scene.path={other}", "scene: its Gaussians or its free space differ"),
     ],
 )
 def test_resuming_a_run_with_changed_settings_is_refused_by_default(
