@@ -310,3 +310,20 @@ def test_each_job_of_a_sweep_given_in_a_file_has_the_settings_of_its_scene_and_o
     train.main()
     assert [(cfg.robot.height, cfg.landmarks.goal) for cfg in given] == [(0.5, [0.5, 1, 0]), (0.65, [5.5, 0.5, 0])]
     assert [cfg.task.max_steps for cfg in given] == [7, 7]
+
+
+def test_each_job_of_a_sweep_that_fails_says_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def trained(cfg: DictConfig, folder: Path) -> float:
+        if cfg.seed != 1:
+            raise ValueError(f"seed: expected another one, got {cfg.seed}")
+        return 1.0
+
+    monkeypatch.setattr(train, "train", trained)
+    monkeypatch.setattr(sys, "argv", ["splatrl-train", "-m", "seed=0,1,2", f"hydra.sweep.dir={tmp_path}"])
+    with pytest.raises(SystemExit):
+        train.main()
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("splatrl-train: ")]
+    zero, two = (f"splatrl-train: job #{seed}: seed: expected another one, got {seed}" for seed in (0, 2))
+    assert lines == [zero, two, zero]
