@@ -40,7 +40,7 @@ def made_with(cfg: DictConfig, scene_digest: str) -> dict[str, Any]:
 
     Args:
         cfg: config of the training.
-        scene_digest: digest of the scene's Gaussians.
+        scene_digest: digest of the scene's content.
     """
     settings = OmegaConf.to_container(cfg)
     assert isinstance(settings, dict)
@@ -70,11 +70,7 @@ def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
     if not then:
         return
     changed = [line for line in differences(now["settings"], then["settings"]) if not line.startswith(FREE)]
-    if now["scene"] != then["scene"]:
-        changed.append("scene: its Gaussians differ")
-    began = then.get("files", {})
-    common = now["files"].keys() & began.keys()  # a new file is told by the setting or the file that refers to it
-    changed += [f"{path}: its content differs" for path in sorted(common) if now["files"][path] != began[path]]
+    changed += changed_content(now, then)
     if changed:
         robots = any(line.startswith(f"{ROBOTS}:") for line in changed)
         way_out = "a training keeps its number of robots" if robots else ANYWAY
@@ -87,6 +83,14 @@ def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
         warnings.warn(f"resume: resuming with {', '.join(other)}; results may differ in the last bits", stacklevel=2)
 
 
+def changed_content(now: Mapping[str, Any], then: Mapping[str, Any]) -> list[str]:
+    """List the scene and the files whose content differs between two results of ``made_with``."""
+    changed = [] if now["scene"] == then["scene"] else ["scene: its Gaussians or its free space differ"]
+    began = then.get("files", {})
+    common = now["files"].keys() & began.keys()  # a new file is told by the setting or the file that refers to it
+    return changed + [f"{path}: its content differs" for path in sorted(common) if now["files"][path] != began[path]]
+
+
 def _settings(config: Mapping[str, Any]) -> dict[str, Any]:
     """Return the dotted keys of a config with their values, with paths made absolute."""
     cfg = OmegaConf.to_container(with_absolute_paths(OmegaConf.create(dict(config))))
@@ -97,10 +101,10 @@ def _settings(config: Mapping[str, Any]) -> dict[str, Any]:
 def _digests(cfg: DictConfig) -> dict[str, str]:
     """Return digests of the files that a training depends on besides its scene, by path, without built-in ones."""
     given = [expanded(path) for key, path in paths_of(cfg).items() if key not in NOT_DIGESTED]
-    return {str(file): digest_of([file]) for path in given for file in _files(path)}
+    return {str(file): digest_of([file]) for path in given for file in files_of(path)}
 
 
-def _files(path: Path) -> list[Path]:
+def files_of(path: Path) -> list[Path]:
     """Return a file and those that belong to it, such as an MJCF's meshes or the images of an unpacked SOG."""
     if path.suffix == ".xml":
         return mjcf_files(path)

@@ -1,7 +1,7 @@
 """Builds objects from configs; no other package knows which config node builds what."""
 
 from splatrl.building.envs import env_makers, make_env, worker_seed
-from splatrl.building.places import check_place
+from splatrl.building.places import check_place, scene_digest
 from splatrl.building.trainers import build_model, build_trainer
 from splatrl.building.worlds import build_one_world, build_world
 
@@ -13,5 +13,6 @@ __all__ = [
     "check_place",
     "env_makers",
     "make_env",
+    "scene_digest",
     "worker_seed",
 ]

@@ -17,6 +17,7 @@ from splatrl.building.instantiation import instantiate
 from splatrl.collision import NativeChecker, Occupancy
 from splatrl.collision.base import Checker
 from splatrl.collision.report import NOTHING_SOLID
+from splatrl.configuration import check_config, place_configs
 from splatrl.cost_cache import remembering
 from splatrl.curriculum import NoPath, Plan, plan
 from splatrl.device import KINDS
@@ -28,7 +29,7 @@ from splatrl.envs.world import World, Worlds
 from splatrl.misfits import check_goal, check_height, warn_of_uncaptured
 from splatrl.motions import Site
 from splatrl.native.threads import threads_of
-from splatrl.scenes.scene import Bounds, Scene
+from splatrl.scenes.scene import Bounds, Scene, content_of
 from splatrl.values import under_key
 
 
@@ -126,6 +127,16 @@ def check_place(cfg: DictConfig, bounds: Bounds) -> None:
     robot, task = instantiate(cfg.robot), instantiate(cfg.task)
     check_height(bounds, task)
     start_region(task, robot.body)
+
+
+def scene_digest(cfg: DictConfig) -> str:
+    """Return the ``digest`` of the world that a config describes; only its scenes are built, one after another.
+
+    Raises:
+        ValueError: for a value that is missing, or a scene that cannot be read.
+    """
+    check_config(cfg)
+    return content_of(instantiate(one.scene) for one in place_configs(cfg))
 
 
 def constructor(cfg: DictConfig, group: str, device: torch.device) -> Callable[..., Any]:

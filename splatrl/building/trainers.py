@@ -88,6 +88,7 @@ def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> Callable[[], 
     shown = list[Demonstrations]()
     if isinstance(cfg.demos, str):
         shown = [read_demonstrations(expanded(cfg.demos))]
+        shown[0].warn_of_another_scene(world)
     elif cfg.demos is not None:
         require_number("demos", cfg.demos, 1, 10**6, whole=True)
     elif not dagger.rounds and not matching.frames:

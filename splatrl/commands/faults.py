@@ -27,7 +27,8 @@ R = TypeVar("R")
 def in_one_line(command: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorate a command so that errors which the user can fix end it with one line, and warnings take one line too.
 
-    In a sweep the remaining jobs still run, and Hydra prints the line at the end.
+    In a sweep the remaining jobs still run. Each job that fails prints its line at once, with the number under which
+    Hydra listed its overrides, and Hydra repeats the first of these lines at the end.
 
     Args:
         command: the command's name, with which each line begins.
@@ -42,10 +43,12 @@ def in_one_line(command: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
             except CONFIGURED as error:
                 if os.environ.get(FULL):
                     raise
-                text = f"{command}: {one_line(error)}"
+                text = one_line(error)
             if HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN:
+                text = f"{command}: job #{HydraConfig.get().job.num}: {text}"
+                print(text, file=sys.stderr, flush=True)
                 raise CompactHydraException(text)  # unchained: a cause would keep its scenes alive
-            sys.exit(text)
+            sys.exit(f"{command}: {text}")
 
         return guarded
 

@@ -53,7 +53,7 @@ def run(cfg: DictConfig) -> None:
     folders = {key: untaken(path) for key, path in folders.items()}
     with new_folder(folders["out"]) as folder:
         save_config(cfg, folder)
-        write_demonstrations(folder, found, {"by": cfg.by, "seed": cfg.seed, "scene": world.digest})
+        write_demonstrations(folder, found, {"by": cfg.by, "seed": cfg.seed})
     if cfg.lerobot is not None:
         task = f"{type(world.task).__name__} in {world.scene.name}"
         with new_folder(folders["lerobot"]) as folder:

@@ -25,8 +25,10 @@ def run(cfg: DictConfig) -> None:
     own = run_config(folder, cfg.allow_targets)
     own.device = "cpu"
     torch.set_num_threads(own.threads)
+    world = build_one_world(own)
+    demonstrations.warn_of_another_scene(world)
     with tqdm(total=len(demonstrations), unit="frame", desc="replay", dynamic_ncols=True) as bar:
-        different, views = replay(build_one_world(own), demonstrations, bar.update)
+        different, views = replay(world, demonstrations, bar.update)
     what = f"{folder}: {len(demonstrations.starts):,} episodes, {len(demonstrations):,} frames"
     if different:
         sys.exit("\n".join([f"splatrl-replay: {what} do not replay as recorded", *different]))

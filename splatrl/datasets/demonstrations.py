@@ -1,10 +1,13 @@
 """Demonstrations as data: the frames of complete episodes, concatenated."""
 
+import warnings
 from dataclasses import dataclass
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+
+from splatrl.envs.world import World, Worlds
 
 AFTER = ("state", "reward", "done", "terminated", "truncated", "outcome")
 """Keys of a step's result that are stored, under ``"next"``."""
@@ -23,12 +26,14 @@ class Demonstrations:
         action_names: names of the discrete actions, in order; empty for continuous actions.
         fps: steps per second, for videos.
         repeats: number of times that the robot carried out each action; see ``FrameSkip``.
+        scene: fingerprint of the scene, the ``digest`` of its world; None if it is not known.
     """
 
     frames: TensorDictBase
     action_names: tuple[str, ...]
     fps: int = 10
     repeats: int = 1
+    scene: str | None = None
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -59,6 +64,14 @@ class Demonstrations:
             after = reward[row] + gamma * torch.where(done[row], 0.0, after)
             result[row] = after
         return result
+
+    def warn_of_another_scene(self, world: World | Worlds) -> None:
+        """Warn if the scene is none of a world's: another one, or one whose files have changed since."""
+        if self.scene is not None and self.scene not in [one.digest for one in world.worlds]:
+            warnings.warn(
+                f"demos: recorded in another scene than {world.name} as it is now; its Gaussians or free space differ",
+                stacklevel=2,
+            )
 
     def check(self) -> None:
         """Refuse frames that are not complete episodes in order.

@@ -48,6 +48,7 @@ def write_demonstrations(folder: Path, demonstrations: Demonstrations, facts: Ma
         "fps": demonstrations.fps,
         "repeats": demonstrations.repeats,
         "action_names": list(demonstrations.action_names),
+        "scene": demonstrations.scene,
     }
     write_json(folder / FACTS, own | dict(facts or {}))
 
@@ -72,6 +73,9 @@ def read_demonstrations(folder: Path) -> Demonstrations:
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise ValueError(f"{path}: expected a list of names under action_names, got {names!r:.80}")
     fps, repeats = (_number(path, key, facts.get(key)) for key in ("fps", "repeats"))
+    scene = facts.get("scene")
+    if not isinstance(scene, str | None):
+        raise ValueError(f"{path}: expected a fingerprint under scene, got {scene!r:.80}")
     here = folder / MEMMAP
     values = _tensors(here, NEEDED)
     values["next"] = _tensors(here / "next", set(AFTER))
@@ -83,7 +87,7 @@ def read_demonstrations(folder: Path) -> Demonstrations:
     if optimal is not None and (optimal.dtype, optimal.shape[1:]) != (torch.bool, (len(names),)):
         got = f"{optimal.dtype} {list(optimal.shape)}"
         raise ValueError(f"{here}: expected optimal as torch.bool [N, {len(names)}], got {got}")
-    result = Demonstrations(TensorDict(values, [shapes.pop()]), tuple(names), fps, repeats)
+    result = Demonstrations(TensorDict(values, [shapes.pop()]), tuple(names), fps, repeats, scene)
     try:
         result.check()
     except ValueError as error:

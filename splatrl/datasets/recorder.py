@@ -53,7 +53,8 @@ def planner_episodes(
                 kept.append(episode)
                 progress(len(episode))
         if len(kept) == episodes:
-            return Demonstrations(joined(kept), tuple(world.task.motion.action_names), repeats=world.repeats)
+            names = tuple(world.task.motion.action_names)
+            return Demonstrations(joined(kept), names, repeats=world.repeats, scene=world.digest)
     raise ValueError(f"planner: expected {episodes} episodes that reach the goal, got only {len(kept)}")
 
 

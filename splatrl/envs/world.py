@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import partial
-from hashlib import blake2b
 from typing import Any
 
 import torch
@@ -22,7 +21,7 @@ from splatrl.envs.sensors import Sensor
 from splatrl.envs.splat_env import SplatEnv
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks.base import Task
-from splatrl.scenes.scene import Scene
+from splatrl.scenes.scene import Scene, content_of
 
 
 class EnvMaker(ABC):
@@ -53,6 +52,11 @@ class EnvMaker(ABC):
     @abstractmethod
     def worlds(self) -> "tuple[World, ...]":
         """The world of each scene."""
+
+    @property
+    def digest(self) -> str:
+        """Fingerprint of the scenes, in order."""
+        return content_of(one.scene for one in self.worlds)
 
     @property
     def names(self) -> list[str]:
@@ -168,11 +172,6 @@ class World(EnvMaker):
         """Name of the scene."""
         return self.scene.name
 
-    @property
-    def digest(self) -> str:
-        """Fingerprint of the scene."""
-        return self.scene.digest
-
 
 @dataclass(frozen=True)
 class Worlds(EnvMaker):
@@ -205,11 +204,6 @@ class Worlds(EnvMaker):
     def name(self) -> str:
         """Names of the scenes."""
         return ", ".join(self.names)
-
-    @property
-    def digest(self) -> str:
-        """Fingerprint of the scenes, in order."""
-        return blake2b(" ".join(world.digest for world in self.places).encode(), digest_size=16).hexdigest()
 
 
 def _made(make: Callable[[], World | Worlds]) -> World | Worlds:

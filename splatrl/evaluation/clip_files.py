@@ -2,8 +2,8 @@
 
 For each clip, a folder of clips holds either a sub-folder of photos (PNG, JPEG or WebP, in the order of their
 numbers) with ``actions.csv``, or a video (``name.mp4`` or ``name.mov``) with ``name.csv`` beside it. The CSV has the
-columns ``frame,action``: frames count from 0, and actions are names, joined by ``|`` where any of several is correct.
-Frames that are not listed are shown to the policy but not scored.
+columns ``frame,action``, separated by commas, semicolons or tabs: frames count from 0, and actions are names, joined by
+``|`` where any of several is correct. Frames that are not listed are shown to the policy but not scored.
 """
 
 import csv
@@ -31,6 +31,8 @@ from splatrl.images import (
 VIDEOS = (".mp4", ".mov")
 ACTIONS = "actions.csv"
 HEADER = ["frame", "action"]
+SEPARATORS = ",;\t"
+"""What may separate columns: spreadsheets write semicolons where the comma is the decimal sign."""
 MAX_CSV_BYTES = 4 * 2**20
 
 
@@ -129,7 +131,8 @@ def read_labels(path: Path, action_names: Sequence[str]) -> tuple[dict[int, froz
     labels: dict[int, frozenset[int]] = {}
     lines: dict[int, int] = {}
     try:
-        rows = csv.reader(io.StringIO(path.read_text("utf-8-sig"), newline=""))
+        text = path.read_text("utf-8-sig")
+        rows = csv.reader(io.StringIO(text, newline=""), delimiter=_separator(text))
         header = [cell.strip() for cell in next(rows, [])]
         if header != HEADER:
             raise ValueError(f"{path}, line 1: expected {','.join(HEADER)}, got {','.join(header)[:80]!r}")
@@ -148,6 +151,12 @@ def read_labels(path: Path, action_names: Sequence[str]) -> tuple[dict[int, froz
     if not labels:
         raise ValueError(f"{path}: expected at least one labelled frame, got none")
     return labels, lines
+
+
+def _separator(text: str) -> str:
+    """Return what separates the columns of a table, according to its header."""
+    header, _, _ = text.partition("\n")
+    return next((each for each in SEPARATORS if each in header), SEPARATORS[0])
 
 
 def _frame(cell: str, place: str) -> int:

@@ -1,5 +1,6 @@
 """Scoring of trained policies on labelled clips, and recording of clips in a world that training never saw."""
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -114,22 +115,25 @@ def _watching(
 
 
 def score_experiment(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
-    """Score finished runs on clips recorded in altered versions of their scenes; missing clips are recorded first.
+    """Score finished runs on clips recorded in altered versions of their scenes.
+
+    The clips are recorded anew each time, since those of an earlier scoring may show the scene as it was then.
 
     Args:
         runs: finished runs with the same task, in one or several scenes.
-        folder: folder of the experiment; clips are in ``clips/<scene>``.
+        folder: folder of the experiment; clips are written to ``clips/<scene>``.
 
     Returns:
         One row per run and clip: ``run`` (name of its folder), ``clip``, ``frames``, ``matches`` and ``mass``.
     """
-    rows = []
-    for run in runs:
-        clips = folder / "clips" / run.scene
-        if not clips.is_dir():
-            clips.parent.mkdir(parents=True, exist_ok=True)
-            with new_folder(clips) as whole:
-                record_clips(build_one_world(altered(run_config(run.folder), 0)), whole)
-        for one in score_run(run.folder, clips):
-            rows.append({"run": run.folder.name, "clip": one.name, **asdict(one)})
-    return rows
+    clips = {run.scene: folder / "clips" / run.scene for run in runs}
+    for run in {run.scene: run for run in reversed(runs)}.values():
+        shutil.rmtree(clips[run.scene], ignore_errors=True)
+        clips[run.scene].parent.mkdir(parents=True, exist_ok=True)
+        with new_folder(clips[run.scene]) as whole:
+            record_clips(build_one_world(altered(run_config(run.folder), 0)), whole)
+    return [
+        {"run": run.folder.name, "clip": one.name, **asdict(one)}
+        for run in runs
+        for one in score_run(run.folder, clips[run.scene])
+    ]

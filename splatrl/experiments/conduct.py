@@ -5,13 +5,18 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from omegaconf import DictConfig, OmegaConf
+
+from splatrl.building import scene_digest
+from splatrl.configuration import with_absolute_paths
 from splatrl.documents import read_json, read_yaml, write_json
 from splatrl.experiments.experiment import Experiment, Run
-from splatrl.experiments.folders import status
+from splatrl.experiments.folders import began_with, status
 from splatrl.experiments.machine import machine
 from splatrl.experiments.report import MACHINE, SCORES, write_joint_report, write_report
 from splatrl.experiments.running import train
-from splatrl.made_with import differences
+from splatrl.files import alone_in
+from splatrl.made_with import changed_content, differences, made_with
 
 Score = Callable[[Sequence[Run], Path], list[dict[str, Any]]]
 """Scoring function: maps finished runs and their experiment's folder to rows for ``scores.json``.
@@ -21,27 +26,36 @@ Rows have ``run`` and either ``clip``, ``frames`` and ``matches`` (see ``clip_sc
 """
 
 
-def check_settings(runs: Sequence[Run], fresh: bool) -> None:
-    """Refuse to mix settings: a run folder trained with other settings is an error, or is deleted on request.
+def check_settings(runs: Sequence[Run], fresh: bool, digest: Callable[[DictConfig], str] = scene_digest) -> None:
+    """Refuse to mix settings or scenes: a run folder trained with others is an error, or is deleted on request.
 
     Args:
         runs: runs that are to be trained or resumed.
-        fresh: whether to delete folders with other settings.
+        fresh: whether to delete folders with other settings, another scene or files with other content.
+        digest: returns the digest of a config's scene.
 
     Raises:
-        ValueError: if settings differ; the message names the folder, its settings and the requested ones.
+        ValueError: if anything differs; the message names the folder, its settings and the requested ones.
     """
+    digests: dict[str, str] = {}
     for run in runs:
         if status(run) == "new":
             continue
         found = read_yaml(run.folder / "config.yaml")
         assert isinstance(found, Mapping), type(found)
         changed = differences(run.config, {str(key): value for key, value in found.items()})
+        if not changed and (then := began_with(run)):
+            cfg = OmegaConf.create(dict(run.config))
+            scene = OmegaConf.to_yaml(cfg.scene, resolve=True)
+            digests[scene] = digests.get(scene) or digest(cfg)
+            changed = changed_content(made_with(with_absolute_paths(cfg), digests[scene]), then)
         if changed and not fresh:
-            lines = [f"{run.folder} was trained with other settings:", *(f"  {line}" for line in changed)]
-            raise ValueError("\n".join([*lines, "type folder=<another>, or fresh=true to delete it and start over"]))
+            way_out = "type folder=<another>, or fresh=true to delete it and start over"
+            told = "; ".join([*changed, way_out])
+            raise ValueError(f"{run.folder} was trained with other settings or files: {told}")
         if changed:
-            shutil.rmtree(run.folder)
+            with alone_in(run.folder):
+                shutil.rmtree(run.folder)
 
 
 def train_all(experiments: Sequence[Experiment], jobs: int, cores: int, program: Sequence[str]) -> list[Run]:

@@ -3,10 +3,12 @@
 import csv
 import json
 import math
+from contextlib import suppress
 from typing import Any, Literal
 
 from splatrl.evaluation.evaluate import SCENES_SHOWN
 from splatrl.experiments.experiment import Run
+from splatrl.training import load_checkpoint
 
 Status = Literal["finished", "begun", "new"]
 VIDEO = "rollouts.mp4"
@@ -27,6 +29,15 @@ def _filmed(run: Run) -> bool:
     if not scenes:
         return (run.folder / VIDEO).exists()
     return len(list(run.folder.glob(f"scenes/*/{VIDEO}"))) >= min(len(scenes), SCENES_SHOWN)
+
+
+def began_with(run: Run) -> dict[str, Any]:
+    """Return the ``made_with`` that a training keeps in its checkpoints; empty if it has none that can be read."""
+    for name in ("last", "previous"):
+        with suppress(FileNotFoundError, ValueError):
+            kept: dict[str, Any] = load_checkpoint(run.folder / "checkpoints" / f"{name}.pt").get("made_with", {})
+            return kept
+    return {}
 
 
 def evaluation(run: Run) -> dict[str, Any]:

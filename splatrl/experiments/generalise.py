@@ -1,6 +1,5 @@
 """Tests of policies in places that their training never saw."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,13 +8,16 @@ from omegaconf import DictConfig
 
 from splatrl.building import build_world
 from splatrl.configuration import load_config
-from splatrl.documents import write_json
+from splatrl.documents import read_json, write_json
 from splatrl.envs.tasks import NavigationTask
 from splatrl.evaluation.report import summarise
 from splatrl.evaluation.rollouts import knowing, run_episodes
 from splatrl.evaluation.starts import spread_starts
 from splatrl.experiments.experiment import Run
+from splatrl.experiments.report import SCORES
 from splatrl.experiments.transfer import kept, score_in
+from splatrl.files import digest_of, expanded
+from splatrl.made_with import files_of
 
 PLACES = "places.json"
 TESTED_IN = ("unseen_yards", "backyard", "kitchen")
@@ -25,14 +27,26 @@ UNSEEN = 8
 
 
 def choose_places(folder: Path, scenes: Mapping[str, Sequence[str]]) -> None:
-    """Write the list of test places into the experiment's folder.
+    """Write the list of test places into the experiment's folder; scores in other places are removed.
 
     Args:
         folder: folder of the experiment.
         scenes: overrides, by name, of the scenes whose files are given.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / PLACES, {name: list(scenes[name]) for name in TESTED_IN if name in scenes})
+    path = folder / PLACES
+    chosen = {
+        name: {"overrides": list(scenes[name]), "files": _digest(scenes[name])} for name in TESTED_IN if name in scenes
+    }
+    if path.exists() and read_json(path) != chosen:
+        (folder / SCORES).unlink(missing_ok=True)
+    write_json(path, chosen)
+
+
+def _digest(overrides: Sequence[str]) -> str | None:
+    """Return a digest of a scene's files; None for a scene that splatrl generates."""
+    path = load_config(overrides).scene.get("path")
+    return None if path is None else digest_of(files_of(expanded(path)))
 
 
 def score_in_places(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
@@ -42,9 +56,9 @@ def score_in_places(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
         runs: finished runs of one task.
         folder: folder of the experiment, which holds the list of places.
     """
-    chosen: dict[str, list[str]] = json.loads((folder / PLACES).read_text())
+    chosen = read_json(folder / PLACES)
     same = [word for word in runs[0].overrides if not word.startswith("scene")]
-    places = {name: load_config([*overrides, *same]) for name, overrides in chosen.items()}
+    places = {name: load_config([*place["overrides"], *same]) for name, place in chosen.items()}
     return [*score_in(runs, places), *(row for name, cfg in places.items() for row in unlearned(name, cfg))]
 
 

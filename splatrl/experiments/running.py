@@ -14,6 +14,7 @@ from tqdm import tqdm
 from splatrl.configuration import quoted
 from splatrl.experiments.experiment import Run
 from splatrl.experiments.folders import frames_done, status
+from splatrl.files import alone_in
 from splatrl.native.threads import CORES
 
 LOG = "log.txt"
@@ -65,11 +66,17 @@ def start(run: Run, cores: int, program: Sequence[str]) -> subprocess.Popen[byte
 
 
 def _hold(run: Run, log: BinaryIO) -> None:
-    """Lock an open log; the subprocess that inherits it holds the lock until it ends."""
+    """Lock an open log; the subprocess that inherits it holds the lock until it ends.
+
+    Raises:
+        BusyError: if another process holds it, or has locked the folder, as a training started by hand does.
+    """
     try:
         fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        raise BusyError(f"{run.folder}: expected an unused folder, but another process is training in it") from error
+        with alone_in(run.folder):
+            pass
+    except (BlockingIOError, ValueError) as error:
+        raise BusyError(f"{run.folder}: another process is training in it") from error
 
 
 def train(
@@ -81,6 +88,9 @@ def train(
     poll: float = POLL,
 ) -> list[Run]:
     """Train all unfinished runs under one progress bar; a run that fails does not stop the others.
+
+    A run in whose folder another process is training takes its turn when that process has ended, if it is not finished
+    by then. Meanwhile it counts as one of the trainings that run.
 
     Args:
         runs: the trainings.
@@ -97,7 +107,8 @@ def train(
         KeyboardInterrupt: on Ctrl-C, once all trainings have ended.
     """
     waiting = deque(run for run in runs if status(run) != "finished")
-    running: dict[Run, subprocess.Popen[bytes]] = {}
+    running: dict[Run, subprocess.Popen[bytes] | None] = {}  # None stands for another process
+    told: set[Run] = set()
     failed: list[Run] = []
     todo = set(waiting)
     frames = {run: frames_done(run) if run in todo else run.frames for run in runs}
@@ -107,14 +118,21 @@ def train(
             while waiting or running:
                 while waiting and len(running) < jobs:
                     run = waiting.popleft()
+                    if run in told and status(run) == "finished":
+                        frames[run] = run.frames
+                        continue
                     try:
                         running[run] = begin(run, cores, program)
                     except BusyError as error:
-                        failed.append(run)
-                        bar.write(f"failed: {error}")
+                        running[run] = None
+                        if run not in told:
+                            bar.write(f"waiting: {error}")
+                        told.add(run)
                 for run, process in list(running.items()):
-                    code = process.poll()
-                    if code is not None:
+                    code = process.poll() if process else None
+                    if process is None:
+                        waiting.appendleft(run)
+                    if process is None or code is not None:
                         del running[run]
                     if code:
                         failed.append(run)
@@ -124,10 +142,10 @@ def train(
                 bar.set_description(f"{done} of {len(runs)} trained", refresh=False)
                 bar.update(max(sum(frames.values()) - bar.n, 0))
                 bar.refresh()
-                if running:
+                if running or waiting:
                     time.sleep(poll)
         finally:
-            stop(running.values())
+            stop(process for process in running.values() if process)
     return failed
 
 

@@ -1,7 +1,7 @@
 """A scene: Gaussians in a metric world frame, their bounds, and cached arrays derived from them."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import blake2b
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from splatrl.files import checked_name
+from splatrl.files import checked_name, digest_of
 from splatrl.scenes.cache import Arrays, cached_arrays
 from splatrl.scenes.gaussians import LARGEST, Gaussians
 
@@ -125,6 +125,20 @@ class Scene:
             digest.update(f"{name} {values.dtype} {list(values.shape)};".encode())
             digest.update(values.numpy().data)
         return digest.hexdigest()
+
+    @cached_property
+    def content(self) -> str:
+        """Fingerprint of what robots see and meet: the Gaussians, and the space that is known to be free."""
+        if self.free is None:
+            return self.digest
+        known = f"{self.digest} {digest_of([self.free.path])} {self.free.voxel_size}"
+        return blake2b(known.encode(), digest_size=16).hexdigest()
+
+
+def content_of(scenes: Iterable[Scene]) -> str:
+    """Return a fingerprint of the content of scenes, in order; that of a single scene is its own."""
+    contents = [scene.content for scene in scenes]
+    return contents[0] if len(contents) == 1 else blake2b(" ".join(contents).encode(), digest_size=16).hexdigest()
 
 
 def robust_bounds(gaussians: Gaussians) -> Bounds:

@@ -116,4 +116,4 @@ class Takes:
         if not self.episodes:
             raise ValueError("by=keys: expected at least one episode that reached the goal, got none")
         names = tuple(self.world.task.motion.action_names)
-        return Demonstrations(joined(self.episodes), names, repeats=self.world.repeats)
+        return Demonstrations(joined(self.episodes), names, repeats=self.world.repeats, scene=self.world.digest)

@@ -18,6 +18,7 @@ from splatrl.capture.folder import write_scene
 from splatrl.commands.experiment import TRAIN, experiment, main
 from splatrl.configuration import load_config
 from splatrl.experiments import Run, conduct, recapture, running
+from splatrl.scenes import write_gaussians
 from splatrl.training import load_checkpoint
 from tests.capture.rooms import ABOVE, tiny_capture
 from tests.commands.test_train import SETTINGS
@@ -132,6 +133,14 @@ def test_a_training_is_run_reported_and_not_run_again(
     assert str(run) in str(refused.value)
     assert "collector.total_frames: asked for 384, found 300" in str(refused.value)
     assert "fresh=true" in str(refused.value)
+    (splat,) = tmp_path.glob("*.ply")
+    faded = tiny_gaussians()
+    faded.opacities *= 0.9
+    write_gaussians(splat, faded)
+    with pytest.raises(SystemExit) as refused:
+        command(*words, "frames=300")
+    assert f"{run} was trained with other settings or files: scene: its Gaussians" in str(refused.value)
+    assert (run / "evaluation.json").stat().st_mtime_ns == written
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import csv
 import json
 import shutil
 import sys
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -18,10 +19,11 @@ from splatrl.commands import record, replay
 from splatrl.configuration import load_config
 from splatrl.datasets import Demonstrations, planner_episodes, read_demonstrations
 from splatrl.envs.world import World
+from splatrl.scenes import write_gaussians
 from splatrl.training import load_checkpoint
 from splatrl.training.history import unpacked
 from tests.commands.test_train import SETTINGS, command, finish
-from tests.tiny import tiny_overrides
+from tests.tiny import tiny_gaussians, tiny_overrides
 
 EPISODES = 12
 
@@ -78,6 +80,27 @@ def test_the_same_frames_are_written_for_lerobot(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["demos", "lerobot"]
     with pytest.raises(SystemExit, match=r"lerobot: expected a new folder, got .* already exists"):
         call(record, monkeypatch, *scene, "episodes=3", f"out={tmp_path / 'other'}", folders[1])
+
+
+def test_a_scene_that_has_changed_since_the_recording_is_mentioned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = tiny_overrides(tmp_path)
+    call(record, monkeypatch, *scene, "by=planner", "episodes=2", f"out={tmp_path / 'demos'}")
+    demos, said = f"demos={tmp_path / 'demos'}", "demos: recorded in another scene than tiny as it is now"
+    cfg = load_config([*scene, *SETTINGS, demos])
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", said)
+        call(replay, monkeypatch, demos)
+        build_trainer(cfg, build_world(cfg), tmp_path)
+    (splat,) = tmp_path.glob("*.ply")
+    faded = tiny_gaussians()
+    faded.sh *= 0.9
+    write_gaussians(splat, faded)
+    with pytest.warns(UserWarning, match=said):
+        call(replay, monkeypatch, demos)
+    with pytest.warns(UserWarning, match=said):
+        build_trainer(cfg, build_world(cfg), tmp_path)
 
 
 def test_a_replay_that_differs_ends_with_an_error(demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -172,7 +172,7 @@ def test_a_run_folder_is_used_by_one_process_at_a_time(scene: list[str], tmp_pat
         ("seed=1", "seed: asked for 1, found 0"),
         ("task.motion.step=0.25", "task.motion.step: asked for 0.25, found 0.5"),
         ("loss.gamma=0.5", "loss.gamma: asked for 0.5, found 0.97"),
-        ("scene.path={other}", "scene: its Gaussians differ"),
+        ("scene.path={other}", "scene: its Gaussians or its free space differ"),
     ],
 )
 def test_resuming_a_run_with_changed_settings_is_refused_by_default(
@@ -310,3 +310,20 @@ def test_each_job_of_a_sweep_given_in_a_file_has_the_settings_of_its_scene_and_o
     train.main()
     assert [(cfg.robot.height, cfg.landmarks.goal) for cfg in given] == [(0.5, [0.5, 1, 0]), (0.65, [5.5, 0.5, 0])]
     assert [cfg.task.max_steps for cfg in given] == [7, 7]
+
+
+def test_each_job_of_a_sweep_that_fails_says_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def trained(cfg: DictConfig, folder: Path) -> float:
+        if cfg.seed != 1:
+            raise ValueError(f"seed: expected another one, got {cfg.seed}")
+        return 1.0
+
+    monkeypatch.setattr(train, "train", trained)
+    monkeypatch.setattr(sys, "argv", ["splatrl-train", "-m", "seed=0,1,2", f"hydra.sweep.dir={tmp_path}"])
+    with pytest.raises(SystemExit):
+        train.main()
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("splatrl-train: ")]
+    zero, two = (f"splatrl-train: job #{seed}: seed: expected another one, got {seed}" for seed in (0, 2))
+    assert lines == [zero, two, zero]

@@ -397,9 +397,10 @@ def test_an_error_in_a_sweep_holds_no_reference_to_its_cause(monkeypatch: pytest
     def fails() -> None:
         raise ValueError("seed: expected another")
 
-    sweep = SimpleNamespace(initialized=lambda: True, get=lambda: SimpleNamespace(mode=RunMode.MULTIRUN))
+    job = SimpleNamespace(mode=RunMode.MULTIRUN, job=SimpleNamespace(num=3))
+    sweep = SimpleNamespace(initialized=lambda: True, get=lambda: job)
     monkeypatch.setattr(faults, "HydraConfig", sweep)
-    with pytest.raises(CompactHydraException, match="splatrl-train: seed: expected another") as told:
+    with pytest.raises(CompactHydraException, match="splatrl-train: job #3: seed: expected another") as told:
         fails()
     assert told.value.__context__ is None and told.value.__cause__ is None
 

@@ -191,6 +191,7 @@ def edit(name: str, change: Callable[[dict], object]) -> Callable[[Path], None]:
         (edit("demonstrations.json", lambda facts: facts.update(version=1)), "version 2, got 1; record them again"),
         (edit("demonstrations.json", lambda facts: facts.update(action_names=3)), "a list of names under action_names"),
         (edit("demonstrations.json", lambda facts: facts.update(fps=0)), "from 1 to 1000 under fps"),
+        (edit("demonstrations.json", lambda facts: facts.update(scene=[1])), "a fingerprint under scene, got .1."),
         (edit("demonstrations.json", lambda facts: facts.pop("repeats")), "from 1 to 1000 under repeats, got None"),
         (edit("memmap/meta.json", lambda meta: meta.pop("action")), "expected entries for action"),
         (edit("memmap/meta.json", lambda meta: meta["pixels"].update(shape=[2**40, 3])), "pixels.memmap: expected"),

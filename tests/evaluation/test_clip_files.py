@@ -96,9 +96,11 @@ def test_a_photo_is_turned_upright_as_its_exif_data_says(tmp_path: Path) -> None
     assert [image.size for image in read_clips(tmp_path, NAMES)[0].images()] == [(20, 30)]
 
 
-def test_a_table_exported_from_a_spreadsheet_is_read(tmp_path: Path) -> None:
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_a_table_exported_from_a_spreadsheet_is_read(tmp_path: Path, separator: str) -> None:
     folder = folder_clip(tmp_path / "a", names=("0.png", "1.png"))
-    (folder / "actions.csv").write_bytes("\ufeffframe, action\r\n1,left\r\n\r\n".encode())
+    table = "\ufeffframe, action\r\n1,left\r\n\r\n".replace(",", separator)
+    (folder / "actions.csv").write_bytes(table.encode())
     assert read_clips(tmp_path, NAMES)[0].labels == {1: {2}}
 
 
@@ -115,6 +117,7 @@ def test_a_table_exported_from_a_spreadsheet_is_read(tmp_path: Path) -> None:
         ("frame,action\n²,left\n", "line 2: expected a frame number"),
         ("frame,action\n" + "9" * 5000 + ",left\n", "line 2: expected a frame number"),
         ("frame,action\n0,left,right\n", "line 2: expected a frame number and an action, got 3 cells"),
+        ("frame;action\n0,0;left\n", "line 2: expected a frame number \\(0 or more\\), got '0,0'"),
         ("number,action\n0,left\n", "line 1: expected frame,action, got 'number,action'"),
         ("", "line 1: expected frame,action, got ''"),
         ("frame,action\n", "expected at least one labelled frame"),

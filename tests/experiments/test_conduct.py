@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from splatrl.experiments import Run, check_settings, conduct, report_all, score, train_all
+from splatrl.files import alone_in
+from splatrl.training import save_checkpoint
 from tests.experiments.made_up import begin, finish, made_up
 
 PROGRAM = ["python", "-m", "a.training"]
@@ -37,11 +39,41 @@ def test_a_folder_with_other_settings_is_refused_or_deleted_if_fresh_is_set(tmp_
         begin(run, 40)
         keep_config(run)
     keep_config(other, seed=7)
-    with pytest.raises(ValueError, match=rf"{other.folder} was .* other settings:\n  seed: .*\n.*fresh=true"):
+    with pytest.raises(ValueError, match=rf"{other.folder} was .* other settings or files: seed: .*; .*fresh=true"):
         check_settings([same, other], fresh=False)
     assert other.folder.exists()
     check_settings([same, other], fresh=True)
     assert same.folder.exists() and not other.folder.exists()
+
+
+def test_a_folder_trained_in_a_scene_that_has_changed_is_refused_or_deleted_if_fresh_is_set(tmp_path: Path) -> None:
+    runs = made_up(tmp_path).runs
+    asked: list[str] = []
+
+    def digest(cfg: DictConfig) -> str:
+        asked.append(cfg.scene.path)
+        return f"{cfg.scene.path} as it is now"
+
+    for run in runs:
+        finish(run, 0.5)
+        keep_config(run)
+        scene = f"{run.scene} as it is now" if run.scene == "yard" else "another hall"
+        save_checkpoint(run.folder / "checkpoints" / "last.pt", {"made_with": {"scene": scene, "files": {}}})
+    yards, halls = ([run for run in runs if run.scene == scene] for scene in ("yard", "hall"))
+    with pytest.raises(ValueError, match=rf"{halls[0].folder} was .* files: scene: its Gaussians .*; .*fresh=true"):
+        check_settings(runs, False, digest)
+    check_settings(runs, True, digest)
+    assert sorted(asked[-2:]) == ["hall", "yard"] and len(asked) == 4, "each scene is read once"
+    assert all(run.folder.exists() for run in yards) and not any(run.folder.exists() for run in halls)
+
+
+def test_a_folder_in_which_a_training_is_running_is_not_deleted(tmp_path: Path) -> None:
+    run = made_up(tmp_path).runs[0]
+    begin(run, 40)
+    keep_config(run, seed=7)
+    with alone_in(run.folder), pytest.raises(ValueError, match="another process is using"):
+        check_settings([run], fresh=True)
+    assert run.folder.exists()
 
 
 def test_all_trainings_form_one_queue_and_unfinished_experiments_note_the_machine(

@@ -18,7 +18,23 @@ from tests.two_rooms import overrides, two_rooms
 
 def test_places_are_the_test_places_whose_scenes_are_given(tmp_path: Path) -> None:
     choose_places(tmp_path, {"backyard": ["scene=backyard"], "yards": ["scene=yards"]})
-    assert json.loads((tmp_path / PLACES).read_text()) == {"backyard": ["scene=backyard"]}
+    assert json.loads((tmp_path / PLACES).read_text()) == {"backyard": {"overrides": ["scene=backyard"], "files": None}}
+
+
+def test_scores_in_other_places_or_files_are_removed(tmp_path: Path) -> None:
+    splat, scores = tmp_path / "kitchen.spz", tmp_path / "scores.json"
+    splat.write_text("a kitchen")
+    both = {"backyard": ["scene=backyard"], "kitchen": ["scene=kitchen", f"scene.path={splat}"]}
+    for places, content, stay in (
+        (both, "a kitchen", True),
+        (both, "a kitchen", True),
+        (both, "another kitchen", False),
+        ({"backyard": both["backyard"]}, "another kitchen", False),
+    ):
+        scores.touch()
+        splat.write_text(content)
+        choose_places(tmp_path, places)
+        assert scores.exists() == stay
 
 
 def test_a_policy_is_tested_in_several_scenes_at_once_and_in_one(tmp_path: Path) -> None:

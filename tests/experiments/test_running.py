@@ -11,6 +11,7 @@ import pytest
 from splatrl.experiments import Run, running
 from splatrl.experiments.folders import status
 from splatrl.experiments.running import BusyError, command, start, train
+from splatrl.files import alone_in
 from tests.experiments.made_up import begin, finish, made_up
 
 PROGRAM = ["python", "-m", "a.training"]
@@ -92,11 +93,32 @@ def test_a_folder_that_another_process_is_training_in_is_left_alone(tmp_path: Pa
     try:
         with pytest.raises(BusyError, match=run.folder.name):
             start(run, 1, SLEEP)
-        assert train([run], 1, 1, SLEEP) == [run]
     finally:
         running.stop([first])
+    with alone_in(run.folder), pytest.raises(BusyError, match=run.folder.name):
+        start(run, 1, SLEEP)  # as beside a training that was resumed by hand
     assert start(run, 1, [sys.executable, "-S", "-c", "print('at work')"]).wait() == 0
     assert (run.folder / "log.txt").read_text().endswith("at work\n")
+
+
+@pytest.mark.parametrize("finished", [False, True])
+def test_a_run_that_another_process_is_training_is_waited_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], finished: bool
+) -> None:
+    orphan, other = made_up(tmp_path).runs[:2]
+    asked: list[Run] = []
+
+    def one(run: Run, cores: int, program: Sequence[str]) -> subprocess.Popen[bytes]:
+        asked.append(run)
+        if run is orphan and asked.count(orphan) == 3 and finished:
+            finish(orphan, 0.5)
+        if run is orphan and asked.count(orphan) <= 3:
+            raise BusyError("another process is training in it")
+        return python("pass")
+
+    assert train([orphan, other], 1, 1, PROGRAM, one, poll=0.01) == []
+    assert asked == [orphan] * (3 if finished else 4) + [other]
+    assert "".join(capsys.readouterr()).count("waiting: another process is training in it") == 1
 
 
 def test_a_training_gets_its_overrides_and_limits_its_libraries_to_one_thread(tmp_path: Path) -> None:

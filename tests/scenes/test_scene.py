@@ -1,6 +1,7 @@
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
 from splatrl.scenes import Gaussians, Scene, backyard, read_scene, write_gaussians
-from splatrl.scenes.scene import robust_bounds
+from splatrl.scenes.scene import FreeSpace, content_of, robust_bounds
 from tests.scenes.samples import assert_same, sample_gaussians
 
 CONF = Path(__file__).parents[2] / "conf" / "scene"
@@ -260,6 +261,22 @@ def test_a_change_in_any_field_changes_the_digest_of_a_scene(name: str) -> None:
     values.view(-1)[-1] += 1e-6
     setattr(changed, name, values)
     assert scene_of(changed).digest != scene_of(sample_gaussians(9)).digest
+
+
+def test_the_content_of_a_scene_includes_its_free_space_of_which_its_digest_knows_nothing(tmp_path: Path) -> None:
+    cloud = tmp_path / "free.ply"
+    cloud.write_text("points")
+
+    def scene(edge: float = 0.1) -> Scene:
+        return replace(scene_of(sample_gaussians(9)), free=FreeSpace(cloud, edge))
+
+    plain, first = scene_of(sample_gaussians(9)), scene()
+    assert plain.content == plain.digest == first.digest != first.content == scene().content
+    assert scene(0.2).content != first.content
+    cloud.write_text("other points")
+    assert scene().content != first.content
+    assert content_of([plain]) == plain.content
+    assert len({content_of(scenes) for scenes in ([plain], [plain, first], [first, plain])}) == 3
 
 
 @pytest.mark.parametrize(
