@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from splatrl.files import replacing
+from splatrl.values import under_key
 
 MAX_YAML = 128 * 2**10
 """Maximum size of a YAML file in bytes, ten times that of the files that splatrl writes."""
@@ -96,9 +97,15 @@ def parsed_json(source: str, text: str | bytes) -> Any:
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write JSON atomically."""
+    """Write JSON atomically.
+
+    Raises:
+        ValueError: for NaN or an infinity, which JSON does not have.
+    """
+    with under_key(str(path)):
+        text = json.dumps(content, indent=2, allow_nan=False)
     with replacing(path) as stream:
-        stream.write(f"{json.dumps(content, indent=2)}\n".encode())
+        stream.write(f"{text}\n".encode())
 
 
 def _text(path: Path, limit: int) -> str:

@@ -1,6 +1,7 @@
 """YAML and JSON from strangers become small plain values, or raise a clear error."""
 
 import json
+import math
 import time
 from pathlib import Path
 
@@ -116,5 +117,8 @@ def test_json_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     write_json(path, {"success_rate": 0.5})
     with pytest.raises(TypeError):
         write_json(path, {"success_rate": torch.zeros(1)})
+    for value in (math.nan, math.inf):
+        with pytest.raises(ValueError, match=r"evaluation\.json: "):
+            write_json(path, {"scenes": [{"success_rate": value}]})
     assert json.loads(path.read_text()) == {"success_rate": 0.5}
     assert list(tmp_path.iterdir()) == [path]

@@ -37,6 +37,7 @@ def build_world(cfg: DictConfig) -> World | Worlds:
         cfg.device = str(device)  # the value of ${device} in nodes
     configs = place_configs(cfg)
     transforms = partial(_make_transforms, cfg.transforms, cfg.network.get("memory", 0))
+    sensors = {str(key): instantiate(node) for key, node in (cfg.get("sensors") or {}).items()}
     places = build_places(configs, device, place_names(cfg), _repeats(transforms()))
     scenes = [place.scene for place in places]
     drawn = [*scenes, *places[0].task.models]
@@ -44,7 +45,6 @@ def build_world(cfg: DictConfig) -> World | Worlds:
     if cfg.renderer.cache is not None:
         renderer = constructor(cfg, "renderer.cache", device)(renderer)
     drawing, robot = instantiate(configs[0].drawing)(renderer), places[0].robot
-    sensors = {str(key): instantiate(node) for key, node in (cfg.get("sensors") or {}).items()}
     for place in places:
         place.task.check_picture(drawing, place.robot)
     drawing = _around(configs[0], drawing)

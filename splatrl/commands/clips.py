@@ -13,6 +13,7 @@ from splatrl.commands.faults import in_one_line
 from splatrl.configuration import check_config, conf_dir, run_config
 from splatrl.evaluation.clips import REPORT, write_report
 from splatrl.experiments.clip_scores import altered, film_run, record_clips, score_run
+from splatrl.values import require_number
 
 FILMS = "films"
 """Folder in a run folder for films with its policy's actions."""
@@ -30,6 +31,9 @@ def run(cfg: DictConfig) -> None:
         )
     if len(set(runs)) < len(runs) or not runs:
         raise ValueError(f"run: expected distinct run folders, got {', '.join(runs) or 'none'}")
+    if cfg.fov is not None:
+        require_number("fov", cfg.fov, 1, 179, unit="degrees")
+    loading = (cfg.checkpoint, cfg.device, cfg.allow_targets, cfg.fov)
     if cfg.film is not None:
         film = Path(cfg.film)
         names = [Path(run).absolute().name for run in runs]
@@ -37,7 +41,7 @@ def run(cfg: DictConfig) -> None:
             raise ValueError(f"run: expected folders of different names, which name the films, got {', '.join(runs)}")
         for name, last in zip(runs, names, strict=True):
             output = Path(name, FILMS, film.stem) if cfg.out is None else Path(cfg.out, f"{film.stem}-{last}")
-            for path in film_run(Path(name), film, output, cfg.checkpoint, cfg.device, cfg.allow_targets):
+            for path in film_run(Path(name), film, output, *loading):
                 print(path)
     if cfg.record is not None:
         own = run_config(Path(runs[0]), cfg.allow_targets)
@@ -48,9 +52,7 @@ def run(cfg: DictConfig) -> None:
         written = record_clips(world, Path(cfg.record), *settings)
         print(f"{len(written)} clips in {cfg.record}")
     if cfg.clips is not None:
-        results = {
-            name: score_run(Path(name), Path(cfg.clips), cfg.checkpoint, cfg.device, cfg.allow_targets) for name in runs
-        }
+        results = {name: score_run(Path(name), Path(cfg.clips), *loading) for name in runs}
         folder = Path(cfg.out or cfg.clips)
         print(write_report(results, folder))
         print(f"{folder / REPORT}.md, {folder / REPORT}.json")

@@ -24,6 +24,7 @@ from splatrl.configuration import (
     conf_dir,
     forget_run,
     job_config,
+    place_configs,
     quoted,
     resumed_config,
     save_config,
@@ -70,12 +71,15 @@ def train(cfg: DictConfig, folder: Path) -> float:
 
     Raises:
         FileNotFoundError: for an ``evaluation.episodes`` that does not exist.
-        ValueError: for a resumed run that began with other settings, or episodes that do not fit the scene or task.
+        ValueError: for a resumed run that began with other settings, episodes that do not fit the scene or task, or
+            ``view`` with several scenes.
     """
     resume = cfg.resume
     if resume:
         cfg = resumed_config(folder, HydraConfig.get().overrides.task)
     check_config(cfg)
+    if cfg.view and (count := len(place_configs(cfg))) > 1:
+        raise ValueError(f"view: expected a training in one scene, got {count} scenes; type view=false")
     if not resume:
         save_config(cfg, folder)
     torch.set_num_threads(cfg.threads)
@@ -114,8 +118,7 @@ def watched(cfg: DictConfig, world: World | Worlds, trainer: Trainer) -> Iterato
     if not cfg.view:
         yield
         return
-    if not isinstance(world, World):
-        raise ValueError(f"view: expected a training in one scene, got {len(world.worlds)} scenes; type view=false")
+    assert isinstance(world, World), type(world)
     page = Page(world.scene)
     view = TrainingView(page, world, trainer)
     print(f"{page.address}: watch the training", flush=True)

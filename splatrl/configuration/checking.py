@@ -7,6 +7,7 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from splatrl.configuration.places import place_configs, place_names
+from splatrl.configuration.scene_overrides import TARGETS
 from splatrl.configuration.search_path import config_loader
 from splatrl.configuration.targets import check_targets
 from splatrl.values import flat, require_number
@@ -33,8 +34,8 @@ WHOLE_NUMBERS = {
 WORDS = {"evaluation.checkpoint": ("last", "best"), "logger.backend": ("csv", "tensorboard", "wandb")}
 """Keys that take one of a few words, checked here because a typo would otherwise only surface after the training."""
 NULLABLE = ("starts.farthest", "renderer.threads")
-COMMON = ("renderer", "drawing", "around_drawing")
-"""Nodes that an env builds only once, so that they must be the same in all of its scenes."""
+COMMON = ("renderer", "drawing", "around_drawing", *TARGETS["step"])
+"""Nodes and keys that the scenes of an env share: it draws them in one call, and the robots of all take equal steps."""
 BY_SCENE = "or let splatrl-scene <splat file> --out <folder> find one, and type scene=<folder>"
 EXAMPLES = {
     "run": "run=<run folder>",
@@ -63,15 +64,15 @@ def check_config(cfg: DictConfig) -> None:
     """
     if isinstance(OmegaConf.select(cfg, "scene.places"), ListConfig) and not cfg.scene.places:
         raise ValueError("scene.paths: expected at least one scene, got none; type scene.paths=[garden/,yard:3]")
-    places = place_configs(cfg)
-    for name, place in zip(place_names(cfg), places, strict=True):
+    names, places = place_names(cfg), place_configs(cfg)
+    for name, place in zip(names, places, strict=True):
         check_constructors(place)
         plain = OmegaConf.to_container(place, resolve=False)
         needed = sorted(_missing(plain)) or sorted(_unset_landmarks(plain))
         if needed:
             example, there = EXAMPLES.get(needed[0], needed[0] + "=..."), f" in {name}" if name else ""
             raise ValueError(f"{needed[0]}: expected a value{there}, got none; type {example}")
-    _check_common(places)
+    _check_common(names, places)
     for key, (low, high) in WHOLE_NUMBERS.items() if "collector" in cfg else ():  # only training configs
         value = OmegaConf.select(cfg, key)
         if value is not None or key not in NULLABLE:
@@ -81,26 +82,48 @@ def check_config(cfg: DictConfig) -> None:
             raise ValueError(f"{key}: expected one of {', '.join(valid)}, got {value}")
 
 
-def _check_common(places: Sequence[DictConfig]) -> None:
-    """Refuse scenes whose rendering settings differ, because a batch is rendered in one call.
+def _check_common(names: Sequence[str], places: Sequence[DictConfig]) -> None:
+    """Refuse scenes that differ in settings that a batch shares.
+
+    Args:
+        names: names of the scenes.
+        places: config of each scene.
 
     Raises:
-        ValueError: names the key that differs.
+        ValueError: names all settings that differ, as a ``scene.yaml`` does or by their keys, and what to type.
     """
+    stated = {key: name for name, keys in TARGETS.items() for key in keys}
+    found: dict[str, str] = {}
+    typed: list[str] = []
     for node in COMMON:
-        drawn = [dict(_resolved(place, node)) for place in places]
-        for key in dict.fromkeys(key for values in drawn for key in values):
-            got = list(dict.fromkeys(str(values.get(key)) for values in drawn))
-            if len(got) > 1:
-                raise ValueError(f"{key}: expected the same in all scenes, got {' and '.join(got[:3])}; type {key}=...")
+        chosen = [dict(_flat(place, node, resolve=True)) for place in places]
+        written = dict(_flat(places[0], node, resolve=False))
+        for key in dict.fromkeys(key for values in chosen for key in values):
+            firsts: dict[str, str] = {}  # a scene for each value
+            for name, values in zip(names, chosen, strict=True):
+                firsts.setdefault(str(values.get(key)), name)
+            if len(firsts) > 1 and str(written.get(key)) not in [f"${{{source}}}" for source in typed]:
+                got = [f"{value} in {name}" for value, name in firsts.items()]
+                found.setdefault(stated.get(key, key), " and ".join(got[:3]))
+                typed.append(key)
+    if found:
+        several = len(found) > 1
+        raise ValueError(
+            f"{', '.join(found)}: expected the same in all scenes, "
+            f"got {', '.join(f'{name} {got}' if several else got for name, got in found.items())}; "
+            f"type {' '.join(f'{key}=...' for key in typed)}"
+        )
 
 
-def _resolved(cfg: DictConfig, key: str) -> Iterator[tuple[str, Any]]:
-    """Yield the dotted keys and values of a node, with interpolations resolved."""
+def _flat(cfg: DictConfig, key: str, resolve: bool) -> Iterator[tuple[str, Any]]:
+    """Yield the dotted keys and values of a node, or of a single value, with or without resolving interpolations."""
     node = OmegaConf.select(cfg, key)
-    plain = OmegaConf.to_container(node, resolve=True) if isinstance(node, DictConfig) else {}
-    assert isinstance(plain, dict), type(plain)
-    return flat({str(name): value for name, value in plain.items()}, key)
+    if isinstance(node, DictConfig):
+        plain = OmegaConf.to_container(node, resolve=resolve)
+        assert isinstance(plain, dict), type(plain)
+        yield from flat({str(name): value for name, value in plain.items()}, key)
+    elif node is not None:
+        yield key, node
 
 
 def _missing(node: Any, place: str = "") -> Iterator[str]:

@@ -8,9 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from PIL import Image
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
@@ -18,6 +16,7 @@ from torch import Tensor
 
 from splatrl.documents import write_json
 from splatrl.evaluation.clip_files import Clip
+from splatrl.evaluation.eye import Eye
 from splatrl.evaluation.rollouts import acting
 from splatrl.files import replacing
 
@@ -61,13 +60,12 @@ def match(
     policy: TensorDictModuleBase,
     action_names: Sequence[str],
     clips: Sequence[Clip],
-    image_shape: Sequence[int],
+    eye: Eye,
     start: TensorDictBase | None = None,
     progress: Callable[[int], object] = lambda frames: None,
 ) -> list[ClipResult]:
     """Show clips to a policy frame by frame, and compare its most probable action with the labels.
 
-    Each frame is cropped about its centre to the aspect ratio of the policy's image and downscaled by area averaging.
     A policy with stacked frames also sees the preceding ones, oldest first, padded at the start of a clip with its
     first frame. A recurrent state is reset for each clip and carried through it. PyTorch's global generator is left
     as it was.
@@ -76,7 +74,7 @@ def match(
         policy: reads ``pixels`` and whatever else its ``in_keys`` name, writes ``logits``.
         action_names: names of the task's actions, by index.
         clips: clips that were read with the same names.
-        image_shape: (H, W, C) of ``pixels``, where C is 3 per stacked frame.
+        eye: the camera as which the policy sees the clips.
         start: batch of [1] with everything but ``pixels`` that the policy reads at the start of an episode, such as a
             recurrent state of zeros; None if it reads nothing else.
         progress: called with the number of frames just shown.
@@ -89,7 +87,7 @@ def match(
     for clip in clips:
         matches, masses = 0, []
         with acting(sampled=False, seed=0):
-            shown = predictions(policy, action_names, clip.images(), image_shape, start)
+            shown = predictions(policy, action_names, clip.images(), eye, start)
             for number, (_, _, probabilities) in enumerate(shown):
                 if (label := clip.labels.get(number)) is not None:
                     matches += int(probabilities.argmax()) in label
@@ -103,7 +101,7 @@ def predictions(
     policy: TensorDictModuleBase,
     action_names: Sequence[str],
     images: Iterable[Image.Image],
-    image_shape: Sequence[int],
+    eye: Eye,
     start: TensorDictBase | None = None,
 ) -> Iterator[tuple[Image.Image, Tensor, Tensor]]:
     """Show images to a policy one after another, as ``match`` does, and yield its action probabilities.
@@ -112,12 +110,11 @@ def predictions(
         policy: as for ``match``.
         action_names: names of the A actions.
         images: RGB images of any size.
-        image_shape: (H, W, C), as for ``match``.
+        eye: as for ``match``.
         start: batch of [1], as for ``match``.
 
     Yields:
-        The image, its cropped and resized version that the policy sees, [H, W, 3] uint8, and the probabilities of the
-        actions, [A].
+        The image, its version that the policy sees, [H, W, 3] uint8, and the probabilities of the actions, [A].
 
     Raises:
         ValueError: for a policy with another number of actions, or one that reads keys that are not given.
@@ -128,12 +125,11 @@ def predictions(
     if missing:
         raise ValueError(f"start: expected {', '.join(map(str, missing))}, which the policy reads, found none")
     begun = begun.select(*extra)
-    height, width, channels = image_shape
-    seen: deque[Tensor] = deque(maxlen=channels // 3)
+    seen: deque[Tensor] = deque(maxlen=eye.views)
     carried = begun.clone()
     for number, image in enumerate(images):
-        frame = fitted(image, height, width)
-        seen.extend([frame] * (seen.maxlen or 1) if not number else [frame])
+        frame = eye.fitted(image)
+        seen.extend([frame] * eye.views if not number else [frame])
         out = policy(carried.clone().set("pixels", torch.cat(list(seen), -1).unsqueeze(0).to(carried.device)))
         probabilities = out["logits"].softmax(-1)[0]
         if len(probabilities) != len(action_names):
@@ -147,44 +143,6 @@ def predictions(
             carried[key] = after.get(key, begun[key])
         if "is_init" in carried.keys():  # noqa: SIM118
             carried["is_init"] = torch.zeros_like(carried["is_init"])
-
-
-def fitted(image: Image.Image, height: int, width: int) -> Tensor:
-    """Crop an image about its centre to the target's aspect ratio, and resize it by area averaging.
-
-    Args:
-        image: RGB image of any size.
-        height: height of the result, pixels.
-        width: width of the result, pixels.
-
-    Returns:
-        [height, width, 3] uint8.
-    """
-    scale = min(image.width / width, image.height / height)
-    across, down = _shares(image.width, width, scale), _shares(image.height, height, scale)
-    pixels, lines = np.asarray(image), []
-    for shares in down:  # one row of the result at a time, so that a large image is never held as floats
-        first, last = np.flatnonzero(shares)[[0, -1]]
-        lines.append(np.tensordot(shares[first : last + 1], pixels[first : last + 1], 1))
-    means = np.einsum("ow,hwc->hoc", across, np.stack(lines))
-    return torch.from_numpy(np.floor(means + 0.5).astype(np.uint8))
-
-
-def _shares(length: int, count: int, scale: float) -> NDArray[np.float64]:
-    """Return the weight of each of ``length`` pixels in the mean over each of ``count`` cells.
-
-    The cells are ``scale`` pixels wide, in a row centred on the pixels; a pixel's weight is proportional to its overlap
-    with the cell.
-
-    Returns:
-        [count, length] weights, whose rows sum to 1.
-    """
-    edges = 0.5 * length + scale * (np.arange(count + 1) - 0.5 * count)
-    pixels = np.arange(length)
-    overlap = np.minimum(edges[1:, None], pixels + 1) - np.maximum(edges[:-1, None], pixels)
-    overlap = np.maximum(overlap, 0.0)
-    shares: NDArray[np.float64] = overlap / overlap.sum(1, keepdims=True)
-    return shares
 
 
 def table(results: Mapping[str, Sequence[ClipResult]]) -> str:

@@ -15,7 +15,7 @@ from splatrl.evaluation.episode_sets import EPISODES
 from splatrl.evaluation.pictures import Pictures
 from splatrl.evaluation.report import by_scene, summarise
 from splatrl.evaluation.rollouts import Episodes, run_episodes
-from splatrl.evaluation.starts import Chosen, given_episodes, save_episodes, spread_starts
+from splatrl.evaluation.starts import Chosen, given_episodes, save_episodes, some_in, spread_starts
 from splatrl.evaluation.training_figures import learning_curve, scene_bars
 from splatrl.files import refusing
 from splatrl.values import tenths
@@ -23,7 +23,7 @@ from splatrl.values import tenths
 Policy = Callable[[TensorDictBase], TensorDictBase]
 EPISODES_IN_VIDEO = 4
 SCENES_SHOWN = 4
-"""Maximum number of scenes that get maps and a video of their own; with more scenes, the first ones do."""
+"""Maximum number of scenes that get maps and a video of their own: the first ones that have episodes."""
 FRAMES_IN_VIDEOS = 1200
 """Approximate total of frames in all these videos: each frame is rendered large, while the user waits."""
 
@@ -87,7 +87,7 @@ def evaluate(
     if world.task.goal_radius is not None and settings.episodes is None:
         save_episodes(folder / EPISODES, world, starts, world.task.goal_radius)
     files = _draw_curves(checkpoint["history"], summary, folder)
-    return summary, files + _draw_places(world, policy, sampled, folder, settings.seed, video)
+    return summary, files + _draw_places(world, policy, starts, sampled, folder, settings.seed, video)
 
 
 def _facts_of_training(checkpoint: dict[str, Any], folder: Path) -> dict[str, Any]:
@@ -136,20 +136,25 @@ def _draw_curves(history: Sequence[Mapping[str, float]], summary: dict[str, Any]
 
 
 def _draw_places(
-    world: World | Worlds, policy: Policy, sampled: Episodes, folder: Path, seed: int, video: bool
+    world: World | Worlds, policy: Policy, starts: Chosen, sampled: Episodes, folder: Path, seed: int, video: bool
 ) -> list[Path]:
     """Draw maps of the sampled episodes and, if asked for, a video in each of the first scenes; return the files."""
-    files, shown = list[Path](), world.worlds[:SCENES_SHOWN]
-    for number, one in enumerate(shown):
+    files, held = list[Path](), range(1) if starts.scene is None else starts.scene.unique().tolist()
+    shown = held[:SCENES_SHOWN]
+    for number in shown:
+        one, chosen = world.worlds[number], None
+        if one.task.goal_radius is not None:
+            one, chosen = some_in(world, number, starts, EPISODES_IN_VIDEO)
+        elif one.task.chooses_episodes:
+            chosen = spread_starts(one, EPISODES_IN_VIDEO)
         place = folder if len(world.names) == 1 else folder / "scenes" / f"{number}-{world.names[number]}"
         place.mkdir(parents=True, exist_ok=True)
-        env = one.env(EPISODES_IN_VIDEO)
+        env = one.env(EPISODES_IN_VIDEO if chosen is None else len(chosen.state))
         pictures = Pictures(one.scene.surroundings, one.occupancy, one.plan, env, place)
         if one.plan.field is not None:
             files += [pictures.starts(sampled.of(number)), pictures.success_map(sampled.of(number))]
         if video:
-            starts = spread_starts(one, EPISODES_IN_VIDEO) if one.task.chooses_episodes else None
-            files.append(pictures.video(env, policy, seed, FRAMES_IN_VIDEOS // len(shown), starts))
+            files.append(pictures.video(env, policy, seed, FRAMES_IN_VIDEOS // len(shown), chosen))
     return files
 
 

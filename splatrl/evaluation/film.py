@@ -14,6 +14,7 @@ from torch import Tensor
 from splatrl.evaluation.chart import font
 from splatrl.evaluation.clip_files import film_images
 from splatrl.evaluation.clips import predictions
+from splatrl.evaluation.eye import Eye
 from splatrl.evaluation.rollouts import acting
 from splatrl.evaluation.video import encode
 from splatrl.files import replacing
@@ -32,7 +33,7 @@ def draw_film(
     policy: TensorDictModuleBase,
     action_names: Sequence[str],
     film: Path,
-    image_shape: Sequence[int],
+    eye: Eye,
     output: Path,
     start: TensorDictBase | None = None,
     progress: Callable[[int], object] = lambda frames: None,
@@ -43,7 +44,7 @@ def draw_film(
         policy: reads ``pixels`` and whatever else its ``in_keys`` name, writes ``logits``.
         action_names: names of the task's actions, by index.
         film: a video, or a folder of photos in the order of the numbers in their names.
-        image_shape: (H, W, C) of ``pixels``.
+        eye: the camera as which the policy sees the film.
         output: path of both files without their suffix; its folder exists.
         start: batch of [1] with whatever else the policy reads at the start of an episode.
         progress: called with the number of frames just shown.
@@ -61,7 +62,7 @@ def draw_film(
     writer.writerow(["frame", "action", *action_names])
 
     def pages() -> Iterator[Image.Image]:
-        shown = predictions(policy, action_names, film_images(film), image_shape, start)
+        shown = predictions(policy, action_names, film_images(film), eye, start)
         for number, (image, view, chances) in enumerate(shown):
             values = [round(float(chance), 4) for chance in chances]
             writer.writerow([number, action_names[int(chances.argmax())], *values])

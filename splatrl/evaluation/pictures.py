@@ -63,7 +63,9 @@ class Pictures:
         """Draw the success rate by start position."""
         path = self.folder / "success_map.png"
         planar = self._planar(episodes.start)
-        success_map(planar, episodes.success, self.view, path)
+        tried, every = len(episodes.start.unique(dim=0)), len(self.plan.start_rows)
+        starts = "all starts" if tried == every else f"{tried:,} of {every:,} starts:"
+        success_map(planar, episodes.success, self.view, path, starts)
         return path
 
     def video(

@@ -45,7 +45,7 @@ def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None) -> d
 
 
 def by_scene(names: Sequence[str], sampled: Episodes, argmax: Episodes) -> list[dict[str, Any]]:
-    """Summarise success in each of several scenes, in their order.
+    """Summarise success in each of several scenes that had episodes, in their order.
 
     Args:
         names: names of the scenes.
@@ -55,10 +55,11 @@ def by_scene(names: Sequence[str], sampled: Episodes, argmax: Episodes) -> list[
     return [
         {
             "scene": name,
-            "success_rate": sampled.of(number).success.double().mean().item(),
+            "success_rate": own.success.double().mean().item(),
             "success_rate_argmax": argmax.of(number).success.double().mean().item(),
-            "collision_rate": sampled.of(number).rate(Outcome.COLLISION),
-            "episodes": len(sampled.of(number).outcome),
+            "collision_rate": own.rate(Outcome.COLLISION),
+            "episodes": len(own.outcome),
         }
         for number, name in enumerate(names)
+        if len((own := sampled.of(number)).outcome)
     ]

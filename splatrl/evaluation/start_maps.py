@@ -85,7 +85,7 @@ def start_map(
     _finish(figure, handles, view, path)
 
 
-def success_map(planar: Tensor, success: Tensor, view: MapView, path: Path) -> None:
+def success_map(planar: Tensor, success: Tensor, view: MapView, path: Path, starts: str = "all starts") -> None:
     """Draw the success rate by start position as coloured cells, averaged over headings and repetitions.
 
     Positions on a lattice get one cell each; other positions are pooled into 20 cells along the picture's longer side.
@@ -95,6 +95,7 @@ def success_map(planar: Tensor, success: Tensor, view: MapView, path: Path) -> N
         success: [N] bool.
         view: background and marks of the map.
         path: file of the figure; its suffix sets the format.
+        starts: which starts these are, for the title.
     """
     positions = np.asarray(planar, dtype=np.float64)[:, :2]
     cell, corner = _spacing(positions, view.ground), positions.min(0)
@@ -111,7 +112,7 @@ def success_map(planar: Tensor, success: Tensor, view: MapView, path: Path) -> N
     bar = figure.colorbar(heat, cax=scale, format=PercentFormatter(1.0, decimals=0))
     bar.set_label("success, mean over headings")
     mean = np.asarray(success, dtype=np.float64).mean()
-    axes.set_title(f"success by start position (all starts {mean:.1%})", fontsize=10)
+    axes.set_title(f"success by start position ({starts} {mean:.1%})", fontsize=10)
     _finish(figure, _marks(axes, view.marks, 0.5 * cell), view, path)
 
 

@@ -78,6 +78,25 @@ def given_episodes(world: World | Worlds, path: Path, most: int = MOST_EPISODES)
     return replace(world, task=task, made_by=None), chosen
 
 
+def some_in(world: World | Worlds, number: int, chosen: Chosen, most: int) -> tuple[World, Chosen]:
+    """Choose up to ``most`` of the episodes of a ``GoalTask`` in one scene, evenly spaced.
+
+    Args:
+        world: world in which the episodes take place.
+        number: index of the scene.
+        chosen: starts of the episodes in all scenes, with the task's memory at each.
+        most: maximum number of episodes.
+
+    Returns:
+        The world of the scene, with a task that knows their goals, and their starts.
+    """
+    here = torch.arange(len(chosen.state)) if chosen.scene is None else (chosen.scene == number).nonzero().squeeze(1)
+    rows, one = spread(here, most), world.worlds[number]
+    state, goal = chosen.state[rows], chosen.memory["goal"][rows]
+    task, memory = cast(GoalTask, one.task).with_goals(state, goal, torch.zeros_like(rows))
+    return replace(one, task=task, made_by=None), Chosen(state, None, chosen.distance[rows], memory)
+
+
 def save_episodes(path: Path, world: World | Worlds, chosen: Chosen, radius: float) -> None:
     """Write the episodes of a ``GoalTask`` in the format that ``given_episodes`` reads.
 

@@ -93,7 +93,8 @@ def scene_bars(names: Sequence[str], success: Sequence[float], path: Path) -> No
         label = axes.text(rate + 0.008, row, f"{rate:.0%}", va="center", fontsize=8, color=INK)
         label.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 1})  # covers the line of the average
     axes.axvline(float(np.mean(rates)), color=INK, linewidth=1, linestyle="--", zorder=0)
-    axes.set_title(f"success rate in {len(names)} scenes, {np.mean(rates):.1%} on average", fontsize=11)
+    over = f"{len(names)} scenes, {np.mean(rates):.1%} on average" if len(names) > 1 else "1 scene"
+    axes.set_title(f"success rate in {over}", fontsize=11)
     axes.set_yticks(np.arange(len(names)), [names[i] for i in order], fontsize=8)
     axes.set(xlim=(0, 1.08), ylim=(len(names) - 0.4, -0.6), xlabel="success")
     axes.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))

@@ -15,8 +15,9 @@ from tqdm import tqdm
 from splatrl.building import build_one_world
 from splatrl.configuration import run_config
 from splatrl.envs.world import World
-from splatrl.evaluation.clip_files import read_clips
+from splatrl.evaluation.clip_files import film_images, read_clips
 from splatrl.evaluation.clips import ClipResult, match
+from splatrl.evaluation.eye import Eye
 from splatrl.evaluation.film import draw_film
 from splatrl.evaluation.walk_looks import Lens
 from splatrl.evaluation.walks import Hand, record_walks
@@ -66,6 +67,7 @@ def score_run(
     checkpoint: str | None = None,
     device: str | None = None,
     allow_targets: Sequence[str] = (),
+    fov: float | None = None,
 ) -> list[ClipResult]:
     """Score the policy of a run folder on clips.
 
@@ -75,14 +77,18 @@ def score_run(
         checkpoint: last or best; None takes the run's own setting.
         device: device of the policy; None takes the run's own setting.
         allow_targets: your own packages from which the run's config may build objects.
+        fov: horizontal field of view of the clips, degrees; None takes that of the policy's camera. A line says for
+            each clip what the policy does not see of its field of view.
 
     Raises:
         ValueError: for a task whose actions have no names.
     """
-    policy, names, shape, known = _watching(folder, checkpoint, device, allow_targets)
+    policy, names, eye, known = _watching(folder, checkpoint, device, allow_targets, fov)
     found = read_clips(clips, names)
+    for clip in found:
+        _tell(eye, clip.source)
     with tqdm(unit="frame", desc=folder.name, dynamic_ncols=True) as bar:
-        return match(policy, names, found, shape, known, bar.update)
+        return match(policy, names, found, eye, known, bar.update)
 
 
 def film_run(
@@ -92,18 +98,20 @@ def film_run(
     checkpoint: str | None = None,
     device: str | None = None,
     allow_targets: Sequence[str] = (),
+    fov: float | None = None,
 ) -> list[Path]:
     """Overlay a film with what the policy of a run folder would do; see ``draw_film`` and ``score_run``."""
-    policy, names, shape, known = _watching(folder, checkpoint, device, allow_targets)
+    policy, names, eye, known = _watching(folder, checkpoint, device, allow_targets, fov)
+    _tell(eye, film)
     output.parent.mkdir(parents=True, exist_ok=True)
     with tqdm(unit="frame", desc=folder.name, dynamic_ncols=True) as bar:
-        return draw_film(policy, names, film, shape, output, known, bar.update)
+        return draw_film(policy, names, film, eye, output, known, bar.update)
 
 
 def _watching(
-    folder: Path, checkpoint: str | None, device: str | None, allow_targets: Sequence[str]
-) -> tuple[TensorDictModuleBase, Sequence[str], Sequence[int], TensorDictBase]:
-    """Load a run's policy, its action names, its image shape and its other inputs at the start of an episode."""
+    folder: Path, checkpoint: str | None, device: str | None, allow_targets: Sequence[str], fov: float | None
+) -> tuple[TensorDictModuleBase, Sequence[str], Eye, TensorDictBase]:
+    """Load a run's policy, its action names, its camera and its other inputs at the start of an episode."""
     cfg = run_config(folder, allow_targets)
     torch.set_num_threads(cfg.threads)
     trained = load_policy(folder, checkpoint, device, cfg)
@@ -111,7 +119,15 @@ def _watching(
     if not motion.action_names:
         raise ValueError(f"task: expected a motion with named actions, got {type(motion).__name__}")
     known = begun.select(*(key for key in policy.in_keys if key != "pixels"), strict=False)
-    return policy, motion.action_names, begun["pixels"].shape[1:], known
+    height, width, channels = begun["pixels"].shape[1:]
+    return policy, motion.action_names, Eye(height, width, channels // 3, trained.world.robot.fov_deg, fov), known
+
+
+def _tell(eye: Eye, film: Path) -> None:
+    """Print which part of a policy's field of view a film shows, unless that is all of it."""
+    first = next(film_images(film), None) if film.exists() else None
+    if first is not None and (note := eye.note(first)):
+        print(f"{film} {note}")
 
 
 def score_experiment(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:

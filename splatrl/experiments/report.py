@@ -154,7 +154,11 @@ def _pictures(entry: Entry, base: Path) -> list[str]:
     if maps:
         pictures = [f"![{MAPS[name]}]({_link(run.folder / name, base)})" for name in maps]
         lines += [*table([MAPS[name] for name in maps], [pictures], words=len(maps)), ""]
-    more = {"learning_curve.png": "learning curve", "rollouts.mp4": "video of rollouts"}
+    more = {
+        "scenes.png": "success in each scene",
+        "learning_curve.png": "learning curve",
+        "rollouts.mp4": "video of rollouts",
+    }
     links = [f"[{more[name]}]({_link(run.folder / name, base)})" for name in more if (run.folder / name).exists()]
     return [*lines, " · ".join(links), ""] if links else lines
 

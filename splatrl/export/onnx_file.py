@@ -103,8 +103,8 @@ def metadata(
         facts |= {"low": space.low.tolist(), "high": space.high.tolist()}
     preprocessing = (
         f"pixels: RGB, uint8, [batch, {height}, {width}, 3], horizontal field of view {robot.fov_deg:g} degrees; crop "
-        f"the centre of the camera's image to that field of view and aspect ratio, and shrink it by area averaging; "
-        f"the network does all other preprocessing"
+        f"the centre of the camera's image to that field of view and aspect ratio, repeat its edges where it shows "
+        f"less, and shrink it by area averaging; the network does all other preprocessing"
     )
     return {"preprocessing": preprocessing} | {
         key: value if isinstance(value, str) else json.dumps(value) for key, value in facts.items()

@@ -26,9 +26,7 @@ if options.fov is not None and not 0 < options.fov < 180:
 session = onnxruntime.InferenceSession(str(Path(__file__).with_name("policy.onnx")))
 facts = session.get_modelmeta().custom_metadata_map
 width, height, own = int(facts["image_width"]), int(facts["image_height"]), float(facts["fov_deg"])
-wide = math.tan(math.radians(own) / 2) / math.tan(math.radians(options.fov or own) / 2)  # as a fraction of the camera's
-if wide > 1:
-    print(f"--fov: the video shows {options.fov:g}° of the policy's {own:g}°", file=sys.stderr)
+half, wide = (math.tan(math.radians(angle) / 2) for angle in (own, options.fov or own))  # of images at distance 1
 kinds = {"tensor(uint8)": np.uint8, "tensor(float)": np.float32, "tensor(bool)": np.bool_}
 given: dict[str, np.ndarray] = {
     each.name: np.zeros([1, *each.shape[1:]], kinds[each.type]) for each in session.get_inputs()
@@ -55,6 +53,32 @@ def read(value: str, like: np.ndarray, sensor: dict[str, float]) -> np.ndarray:
     return low + (high - low) * (image / np.iinfo(image.dtype.name).max)
 
 
+def fitted(image: np.ndarray) -> np.ndarray:
+    """Crop and shrink a camera's image to what the policy's camera would see, [H, W, 3]; its edges are repeated."""
+    scale = image.shape[1] * half / wide / width  # pixels of the image along a side of the policy's
+    cut, size, beyond = [], [], []
+    for length, count in ((image.shape[0], height), (image.shape[1], width)):
+        beyond.append(min(max(math.ceil((count - length / scale) / 2 - 0.1), 0), (count - 1) // 2))
+        size.append(count - 2 * beyond[-1])
+        part = min(max(round(size[-1] * scale), 1), length)
+        cut.append(slice((length - part) // 2, (length + part) // 2))
+    seen = cv2.resize(image[cut[0], cut[1]], size[::-1], interpolation=cv2.INTER_AREA)
+    return cv2.copyMakeBorder(seen, beyond[0], beyond[0], beyond[1], beyond[1], cv2.BORDER_REPLICATE)
+
+
+def lacking(image: np.ndarray) -> str:
+    """Say which part of the policy's field of view an image shows; empty if it shows all of it."""
+    tall, down = wide * image.shape[0] / image.shape[1], half * height / width
+    if wide > half - 0.2 * half / width and tall > down - 0.2 * half / width:
+        return ""
+    shown, whole = (
+        " × ".join(f"{2 * math.degrees(math.atan(side)):.0f}°" for side in sides)
+        for sides in ((min(wide, half), min(tall, down)), (half, down))
+    )
+    taken = "" if options.fov else f" if it spans {own:g}° across, as the policy's camera does (--fov)"
+    return f"{options.source} shows {shown} of the policy's {whole}{taken}; its edges are repeated beyond"
+
+
 for name, value in told.items():
     try:
         given[name] = read(value, given[name], sensors[name]).astype(given[name].dtype)
@@ -69,11 +93,10 @@ for number in range(10**9):
     found, image = camera.read()
     if not found:
         break
-    scale = min(image.shape[1] * min(wide, 1.0) / width, image.shape[0] / height)  # camera pixels per policy pixel
-    rows, columns = max(round(scale * height), 1), max(round(scale * width), 1)
-    top, left = (image.shape[0] - rows) // 2, (image.shape[1] - columns) // 2
-    view = cv2.resize(image[top : top + rows, left : left + columns], (width, height), interpolation=cv2.INTER_AREA)
-    given |= {"pixels": view[None, :, :, ::-1].copy()} if "pixels" in given else {}  # OpenCV has BGR
+    if "pixels" in given:
+        if number == 0 and (note := lacking(image)):
+            print(note, file=sys.stderr)
+        given["pixels"] = fitted(image)[None, :, :, ::-1].copy()  # OpenCV has BGR
     given |= {"begin": begin & (number == 0)} if "begin" in given else {}
     answer = {each.name: value for each, value in zip(session.get_outputs(), session.run(None, given), strict=True)}
     given |= {name.removeprefix("next_"): value for name, value in answer.items() if name.startswith("next_")}

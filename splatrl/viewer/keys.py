@@ -107,20 +107,19 @@ if (!window.splatrlInput) {
   }, true);
   const held = {};
   const once = (name, down, key) => { if (down && !held[name]) press(key); held[name] = down; };
-  setInterval(() => {
-    for (const pad of navigator.getGamepads()) {
-      if (!pad) continue;
-      const down = (number) => pad.buttons[number] && pad.buttons[number].pressed;
-      const ahead = pad.axes[1] < -0.5 || down(12), back = pad.axes[1] > 0.5 || down(13);
-      const left = pad.axes[0] < -0.5 || down(14), right = pad.axes[0] > 0.5 || down(15);
-      const bend = ahead && left ? "u" : ahead && right ? "o" : "";
-      const turn = down(4) ? "u" : down(5) ? "o" : "";
-      const straight = ahead ? "i" : back ? "k" : left ? "j" : right ? "l" : "";
-      const key = bends ? bend || straight : turn || straight;
-      if (used.includes(key)) press(key);
-      once("again", down(0), "r");
-      once("discard", down(1), "x");
-    }
+  setInterval(() => {  // several gamepads act as one; only of standard ones is it known what rests at 0
+    const pads = [...navigator.getGamepads()].filter((pad) => pad && pad.mapping === "standard");
+    const down = (number) => pads.some((pad) => pad.buttons[number] && pad.buttons[number].pressed);
+    const pushed = (axis, sign) => pads.some((pad) => sign * pad.axes[axis] > 0.5);
+    const ahead = pushed(1, -1) || down(12), back = pushed(1, 1) || down(13);
+    const left = pushed(0, -1) || down(14), right = pushed(0, 1) || down(15);
+    const bend = ahead && left ? "u" : ahead && right ? "o" : "";
+    const turn = down(4) ? "u" : down(5) ? "o" : "";
+    const straight = ahead ? "i" : back ? "k" : left ? "j" : right ? "l" : "";
+    const key = bends ? bend || straight : turn || straight;
+    if (used.includes(key)) press(key);
+    once("again", down(0), "r");
+    once("discard", down(1), "x");
   }, 100);
 }
 """

@@ -1,6 +1,7 @@
 """The page's web server: viser's, by default on loopback, which accepts connections only from its own page."""
 
 import io
+import logging
 import socket
 from contextlib import redirect_stdout
 from typing import TYPE_CHECKING, Any
@@ -34,6 +35,7 @@ def open_server(host: str, port: int, label: str) -> "viser.ViserServer":
     viser = require("viser", "view", "the page needs viser")
     require_number("port", port, 0, 65535, whole=True)
     _check_host(host)
+    logging.getLogger("websockets").setLevel(logging.WARNING)  # it reports every page that opens
     with redirect_stdout(io.StringIO()):  # viser draws its address in a box
         server = viser.ViserServer(host, port, label=label, verbose=False)
     server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large")

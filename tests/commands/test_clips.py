@@ -99,6 +99,23 @@ def test_the_actions_of_policies_are_drawn_beside_a_video_without_labels(
         assert all(row.split(",")[1] == NAMES[action] for row in rows[1:])
 
 
+def test_a_line_says_what_a_policy_sees_of_a_film_at_its_field_of_view(
+    runs: Path, clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    walk = clips / "walk-00"
+
+    def said(*arguments: str) -> list[str]:
+        command(monkeypatch, f"run={runs / 'forward'}", f"out={tmp_path}", *arguments)
+        return [line for line in capsys.readouterr().out.splitlines() if "shows" in line]
+
+    shown = "shows 60° × 47° of the policy's 90° × 74°; its edges are repeated beyond"
+    assert said(f"film={walk}") == said(f"film={walk}", "fov=110") == []
+    assert said(f"film={walk}", "fov=60") == [f"{walk} {shown}"]
+    assert said(f"clips={clips}", "fov=60") == [f"{clips / name} {shown}" for name in ("walk-00", "walk-01")]
+    with pytest.raises(SystemExit, match="fov: expected a number of degrees from 1 to 179, got 0"):
+        said(f"film={walk}", "fov=0")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

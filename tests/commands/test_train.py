@@ -27,7 +27,7 @@ from splatrl.scenes import write_gaussians
 from splatrl.training import load_checkpoint
 from tests.preloaded import Process, start
 from tests.tiny import tiny_gaussians, tiny_overrides
-from tests.two_rooms import two_rooms
+from tests.two_rooms import in_both, two_rooms
 
 SETTINGS = [
     "collector.total_frames=1280",
@@ -284,6 +284,17 @@ def test_an_evaluation_can_override_the_settings_of_its_run(
     own = run_config(run[0]).evaluation
     assert (given[0].starts, given[0].seed, given[0].checkpoint) == (5, 3, "last") and own.starts != 5
     assert given[0].repeats == own.repeats
+
+
+def test_watching_several_scenes_is_refused_before_they_are_built(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(train, "build_world", lambda cfg: pytest.fail("built"))
+    words = [*in_both(tmp_path), "view=true", f"hydra.run.dir={tmp_path / 'run'}"]
+    monkeypatch.setattr(sys, "argv", ["splatrl-train", *words])
+    with pytest.raises(SystemExit, match="view: expected a training in one scene, got 2 scenes; type view=false"):
+        train.main()
+    assert not (tmp_path / "run").exists()
 
 
 def test_resuming_a_missing_run_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -147,16 +147,25 @@ def test_an_error_in_one_of_several_scenes_names_that_scene(tmp_path: Path) -> N
         build_world(load_config([*in_both(tmp_path / "goals", "pointnav"), "task.goals=90000"]))
 
 
-@pytest.mark.parametrize(
-    ("stated", "key"), [("antialiased: false", "renderer.antialiased"), ("object_size: 0.5", "drawing.size")]
-)
-def test_scenes_that_would_be_drawn_in_different_ways_are_refused(tmp_path: Path, stated: str, key: str) -> None:
-    words = in_both(tmp_path, "apple")
-    with (tmp_path / "east" / "scene.yaml").open("a") as stream:
-        stream.write(stated + "\n")
-    with pytest.raises(ValueError, match=f"{key}: expected the same in all scenes, got .* and .*; type {key}="):
-        build_world(load_config(words))
-    check_config(load_config([*words, f"{key}=" + ("true" if "anti" in key else "0.5")]))
+def test_settings_in_which_scenes_must_agree_are_refused_together_before_a_scene_is_built(tmp_path: Path) -> None:
+    words = [*in_both(tmp_path, "apple"), f"scene.paths=[{tmp_path / 'west'},yard:3,{tmp_path / 'east'}]"]
+    del words[-2]
+    for name, step in (("west", 0.2), ("east", 0.25)):
+        with (tmp_path / name / "scene.yaml").open("a") as stream:
+            stream.write(f"antialiased: {'true' if name == 'west' else 'false'}\nobject_size: 0.05\nstep: {step}\n")
+    with pytest.raises(ValueError) as refused:
+        check_config(load_config(words))
+    west, east = tmp_path / "west", tmp_path / "east"
+    assert str(refused.value) == (
+        "antialiased, object_size, step: expected the same in all scenes, "
+        f"got antialiased True in {west} and False in {east}, object_size 0.05 in {west} and 0.16 in yard:3, "
+        f"step 0.2 in {west} and 0.1 in yard:3 and 0.25 in {east}; "
+        "type renderer.antialiased=... drawing.size=... task.motion.step=... task.motion.spacing=..."
+    )
+    words += ["renderer.antialiased=true", "task.motion.step=0.1", "task.motion.spacing=0.1"]
+    with pytest.raises(ValueError, match=r"^object_size: expected .*, got 0\.05 in .* and 0\.16 in"):
+        check_config(load_config(words))
+    check_config(load_config([*words, "drawing.size=0.05"]))
 
 
 def test_a_run_folder_stores_its_scenes(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import check_env_specs
 
@@ -13,8 +14,11 @@ import splatrl
 from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.envs.world import World, Worlds
+from splatrl.evaluation.evaluate import EvaluationSettings, Policy, evaluate
+from splatrl.evaluation.pictures import Pictures
+from splatrl.evaluation.recording import Recording, record_episodes
 from splatrl.evaluation.rollouts import run_episodes
-from splatrl.evaluation.starts import given_episodes, save_episodes, spread_starts
+from splatrl.evaluation.starts import Chosen, given_episodes, save_episodes, spread_starts
 from tests.two_rooms import in_both, overrides, two_rooms
 
 FEW = ["task.goals=5", "task.test_goals=4", "task.nearest=0.3", "task.cell=0.1", "robot.body.radius=0.1"]
@@ -70,6 +74,39 @@ def test_episodes_are_drawn_in_each_scene_written_and_read_back(both: World | Wo
     other = run_episodes(world.env(4), ahead, again.state, scene=again.scene, memory=again.memory)
     torch.testing.assert_close(one.measures["distance_to_goal"], other.measures["distance_to_goal"], atol=1e-3, rtol=0)
     assert set(one.of(1).measures) == set(one.measures) and len(one.of(1).measures["collisions"]) == 3
+
+
+def test_an_evaluation_shows_some_of_the_episodes_of_a_file_in_the_scenes_that_have_any(
+    both: World | Worlds, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = spread_starts(both, 20)
+    assert drawn.scene is not None
+    order = (drawn.scene == 1).nonzero().flatten()[[9, 3, 5, 1, 8, 2, 7]]
+    memory = {key: value[order] for key, value in drawn.memory.items()}
+    chosen = Chosen(drawn.state[order], drawn.scene[order], drawn.distance[order], memory)
+    save_episodes(tmp_path / "east.json.gz", both, chosen, 0.2)
+    shown: list[tuple[Path, list[Recording], Chosen]] = []
+
+    def video(pictures: Pictures, env: EnvBase, policy: Policy, seed: int, frames: int, chosen: Chosen) -> Path:
+        recordings = record_episodes(env, policy, chosen.state, seed=seed, memory=chosen.memory)
+        shown.append((pictures.folder, recordings, chosen))
+        return pictures.folder / "rollouts.mp4"
+
+    def ahead(td: TensorDictBase) -> TensorDictBase:
+        return td.set("action", torch.ones(len(td), dtype=torch.int64))
+
+    monkeypatch.setattr(Pictures, "video", video)
+    checkpoint = {"ppo": {"frames": 8, "env": {"curriculum.progress": [0]}}, "seconds": 1.0, "history": [{"frames": 8}]}
+    settings = EvaluationSettings("last", 20, 1, 4, 0, str(tmp_path / "east.json.gz"))
+    summary, _ = evaluate(both, ahead, checkpoint, tmp_path, settings, seed=0)
+    assert [(row["scene"], row["episodes"]) for row in summary["scenes"]] == [(both.names[1], 7)]
+    assert json.loads((tmp_path / "evaluation.json").read_text(), parse_constant=pytest.fail) == summary
+    ((folder, recordings, some),) = shown
+    assert folder == tmp_path / "scenes" / f"1-{both.names[1]}" and len(recordings) == 4
+    rows = torch.tensor([0, 2, 4, 6])
+    torch.testing.assert_close(some.state, chosen.state[rows], atol=1e-4, rtol=0)
+    torch.testing.assert_close(some.memory["goal"], memory["goal"][rows], atol=1e-4, rtol=0)
+    torch.testing.assert_close(some.memory["start_distance"], memory["start_distance"][rows], atol=1e-4, rtol=0)
 
 
 def test_scenes_with_the_same_name_keep_their_episodes_apart(tmp_path: Path) -> None:

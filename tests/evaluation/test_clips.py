@@ -1,10 +1,10 @@
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
@@ -13,12 +13,14 @@ from torchrl.envs import Compose, TransformedEnv
 from torchrl.envs.utils import step_mdp
 
 from splatrl.evaluation.clip_files import read_clips, write_clip
-from splatrl.evaluation.clips import Clip, ClipResult, fitted, match, table, total
+from splatrl.evaluation.clips import Clip, ClipResult, match, table, total
+from splatrl.evaluation.eye import Eye
 from splatrl.training import actor_critic, memory_transforms
 from tests.tiny import tiny_env
 
 NAMES = ("forward", "back", "left", "right")
 HEIGHT, WIDTH = 12, 16
+EYE = Eye(HEIGHT, WIDTH)
 PROBABILITIES = torch.tensor([0.1, 0.2, 0.3, 0.4])
 
 
@@ -51,7 +53,7 @@ def clips(folder: Path, labels: Sequence[Sequence[Sequence[int]]]) -> list[Clip]
 
 def test_matches_and_probability_are_counted_over_labelled_frames_only(tmp_path: Path) -> None:
     policy = recorder()[1]
-    found = match(policy, NAMES, clips(tmp_path, [[[3], [], [0, 3], [2]], [[0, 1]]]), (HEIGHT, WIDTH, 3))
+    found = match(policy, NAMES, clips(tmp_path, [[[3], [], [0, 3], [2]], [[0, 1]]]), EYE)
     assert [(one.name, one.frames, one.matches) for one in found] == [("clip-0", 3, 2), ("clip-1", 1, 0)]
     assert [one.mass for one in found] == pytest.approx([(0.4 + 0.5 + 0.3) / 3, 0.3])
     assert found[0].rate == pytest.approx(2 / 3)
@@ -64,7 +66,7 @@ def test_the_policy_sees_each_frame_once_in_order_and_progress_is_reported(tmp_p
     module, policy = recorder()
     shown: list[int] = []
     some = clips(tmp_path, [[[3], [], [1]]])
-    match(policy, NAMES, some, (HEIGHT, WIDTH, 3), progress=shown.append)
+    match(policy, NAMES, some, EYE, progress=shown.append)
     written = [torch.from_numpy(np.array(image)) for image in some[0].images()]
     assert torch.equal(torch.cat(module.seen), torch.stack(written))
     assert shown == [1, 1, 1]
@@ -73,7 +75,7 @@ def test_the_policy_sees_each_frame_once_in_order_and_progress_is_reported(tmp_p
 def test_stacked_frames_end_with_the_newest_and_are_padded_with_the_first(tmp_path: Path) -> None:
     module, policy = recorder()
     some = clips(tmp_path, [[[3]] * 4, [[3]] * 2])
-    match(policy, NAMES, some, (HEIGHT, WIDTH, 9))
+    match(policy, NAMES, some, replace(EYE, views=3))
     one, two = ([torch.from_numpy(np.array(image)) for image in clip.images()] for clip in some)
     expected = [(one, order) for order in ((0, 0, 0), (0, 0, 1), (0, 1, 2), (1, 2, 3))]
     expected += [(two, order) for order in ((0, 0, 0), (0, 0, 1))]
@@ -98,7 +100,7 @@ def test_a_recurrent_state_is_carried_through_a_clip_and_reset_for_the_next(
     logits: list[Tensor] = []
     policy.register_forward_hook(lambda module, given, out: logits.append(out["logits"].clone()))
     before = start.clone()
-    match(policy, NAMES, some, (HEIGHT, WIDTH, 3), start)
+    match(policy, NAMES, some, EYE, start)
     found, logits = logits, []
     assert all(torch.equal(start[key], before[key]) for key in ("recurrent_state", "is_init"))
     policy._forward_hooks.clear()
@@ -120,7 +122,7 @@ def test_a_policy_whose_inputs_are_not_all_given_is_refused(
     tmp_path: Path, remembering: tuple[TensorDictModuleBase, TensorDictBase]
 ) -> None:
     with pytest.raises(ValueError, match=r"start: expected .*recurrent_state.*, which the policy reads"):
-        match(remembering[0], NAMES, clips(tmp_path, [[[3]]]), (HEIGHT, WIDTH, 3))
+        match(remembering[0], NAMES, clips(tmp_path, [[[3]]]), EYE)
 
 
 def test_scoring_is_repeatable_tracks_no_gradients_and_leaves_the_global_generator_alone(tmp_path: Path) -> None:
@@ -129,37 +131,10 @@ def test_scoring_is_repeatable_tracks_no_gradients_and_leaves_the_global_generat
     policy.register_forward_hook(lambda module, given, out: tracked.append(out["logits"].requires_grad))
     some = clips(tmp_path, [[[3]] * 3])
     state = torch.get_rng_state()
-    first = match(policy, NAMES, some, (HEIGHT, WIDTH, 3))
+    first = match(policy, NAMES, some, EYE)
     assert torch.equal(torch.get_rng_state(), state)
-    assert match(policy, NAMES, some, (HEIGHT, WIDTH, 3)) == first
+    assert match(policy, NAMES, some, EYE) == first
     assert tracked == [False] * 6
-
-
-def test_an_image_is_cropped_about_its_centre() -> None:
-    wide = np.zeros((8, 20, 3), np.uint8)
-    wide[:, :5], wide[:, -5:] = 255, 255  # all but the middle 8 × 10
-    tall = np.ascontiguousarray(wide.transpose(1, 0, 2))
-    assert not fitted(Image.fromarray(wide), 4, 5).any()
-    assert not fitted(Image.fromarray(tall), 5, 4).any()
-    assert fitted(Image.fromarray(wide), 4, 6)[:, [0, -1]].all()
-
-
-@pytest.mark.parametrize(("height", "width"), [(4, 6), (2, 3), (8, 12)])
-def test_an_image_is_shrunk_by_averaging_areas(height: int, width: int) -> None:
-    image = np.random.default_rng(0).integers(0, 256, (8, 12, 3), np.uint8)
-    cells = image.reshape(height, 8 // height, width, 12 // width, 3).mean((1, 3))
-    assert np.abs(fitted(Image.fromarray(image), height, width).numpy() - cells).max() <= 0.51
-
-
-def test_pixels_are_weighted_by_the_area_that_is_covered() -> None:
-    line = np.array([[0, 90, 210]], np.uint8)[..., None].repeat(3, -1)
-    shrunk = fitted(Image.fromarray(line.repeat(3, 0)), 2, 2)
-    assert shrunk[0, :, 0].tolist() == [30, 170]  # each covers one and a half of the three pixels
-
-
-@pytest.mark.parametrize("size", [(7, 9), (640, 480), (33, 1000)])
-def test_a_uniform_image_stays_uniform_at_any_size(size: tuple[int, int]) -> None:
-    assert (fitted(Image.new("RGB", size, (7, 100, 255)), 12, 16) == torch.tensor([7, 100, 255])).all()
 
 
 def test_the_table_compares_runs_side_by_side() -> None:
@@ -180,4 +155,4 @@ def test_a_policy_must_have_as_many_actions_as_there_are_names(tmp_path: Path) -
 
     policy = TensorDictModule(three, in_keys=["pixels"], out_keys=["logits"])
     with pytest.raises(ValueError, match=r"expected 4 actions \(forward, back, left, right\), got a policy with 3"):
-        match(policy, NAMES, clips(tmp_path, [[[3]]]), (HEIGHT, WIDTH, 3), TensorDict({}, [1]))
+        match(policy, NAMES, clips(tmp_path, [[[3]]]), EYE, TensorDict({}, [1]))

@@ -10,7 +10,7 @@ from PIL import Image
 from splatrl.evaluation.film import HEIGHT, PANEL, draw_film
 from splatrl.evaluation.video import encode
 from splatrl.images import open_video
-from tests.evaluation.test_clips import NAMES, PROBABILITIES, recorder
+from tests.evaluation.test_clips import EYE, NAMES, PROBABILITIES, recorder
 
 SIZE = (64, 48)
 
@@ -29,7 +29,7 @@ def seen(path: Path) -> tuple[int, list[np.ndarray]]:
 def test_a_video_keeps_its_frames_and_rate_and_every_frame_has_a_csv_row(tmp_path: Path) -> None:
     encode(iter(frames(5)), tmp_path / "walk.mp4", 15)
     shown: list[int] = []
-    found = draw_film(recorder()[1], NAMES, tmp_path / "walk.mp4", (12, 16, 3), tmp_path / "out", progress=shown.append)
+    found = draw_film(recorder()[1], NAMES, tmp_path / "walk.mp4", EYE, tmp_path / "out", progress=shown.append)
     assert found == [tmp_path / "out.mp4", tmp_path / "out.csv"] and shown == [1] * 5
     rate, pages = seen(found[0])
     assert rate == 15 and len(pages) == 5
@@ -45,7 +45,7 @@ def test_the_bars_are_proportional_to_the_action_probabilities(tmp_path: Path) -
     (tmp_path / "photos").mkdir()
     for number, image in enumerate(frames(2)):
         image.save(tmp_path / "photos" / f"{number}.png")
-    video, _ = draw_film(recorder()[1], NAMES, tmp_path / "photos", (12, 16, 3), tmp_path / "out")
+    video, _ = draw_film(recorder()[1], NAMES, tmp_path / "photos", EYE, tmp_path / "out")
     rate, pages = seen(video)
     assert rate == 10 and len(pages) == 2
     lowest = pages[0][HEIGHT // 2 :, -PANEL:].astype(int)
@@ -58,7 +58,7 @@ def test_the_bars_are_proportional_to_the_action_probabilities(tmp_path: Path) -
 def test_the_same_video_gives_the_same_bytes(tmp_path: Path) -> None:
     encode(iter(frames(3)), tmp_path / "walk.mp4", 10)
     for name in ("a", "b"):
-        draw_film(recorder()[1], NAMES, tmp_path / "walk.mp4", (12, 16, 3), tmp_path / name)
+        draw_film(recorder()[1], NAMES, tmp_path / "walk.mp4", EYE, tmp_path / name)
     for kind in ("mp4", "csv"):
         assert (tmp_path / f"a.{kind}").read_bytes() == (tmp_path / f"b.{kind}").read_bytes()
 
@@ -72,5 +72,5 @@ def test_a_source_that_is_no_video_is_refused_and_leaves_no_files(tmp_path: Path
         ("empty", "expected at least one frame"),
     ):
         with pytest.raises(ValueError, match=message):
-            draw_film(recorder()[1], NAMES, tmp_path / name, (12, 16, 3), tmp_path / "out")
+            draw_film(recorder()[1], NAMES, tmp_path / name, EYE, tmp_path / "out")
     assert not list(tmp_path.glob("out*"))

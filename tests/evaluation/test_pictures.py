@@ -1,10 +1,17 @@
 """Videos of a training show physics in real time, and no more episodes than fit into a limited number of frames."""
 
-import pytest
+from pathlib import Path
 
-from splatrl.evaluation.pictures import shown, steps_a_second
+import pytest
+import torch
+
+from splatrl.building import build_one_world
+from splatrl.configuration import load_config
+from splatrl.envs.tasks import Outcome
+from splatrl.evaluation import Episodes, pictures
+from splatrl.evaluation.pictures import Pictures, shown, steps_a_second
 from splatrl.motions import PhysicsMotion
-from tests.tiny import tiny_motion
+from tests.tiny import tiny_motion, tiny_overrides
 
 
 def test_robots_with_physics_are_shown_in_real_time_and_others_at_a_fixed_pace() -> None:
@@ -17,3 +24,15 @@ def test_a_video_shows_fewer_episodes_if_all_would_not_fit_at_the_longest_length
     assert shown([5, 5, 5, 5], 400) == [0, 1, 2, 3]
     assert shown([200, 3, 2, 200], 400) == [1, 3]
     assert shown([200, 200, 200, 3], 10) == [3]  # the last one, in full
+
+
+def test_a_map_says_how_many_starts_of_how_many_were_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = build_one_world(load_config(tiny_overrides(tmp_path)))
+    drawn = Pictures(world.scene.gaussians, world.occupancy, world.plan, world.env(1), tmp_path)
+    told: list[str] = []
+    monkeypatch.setattr(pictures, "success_map", lambda *given: told.append(given[-1]))
+    every = world.plan.states[world.plan.start_rows]
+    for start in (every, every.repeat_interleave(2, 0), every[:3].repeat_interleave(2, 0)):
+        row = torch.zeros(len(start), dtype=torch.int64)
+        drawn.success_map(Episodes(start, row + Outcome.GOAL, row, row.float(), row, row == 0))
+    assert told == ["all starts", "all starts", f"3 of {len(every)} starts:"]

@@ -53,6 +53,16 @@ def test_a_report_shows_pictures_of_the_median_seed(report: Path) -> None:
     assert "yard-with-s0/starts.png" not in links(report)
 
 
+@pytest.mark.usefixtures("blank_curves")
+def test_a_report_links_the_success_in_each_scene_of_an_arm_with_several(tmp_path: Path) -> None:
+    experiment = reported(tmp_path)
+    for run in experiment.runs:
+        if run.scene == "yard":
+            (run.folder / "scenes.png").touch()
+    found = [link for link in links(write_report(experiment, "an abacus")) if link.endswith("scenes.png")]
+    assert found == ["yard-with-s1/scenes.png", "yard-without-s1/scenes.png"]
+
+
 def test_there_is_one_figure_per_comparison(report: Path) -> None:
     figures = {path.name: Image.open(path).size for path in report.parent.glob("*.png")}
     assert figures.keys() == {"curves-yard-430.png", "curves-hall-430.png"}

@@ -9,6 +9,7 @@ import torch
 from torchrl.data import Bounded
 
 from splatrl.motions import DriveMotion, ForwardMotion, LatticeMotion, NavigateMotion
+from splatrl.motions.base import PlannedMotion
 from splatrl.viewer.keys import input_script, keys_of
 
 
@@ -68,22 +69,31 @@ def test_actions_with_unknown_names_get_the_digits() -> None:
     assert torch.equal(torch.stack([key.action for key in keys_of(motion)]), motion.actions())
 
 
-def test_arrows_and_gamepads_press_the_same_keys() -> None:
-    """Run the script in Node, with a mock page and a mock gamepad."""
+PAGE = """
+  const pressed = [], listeners = [];
+  let tick, pads = [];
+  globalThis.window = {addEventListener: (kind, do_) => listeners.push([kind, do_])};
+  globalThis.KeyboardEvent = class { constructor(kind, rest) { Object.assign(this, rest); } };
+  globalThis.document = {documentElement: {dispatchEvent: (event) => pressed.push(event.key)}};
+  globalThis.setInterval = (do_) => { tick = do_; };
+  Object.defineProperty(globalThis, "navigator", {value: {getGamepads: () => pads}, configurable: true});
+  const pad = (axes, down = [], mapping = "standard") =>
+    ({axes, mapping, buttons: Array.from({length: 16}, (_, n) => ({pressed: down.includes(n)}))});
+"""
+"""A mock page with mock gamepads, in JavaScript."""
+
+
+def keys_pressed(motion: PlannedMotion, acts: str) -> str:
+    """Return the keys that the script presses while a page acts, if Node is there to run both."""
     node = shutil.which("node")
     if node is None:
         pytest.skip("needs node, to run JavaScript")
-    page = """
-      const pressed = [], listeners = [];
-      let tick, stick = [0, 0], down = [];
-      globalThis.window = {addEventListener: (kind, do_) => listeners.push([kind, do_])};
-      globalThis.KeyboardEvent = class { constructor(kind, rest) { Object.assign(this, rest); } };
-      globalThis.document = {documentElement: {dispatchEvent: (event) => pressed.push(event.key)}};
-      globalThis.setInterval = (do_) => { tick = do_; };
-      const buttons = () => Array.from({length: 16}, (_, n) => ({pressed: down.includes(n)}));
-      Object.defineProperty(globalThis, "navigator",
-        {value: {getGamepads: () => [null, {axes: stick, buttons: buttons()}]}, configurable: true});
-    """
+    script = input_script(motion)
+    code = [PAGE, script, script, acts, 'console.log(pressed.join(""));']
+    return subprocess.run([node, "-e", "".join(code)], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def test_arrows_and_gamepads_press_the_same_keys() -> None:
     acts = """
       const type = (code, key, box, text) => { for (const [kind, do_] of listeners) if (kind === "keydown") do_({
         code, key, target: {closest: (what) => (what === "input" ? box : text) ? {} : null},
@@ -93,12 +103,25 @@ def test_arrows_and_gamepads_press_the_same_keys() -> None:
       type("KeyW", "w", false, false);  // the camera's
       type("KeyI", "i", false, false);  // viser hears it itself
       type("KeyK", "k", true, false);  // in a box that was ticked
-      for (const [to, with_] of [[[0, -1], []], [[0.8, -0.8], []], [[0, 0], [0]], [[0, 0], [0]], [[0, 0], [1]]]) {
-        stick = to; down = with_; tick();
+      for (const [stick, down] of [[[0, -1], []], [[0.8, -0.8], []], [[0, 0], [0]], [[0, 0], [0]], [[0, 0], [1]]]) {
+        pads = [null, pad(stick, down)];
+        tick();
       }
-      console.log(pressed.join(""));
     """
-    for motion, expected in ((ForwardMotion(0.4), "ikiirx"), (DriveMotion(0.4), "ikiorx")):
-        script = input_script(motion)
-        done = subprocess.run([node, "-e", page + script + script + acts], capture_output=True, text=True, check=True)
-        assert done.stdout.strip() == expected
+    assert keys_pressed(ForwardMotion(0.4), acts) == "ikiirx"
+    assert keys_pressed(DriveMotion(0.4), acts) == "ikiorx"
+
+
+@pytest.mark.parametrize(
+    ("pads", "ticks", "expected"),
+    [
+        ("pad([0, 0], [1]), pad([0, 0])", 3, "x"),  # a held button acts once, whatever another pad does
+        ("pad([0, 0]), null, pad([0, 0], [0])", 3, "r"),
+        ("pad([0, -1]), pad([0, -1])", 1, "i"),  # two pads make no two steps
+        ("pad([0, -1]), pad([0, 0], [13])", 1, "i"),
+        ("pad([0, -1], [1], ''), pad([0, 0])", 3, ""),  # its throttle may rest at −1
+    ],
+)
+def test_several_gamepads_act_as_one_and_only_standard_ones_count(pads: str, ticks: int, expected: str) -> None:
+    acts = f"for (let n = 0; n < {ticks}; n++) {{ pads = [{pads}]; tick(); }}"
+    assert keys_pressed(ForwardMotion(0.4), acts) == expected

@@ -1,5 +1,6 @@
 """The server answers only its own page."""
 
+import logging
 import socket
 from collections.abc import Iterator
 
@@ -43,6 +44,17 @@ def test_the_page_of_another_site_receives_nothing(server: viser.ViserServer) ->
     stranger._thread.join(timeout=20.0)
     assert stranger.messages == [] and stranger.socket.close_code == 1008
     own.close()
+
+
+def test_a_page_that_opens_leaves_nothing_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    server = open_server("127.0.0.1", 0, "room")
+    server.scene.add_label("/any", "thing")
+    visitor = Visitor(address(server))
+    visitor.find("LabelMessage")
+    visitor.close()
+    close(server)
+    assert [one.getMessage() for one in caplog.records if one.name.startswith("websockets")] == []
 
 
 def test_no_page_can_request_a_public_share_url(server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch) -> None:

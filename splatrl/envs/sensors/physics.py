@@ -41,7 +41,8 @@ class Measured(PlainSensor):
         known = [model.sensor(number).name for number in range(model.nsensor)]
         if missing := [name for name in self.names if name not in known]:
             raise ValueError(
-                f"{path}: sensors.{key}: expected names among {', '.join(known) or 'none'}, got {missing[0]!r}"
+                f"sensors.{key}: expected a robot with the sensor {missing[0]} in its MJCF, got {path}, which has "
+                f"{', '.join(known) or 'no sensors'}"
             )
         self.size = sum(int(model.sensor(name).dim[0]) for name in self.names)
 

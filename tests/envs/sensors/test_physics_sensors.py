@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from splatrl.building import build_model, build_one_world
+from splatrl.building import build_model, build_one_world, worlds
 from splatrl.configuration import load_config
 from splatrl.envs.sensors import Felt, Joints, Measured, Moment, Velocity
 from splatrl.motions import DriveMotion, PhysicsMotion, StridesMotion
@@ -104,8 +104,20 @@ def test_robots_without_physics_or_legs_are_refused() -> None:
 
 
 def test_a_sensor_that_the_robot_lacks_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"quadruped: sensors\.imu: expected names among accelerometer, .*'compass'"):
+    lacks = (
+        r"^sensors\.imu: expected a robot with the sensor compass in its MJCF, got quadruped, which has accelerometer,"
+    )
+    with pytest.raises(ValueError, match=lacks):
         Measured("imu", "quadruped", ["compass"])
+
+
+def test_a_sensor_that_the_robot_lacks_is_refused_before_scenes_are_built(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worlds, "build_places", lambda *_: pytest.fail("built"))
+    lacks = r"^sensors\.imu: expected .* sensor accelerometer in its MJCF, got wheels, which has no sensors$"
+    with pytest.raises(ValueError, match=lacks):
+        build_one_world(load_config([*tiny_overrides(tmp_path, "push"), "sensors=[rgb,imu]"]))
 
 
 def test_yaml_chooses_physics_sensors_for_actor_and_critic(tmp_path: Path) -> None:
