@@ -101,8 +101,9 @@ class CudaChecker:
     """Gives the same answers as ``NativeChecker`` on a CUDA device, without synchronising with the host.
 
     One look-up in the distance field, and some points inside the body that may be solid, settle most poses, with one
-    thread per pose; each of the others is searched by a warp of 32 threads, with one column of voxels per thread. Arithmetic is in double precision, as on the CPU; a row
-    has the same answer alone and in any batch. Kernels are compiled once per machine, which takes seconds, and cached.
+    thread per pose; each of the others is searched by a warp of 32 threads, with one column of voxels per thread.
+    Arithmetic is in double precision, as on the CPU; a row has the same answer alone and in any batch. Kernels are
+    compiled once per machine, which takes seconds, and cached.
 
     Tensors on the device are read in place, and errors in them are recorded there: a pose that is not finite or not
     rigid counts as a hit (free fraction 0, clearance 0), and ``raise_faults`` reports it later. Tensors elsewhere are
