@@ -11,7 +11,6 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from splatrl.files import replacing
-from splatrl.values import under_key
 
 MAX_YAML = 128 * 2**10
 """Maximum size of a YAML file in bytes, ten times that of the files that splatrl writes."""
@@ -97,13 +96,9 @@ def parsed_json(source: str, text: str | bytes) -> Any:
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write JSON atomically.
-
-    Raises:
-        ValueError: for NaN or an infinity, which JSON does not have.
-    """
-    with under_key(str(path)):
-        text = json.dumps(content, indent=2, allow_nan=False)
+    """Write JSON atomically; numbers that JSON does not have, NaN and infinities, become null."""
+    finite = json.loads(json.dumps(content), parse_constant=lambda _: None)
+    text = json.dumps(finite, indent=2)
     with replacing(path) as stream:
         stream.write(f"{text}\n".encode())
 

@@ -117,8 +117,13 @@ def test_json_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     write_json(path, {"success_rate": 0.5})
     with pytest.raises(TypeError):
         write_json(path, {"success_rate": torch.zeros(1)})
-    for value in (math.nan, math.inf):
-        with pytest.raises(ValueError, match=r"evaluation\.json: "):
-            write_json(path, {"scenes": [{"success_rate": value}]})
     assert json.loads(path.read_text()) == {"success_rate": 0.5}
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_numbers_that_json_does_not_have_become_null(tmp_path: Path) -> None:
+    path = tmp_path / "evaluation.json"
+    write_json(path, {"scenes": [{"success_rate": math.nan, "distance": math.inf, "spl": 0.5}]})
+    assert json.loads(path.read_text(), parse_constant=pytest.fail) == {
+        "scenes": [{"success_rate": None, "distance": None, "spl": 0.5}]
+    }
