@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from splatrl.geometry import quats_to_rotations
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.layers import ALIGNED, Layer, heavy_layers, layer_at, leaning_layer
+from splatrl.scenes.scene import captured
 
 Floats = NDArray[np.float64]
 
@@ -105,14 +106,15 @@ def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None, roughly: bo
     The ground is the layer that holds the most Gaussians, mainly those that lie flat in it, and on which the most
     stands upright; directions near a file axis are preferred. Rival layers lower the confidence. The upper side of the
     ground is the one that things stand on or, if that is unclear, the one with the file's origin, which structure from
-    motion puts near the cameras. The guess fails for scenes without ground.
+    motion puts near the cameras. The guess fails for scenes without ground. Sky and other surroundings far larger than
+    the captured place are left out.
 
     Args:
         gaussians: Gaussians in the file's frame.
         up: [3] the up direction, if it is known; then only the floor and the units are guessed.
         roughly: whether ``up`` is known only to about 15°; it is then refined to fit floors and walls.
     """
-    points, normals, weights = _surfaces(gaussians)
+    points, normals, weights = _surfaces(captured(gaussians))
     size = float(np.linalg.norm(np.subtract(*np.quantile(points, [0.99, 0.01], axis=0)))) or 1.0
     if up is None:
         layer, axis_guess = _ground(points, normals, weights, _THICKNESS * size)
