@@ -1,6 +1,7 @@
 """Guesses which way is up in a splat file, where its floor is, and what its units are."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,13 +63,15 @@ class Upright:
 
     Attributes:
         up: [3] unit vector in the file's frame.
-        floor: height of the floor along ``up``, file units.
-        ceiling: height of the ceiling along ``up``, file units; None if there is none.
+        floor: height of the floor along ``up`` from ``origin``, file units.
+        ceiling: height of the ceiling along ``up`` from ``origin``, file units; None if there is none.
         metres_per_unit: scale of the file; 1 if nothing indicates another value.
         axis_guess: confidence in the axis of ``up``, without its sign.
         sign_guess: confidence in the sign of ``up``.
         floor_guess: confidence in the floor.
         units_guess: confidence in the units.
+        origin: [3] point of the file that becomes x = y = 0 of the world; not the file's own origin in a georeferenced
+            file.
     """
 
     up: Floats
@@ -79,6 +82,7 @@ class Upright:
     sign_guess: Guess
     floor_guess: Guess
     units_guess: Guess
+    origin: Sequence[float] = (0.0, 0.0, 0.0)
 
     def __str__(self) -> str:
         rows = [
