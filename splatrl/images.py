@@ -50,15 +50,28 @@ def read_photo(path: Path, stream: BinaryIO | None = None, upright: bool = True)
 
 
 def _rgb(image: Image.Image) -> Image.Image:
-    """Convert to RGB; Pillow alone turns most 16-bit values white, and shows the colours of transparent pixels."""
-    if image.mode.startswith("I;16"):
-        return Image.fromarray((np.asarray(image) >> 8).astype(np.uint8)).convert("RGB")
+    """Convert to RGB with transparent pixels in black; Pillow alone shows their colours."""
+    image = eight_bits(image)
     if not image.has_transparency_data:
         return image.convert("RGB")
     image = image if "A" in image.mode else image.convert("RGBA")
     shown = image.convert("RGB")
     shown.paste("black", mask=ImageChops.invert(image.getchannel("A")))
     return shown
+
+
+def eight_bits(image: Image.Image) -> Image.Image:
+    """Reduce 16-bit grey to its upper eight bits, with alpha if one grey is transparent; return others as they are.
+
+    Pillow alone turns most 16-bit values white.
+    """
+    if not image.mode.startswith("I;16"):
+        return image
+    grey = np.asarray(image)
+    reduced = Image.fromarray((grey >> 8).astype(np.uint8))
+    if image.has_transparency_data:
+        reduced.putalpha(Image.fromarray(np.where(grey == image.info["transparency"], 0, 255).astype(np.uint8)))
+    return reduced
 
 
 def photo_size(path: Path, upright: bool = True) -> tuple[int, int]:

@@ -15,7 +15,7 @@ from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks, scene_place
 from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.folders import SceneFolder
 from splatrl.scenes.formats import read_gaussians
-from splatrl.scenes.formats.reading import splat_reader
+from splatrl.scenes.formats.reading import read_centred, rounding, splat_reader
 from splatrl.scenes.frame import similarity
 from splatrl.scenes.nerfstudio import antialiased_beside
 from splatrl.scenes.placement import floor_height
@@ -69,10 +69,15 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
     """Inspect a splat file, and write the folder of its scene."""
     splat_reader(path)  # refuses what is no splat file before anything that its name would replace
     target.check(path)
-    gaussians = read_gaussians(path)
+    gaussians, origin = read_centred(path)
     stated, lines = stated.beside(path)
+    if any(origin):
+        placed = stated.translation is not None or stated.transform is not None
+        lines.append(
+            f"origin      {'of the figures below:' if placed else 'moved to'} {list(map(int, origin))} of the file"
+        )
     show([*lines, survey(gaussians)])
-    upright = stated.guess(gaussians)
+    upright = stated.guess(gaussians, origin)
     print(upright)
     frame = stated.frame(upright)
     world_from_splat = similarity(**frame)
@@ -99,6 +104,9 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
         show(target.write(scene, proposed.bounds, proposals))
     else:
         show(target.describe(path, gaussians, scene.name, frame, proposed.bounds, proposals))
+    if (rounded := rounding(gaussians) or rounding(standing)) is not None:
+        print(f"not fit to train in: {rounded}")
+        return
     words = [word for key, word in STILL_TO_TYPE.items() if proposals.get(key) is None]
     print(" ".join(["train in it: splatrl-train", shlex.quote(f"scene={target.path}/"), *words]))
 

@@ -108,10 +108,23 @@ def _mean(values: Tensor, taps: Taps) -> Tensor:
     return (values[taps.node] * taps.weight).sum(1)
 
 
-def _slim(taps: Taps) -> Taps:
-    """Drop the columns of taps in which no state has weight: a turn on the spot needs one column, a step four."""
-    used = (taps.weight > 0).any(0)
-    return Taps(taps.node[:, used], taps.weight[:, used])
+def _onward(rows: Tensor, taps: Taps, steps: Tensor) -> tuple[Taps, Tensor]:
+    """Repeat actions that stay near their own node until they have left it, so that few sweeps settle their costs.
+
+    If a node has the weight w in where an action leads from it, then c = s + w c + (1 − w) c′ has the same solution as
+    c = s / (1 − w) + c′. An action that does not lead away costs ``FAR``.
+
+    Args:
+        rows: [N] int64, the nodes from which the action leads.
+        taps: where it leads.
+        steps: [N] its steps.
+    """
+    away = taps.weight * (taps.node != rows[:, None])
+    rest = away.sum(1)
+    left = rest > 1e-3
+    weight = torch.where(left[:, None], away / rest[:, None], 0.0)
+    used = (weight > 0).any(0)  # a turn on the spot needs one or two columns, a step four
+    return Taps(taps.node[:, used], weight[:, used]), torch.where(left, steps / rest, FAR)
 
 
 def cost_field(moves: Moves) -> Field:
@@ -157,7 +170,7 @@ def _settle(costs: Tensor, rows: Tensor, ways: list[tuple[Taps, Tensor]], allowe
         ways: for each action, the taps of where it leads from each row, and its steps [N].
         allowed: [C] bool, the nodes among which costs are interpolated.
     """
-    slim = [(_slim(_among(taps, allowed)), steps) for taps, steps in ways]
+    slim = [_onward(rows, _among(taps, allowed), steps) for taps, steps in ways]
     with tqdm(desc="shortest paths", unit="sweep", delay=PATIENCE, leave=False, dynamic_ncols=True) as bar:
         while True:
             best = torch.stack([_mean(costs, taps) + steps for taps, steps in slim]).amin(0).clamp_max(FAR)

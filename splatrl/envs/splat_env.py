@@ -283,9 +283,18 @@ class SplatEnv(EnvBase):
 
     def _after(self, given: TensorDictBase | Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Carry out a step of N robots and return all its entries: [N, ...] by key."""
-        taken = None if self.lattice_steps is None else self.lattice_steps.step(given)
         try:
+            taken = None if self.lattice_steps is None else self.lattice_steps.step(given)
             return self._stepped(given) if taken is None else self._shown(taken, given)
+        except KeyError as error:
+            optional = {"camera_offset"} if self.scenes > 1 else {"camera_offset", "scene"}
+            absent = [key for key in self._reads if key not in {*given.keys(), *optional}]
+            if not absent:
+                raise
+            raise ValueError(
+                f"step: expected {', '.join(absent)} in its TensorDict, in which episodes travel, got none; transforms "
+                "such as ExcludeTransform must leave what a step reads"
+            ) from error
         except (IndexError, ValueError):
             check_actions(given["action"], self.action_spec)
             raise

@@ -119,7 +119,9 @@ class BaseAndTransforms(Compose):
         env = self.container
         if env is not None:
             base = {key.removeprefix(mine): value for key, value in state_dict.items() if key.startswith(mine)}
-            env.base_env.load_state_dict(base, strict=strict)
+            missing, unexpected = env.base_env.load_state_dict(base, strict=False)
+            missing_keys += [mine + key for key in missing]  # PyTorch reports these only if its caller is strict
+            unexpected_keys += [mine + key for key in unexpected]
 
 
 def _members(

@@ -92,7 +92,7 @@ def _attach(world: Any, spec: Any, prefix: str, name: str, terrain: Terrain | No
     if loose:
         raise ValueError(
             f"{name}: geom {loose[0].name or 0!r}: expected a geom inside a body, got one in <worldbody>; "
-            "the ground comes from the scene"
+            "the ground comes from the scene, so pass the file of the model alone, without the scene around it"
         )
     if len(bodies) != 1:
         raise ValueError(f"{name}: expected one body in <worldbody>, got {len(bodies)}")

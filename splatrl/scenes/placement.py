@@ -45,14 +45,19 @@ def upright_frame(
         translation: [3] metres, added last.
     """
     scale = _rounded(upright.metres_per_unit) if scale is None else scale
-    short = [0.0, 0.0, _rounded(-upright.floor * scale)] if translation is None else list(translation)
     name = axis_name(upright.up)
-    if axes is not None or name is not None:
-        return {"axes": list(axes or STANDING[str(name)]), "scale": scale, "translation": short}
-    transform = np.eye(4)
-    transform[:3, :3] = scale * _standing(upright.up)
-    transform[:3, 3] = short
-    return matrix_frame(transform)
+    if axes is None and name is None:
+        transform = np.eye(4)
+        transform[:3, :3] = scale * _standing(upright.up)
+        frame = matrix_frame(transform)
+    else:
+        frame = {"axes": list(axes or STANDING[str(name)]), "scale": scale}
+    turned = similarity(**frame)[:3, :3].numpy()  # already rounded, so that a far origin is moved exactly
+    moved = [0.0, 0.0, _rounded(-upright.floor * scale)] - turned @ upright.origin
+    shift = [_rounded(value, 12) for value in moved] if translation is None else list(translation)
+    if "matrix" not in frame:
+        return {**frame, "translation": shift}
+    return {"matrix": [[*row[:3], at] for row, at in zip(frame["matrix"], [*shift, 1.0], strict=True)]}
 
 
 def matrix_frame(transform: Tensor | ArrayLike) -> Frame:
@@ -144,7 +149,7 @@ def floor_height(upright: Upright, world_from_splat: Tensor) -> float:
     Returns:
         Metres, along world z.
     """
-    on_floor = torch.from_numpy(upright.up * upright.floor)
+    on_floor = torch.from_numpy(upright.origin + upright.up * upright.floor)
     return float(world_from_splat[2, :3] @ on_floor + world_from_splat[2, 3])
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from splatrl.files import checked_name, digest_of
 from splatrl.scenes.cache import Arrays, cached_arrays
@@ -158,15 +159,31 @@ def captured_bounds(gaussians: Gaussians) -> Bounds:
     Most Gaussians of a capture show the place, and few what is around it, up to the sky. So where the box of the middle
     four fifths along each axis, widened by a quarter, is far smaller than the robust bounds, it is the place.
     """
-    robust, means = np.array(robust_bounds(gaussians)), gaussians.means[gaussians.opacities >= OPAQUE]
-    if len(means):
-        low, high = np.quantile(means.detach().cpu().double().numpy(), MIDDLE, axis=0)
-        margin = WIDENED * (high - low)
-        inner = np.maximum(robust[0], low - margin), np.minimum(robust[1], high + margin)
-        if np.linalg.norm(inner[1] - inner[0]) < SURROUNDED * np.linalg.norm(robust[1] - robust[0]):
-            robust = np.array(inner)
-    lower, upper = robust.tolist()
-    return (lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2])
+    place = _surrounded(gaussians)
+    return robust_bounds(gaussians) if place is None else place
+
+
+def captured(gaussians: Gaussians) -> Gaussians:
+    """Return the Gaussians within ``captured_bounds``, or all if the place has no surroundings far larger than it."""
+    place = _surrounded(gaussians)
+    if place is None:
+        return gaussians
+    lower, upper = torch.tensor(place, dtype=torch.float64, device=gaussians.means.device)
+    return gaussians[((gaussians.means >= lower) & (gaussians.means <= upper)).all(1)]
+
+
+def _surrounded(gaussians: Gaussians) -> Bounds | None:
+    """Return the bounds of a place whose surroundings are far larger than it; None for any other."""
+    means = gaussians.means[gaussians.opacities >= OPAQUE]
+    if not len(means):
+        return None
+    robust = np.array(robust_bounds(gaussians))
+    low, high = np.quantile(means.detach().cpu().double().numpy(), MIDDLE, axis=0)
+    margin = WIDENED * (high - low)
+    inner = np.maximum(robust[0], low - margin), np.minimum(robust[1], high + margin)
+    if np.linalg.norm(inner[1] - inner[0]) >= SURROUNDED * np.linalg.norm(robust[1] - robust[0]):
+        return None
+    return _point(inner[0]), _point(inner[1])
 
 
 def checked_bounds(corners: Sequence[Sequence[float]]) -> Bounds:

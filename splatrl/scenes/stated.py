@@ -80,14 +80,16 @@ class StatedFrame:
         reason = "; its frame is not z-up" if self.rough_up is None else ""
         return replace(self, scale=scale), [f"frame       scale from {DATAPARSER} next to the file{reason}"]
 
-    def guess(self, gaussians: Gaussians) -> Upright:
+    def guess(self, gaussians: Gaussians, origin: Sequence[float] = (0.0, 0.0, 0.0)) -> Upright:
         """Guess how a file lies, except for what is stated.
 
         Args:
-            gaussians: the file's Gaussians, in its own frame.
+            gaussians: the file's Gaussians, in its own frame, relative to ``origin``.
+            origin: [3] point in the file's frame.
         """
         roughly = self.rough_up is not None
         upright = guess_upright(gaussians, self.rough_up if roughly else self.up(), roughly)
+        upright = replace(upright, origin=origin)
         scale = self.scale
         if scale is None and self.transform is not None:
             scale = float(self.transform[:3, 0].norm())

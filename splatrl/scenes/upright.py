@@ -1,6 +1,7 @@
 """Guesses which way is up in a splat file, where its floor is, and what its units are."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from splatrl.geometry import quats_to_rotations
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.layers import ALIGNED, Layer, heavy_layers, layer_at, leaning_layer
+from splatrl.scenes.scene import captured
 
 Floats = NDArray[np.float64]
 
@@ -61,13 +63,15 @@ class Upright:
 
     Attributes:
         up: [3] unit vector in the file's frame.
-        floor: height of the floor along ``up``, file units.
-        ceiling: height of the ceiling along ``up``, file units; None if there is none.
+        floor: height of the floor along ``up`` from ``origin``, file units.
+        ceiling: height of the ceiling along ``up`` from ``origin``, file units; None if there is none.
         metres_per_unit: scale of the file; 1 if nothing indicates another value.
         axis_guess: confidence in the axis of ``up``, without its sign.
         sign_guess: confidence in the sign of ``up``.
         floor_guess: confidence in the floor.
         units_guess: confidence in the units.
+        origin: [3] point of the file that becomes x = y = 0 of the world; not the file's own origin in a georeferenced
+            file.
     """
 
     up: Floats
@@ -78,6 +82,7 @@ class Upright:
     sign_guess: Guess
     floor_guess: Guess
     units_guess: Guess
+    origin: Sequence[float] = (0.0, 0.0, 0.0)
 
     def __str__(self) -> str:
         rows = [
@@ -105,14 +110,15 @@ def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None, roughly: bo
     The ground is the layer that holds the most Gaussians, mainly those that lie flat in it, and on which the most
     stands upright; directions near a file axis are preferred. Rival layers lower the confidence. The upper side of the
     ground is the one that things stand on or, if that is unclear, the one with the file's origin, which structure from
-    motion puts near the cameras. The guess fails for scenes without ground.
+    motion puts near the cameras. The guess fails for scenes without ground. Sky and other surroundings far larger than
+    the captured place are left out.
 
     Args:
         gaussians: Gaussians in the file's frame.
         up: [3] the up direction, if it is known; then only the floor and the units are guessed.
         roughly: whether ``up`` is known only to about 15°; it is then refined to fit floors and walls.
     """
-    points, normals, weights = _surfaces(gaussians)
+    points, normals, weights = _surfaces(captured(gaussians))
     size = float(np.linalg.norm(np.subtract(*np.quantile(points, [0.99, 0.01], axis=0)))) or 1.0
     if up is None:
         layer, axis_guess = _ground(points, normals, weights, _THICKNESS * size)

@@ -11,9 +11,10 @@ from torch import Tensor
 from splatrl.bodies import Box
 from splatrl.collision import Checker, NoChecker
 from splatrl.curriculum import UNREACHABLE, Plan, plan
-from splatrl.curriculum.field import FAR, Moves, cost_field
+from splatrl.curriculum.field import FAR, Moves, _settle, cost_field
 from splatrl.envs.tasks import Drive, Fps
 from splatrl.motions import DriveMotion, ForwardMotion, PlannedMotion
+from splatrl.motions.base import Taps
 from tests.envs.rooms import BOUNDS, coarse_drive, drive_plan
 from tests.tiny import HEIGHT, BlockChecker
 
@@ -218,3 +219,16 @@ def test_the_cost_to_go_is_far_where_there_is_no_path() -> None:
     found = plan(motion, Fence(), Fps(motion, (0.75, 0.0, 0.0)).reached)
     far = found.cost_to_go(torch.tensor([[-0.5, 0.1, 1.0], [0.5, 0.0, 0.0]]))
     assert far[0] == FAR and far[1] < 2
+
+
+def test_actions_much_shorter_than_the_distance_between_nodes_have_accurate_costs() -> None:
+    rows = torch.arange(1, 8)
+    short = Taps(torch.stack([rows, rows - 1], 1), torch.tensor([0.98, 0.02]).repeat(7, 1))  # towards the goal, node 0
+    none = Taps(rows[:, None], torch.ones(7, 1))
+    costs = _settle(
+        torch.tensor([0.0, *[FAR] * 7]),
+        rows,
+        [(short, torch.ones(7)), (none, torch.ones(7))],
+        torch.ones(8, dtype=torch.bool),
+    )
+    torch.testing.assert_close(costs, 50.0 * torch.arange(8.0), atol=0.0, rtol=1e-4)

@@ -289,6 +289,17 @@ def test_a_state_that_the_task_does_not_have_is_refused(state: Tensor, got: str)
         tiny_env([3]).reset(TensorDict({"state": state}, [3]), set_state=True)
 
 
+@pytest.mark.parametrize("key", ["state", "level", "goals"])
+@pytest.mark.parametrize("looked_up", [True, False])
+def test_an_input_that_lacks_what_travels_of_an_episode_is_refused(looked_up: bool, key: str) -> None:
+    env = tiny_env([2])
+    if not looked_up:
+        env.lattice_steps = None
+    td = env.reset().set("action", torch.tensor([0, 1]))
+    with pytest.raises(ValueError, match=rf"^step: expected {key} in its TensorDict, in which episodes travel"):
+        env.step(td.exclude(key))
+
+
 @pytest.mark.parametrize("action", [-1, 6, 2**40])
 def test_an_action_that_does_not_exist_is_refused(action: int) -> None:
     for env in (tiny_env([2]), painted_env(coarse_apple(), 2)):

@@ -63,6 +63,17 @@ def test_a_restored_env_continues_like_the_saved_one(tmp_path: Path) -> None:
     assert not torch.equal(rollouts[0], shaky(tmp_path).rollout(9, break_when_any_done=False)["next", "pixels"])
 
 
+def test_a_state_that_lacks_keys_or_has_others_is_refused_unless_loading_is_not_strict(tmp_path: Path) -> None:
+    env = shaky(tmp_path)
+    with pytest.raises(RuntimeError, match=r'Missing key.*"base_env\._extra_state"'):
+        env.load_state_dict({})
+    with pytest.raises(RuntimeError, match=r'Unexpected key.*"base_env\.other"'):
+        env.load_state_dict(env.state_dict() | {"base_env.other": torch.zeros(1)})
+    before = env.state_dict()["base_env._extra_state"].clone()
+    env.load_state_dict({"base_env._extra_state": before, "base_env.other": torch.zeros(1)}, strict=False)
+    assert torch.equal(env.state_dict()["base_env._extra_state"], before)
+
+
 @pytest.mark.parametrize("shakes", [False, True])
 def test_a_collector_restores_the_env_and_its_transforms(shakes: bool, tmp_path: Path) -> None:
     overrides = [*tiny_overrides(tmp_path), "curriculum.window=1", "curriculum.threshold=0.001"]

@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 import torch
-from torchrl.envs import EnvBase, ParallelEnv, SerialEnv
+from torchrl.collectors import Collector
+from torchrl.envs import EnvBase, EnvCreator, ParallelEnv, SerialEnv
 
 from splatrl.building import env_makers, make_env, worker_seed
 from splatrl.envs.nesting import layers
@@ -34,6 +35,22 @@ def test_workers_without_a_seed_begin_in_different_states(tmp_path: Path) -> Non
     env.close()
     assert first != second
     assert begun(make()) == begun(make()) == begun(make_env(tiny_overrides(tmp_path), (5,), 0))  # the main process
+
+
+@pytest.mark.filterwarnings("ignore:A lambda function was passed")
+@pytest.mark.parametrize("kind", [EnvCreator, lambda make: lambda: make()])
+def test_workers_of_an_env_creator_or_a_lambda_begin_in_different_states(kind: Any, tmp_path: Path) -> None:
+    env = in_processes(kind(partial(make_env, tiny_overrides(tmp_path), (5,))))
+    first, second = begun(env)
+    env.close()
+    assert first != second
+
+
+def test_a_collector_takes_an_env_creator(tmp_path: Path) -> None:
+    creator = EnvCreator(partial(make_env, [*tiny_overrides(tmp_path), "transforms/pose_noise=uniform"], (3,)))
+    collector = Collector(creator, None, frames_per_batch=6, total_frames=6)
+    assert [batch.shape for batch in collector] == [(3, 2)]
+    collector.shutdown()
 
 
 def test_workers_that_are_given_a_seed_use_it(tmp_path: Path) -> None:

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from splatrl.commands import scene as scene_command
-from splatrl.scenes import Gaussians, read_gaussians, read_scene
+from splatrl.geometry import axis_rotations, rigid
+from splatrl.scenes import Gaussians, read_gaussians, read_scene, write_gaussians
 from splatrl.scenes.blocks import Block
 from splatrl.scenes.frame import similarity
 from tests.scenes.samples import ply_fields, sample_gaussians
@@ -61,7 +62,9 @@ def test_without_a_frame_positions_are_single_precision_and_out_of_range_ones_ar
 
 
 @pytest.mark.usefixtures("ungrounded")
-def test_splatrl_scene_applies_an_offset_before_positions_are_rounded(tmp_path: Path) -> None:
+def test_splatrl_scene_applies_an_offset_before_positions_are_rounded(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = doubles(tmp_path / "a.ply", tiny_gaussians())
     x, y, z = SHIFT["translation"]
     frames = [
@@ -70,6 +73,7 @@ def test_splatrl_scene_applies_an_offset_before_positions_are_rounded(tmp_path: 
     ]
     for words, out in [(frames[0], "a"), (frames[1], "b"), (frames[0], "c.spz")]:
         scene_command.main([str(path), *words, "--height=0.5", "--out", str(tmp_path / out)])
+        assert "note" not in capsys.readouterr().err
         moved = read_scene(tmp_path / out.removesuffix(".spz")).gaussians
         torch.testing.assert_close(moved.means, tiny_gaussians().means, atol=1e-3, rtol=0.0)
 
@@ -78,3 +82,34 @@ def test_doubles_that_remain_far_from_the_origin_give_a_warning_with_advice(tmp_
     near = sample_gaussians(50, 0)
     with pytest.warns(UserWarning, match="or, for a PLY with doubles, with world_from_splat.translation"):
         read_gaussians(doubles(tmp_path / "a.ply", near))
+
+
+@pytest.mark.usefixtures("ungrounded")
+@pytest.mark.parametrize("tilt", [0.0, 0.3])
+def test_splatrl_scene_moves_the_origin_of_doubles_on_its_own(
+    tilt: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    leaning = rigid(axis_rotations(0, torch.tensor(tilt, dtype=torch.float64)), torch.zeros(3, dtype=torch.float64))
+    out = tmp_path / "out"
+    scene_command.main([str(doubles(tmp_path / "a.ply", tiny_gaussians().transformed(leaning))), "--out", str(out)])
+    said = capsys.readouterr()
+    assert "origin      moved to [500000, 5400000, 432] of the file" in said.out
+    assert "train in it" in said.out and "note" not in said.err
+    found = read_scene(out).gaussians
+    assert found.means.abs().max() < 5.0
+    assert found.means[:, 2].quantile(0.02) == pytest.approx(0.0, abs=0.02)  # the floor
+    between = [torch.pdist(each.means) for each in (found, tiny_gaussians())]
+    torch.testing.assert_close(*between, atol=1e-3, rtol=0.0)
+
+
+@pytest.mark.usefixtures("ungrounded")
+def test_splatrl_scene_does_not_propose_to_train_in_what_single_precision_has_rounded(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    far = tiny_gaussians()
+    far.means += torch.tensor([4e6, 0.0, 0.0])
+    write_gaussians(tmp_path / "a.ply", far)
+    scene_command.main([str(tmp_path / "a.ply"), "--out", str(tmp_path / "out")])
+    said = capsys.readouterr()
+    assert said.out.splitlines()[-1].startswith("not fit to train in: half of its Gaussians lie more than 4e+06 units")
+    assert "train in it" not in said.out and "subtract an offset" in said.err

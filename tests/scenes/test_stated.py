@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -29,6 +31,17 @@ def test_stated_values_override_the_guess_and_the_floor_follows_them(stated: Sta
     assert floor_height(LYING, world_from_splat) == pytest.approx(floor)
     direction = world_from_splat[:3, :3] @ torch.from_numpy(LYING.up)
     torch.testing.assert_close(direction / direction.norm(), torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
+
+
+@pytest.mark.parametrize("up", [[0.0, -1.0, 0.0], [0.1, -0.9, 0.3]])
+@pytest.mark.parametrize("stated", [StatedFrame(), StatedFrame(scale=0.25)])
+def test_a_far_origin_becomes_that_of_the_world_to_a_tenth_of_a_millimetre(stated: StatedFrame, up: list) -> None:
+    far = [432_100.0, 5_412_345.0, 212.0]
+    away = replace(LYING, up=np.array(up) / np.linalg.norm(up), origin=far)
+    world_from_splat = similarity(**stated.frame(away))
+    at = world_from_splat @ torch.tensor([*far, 1.0], dtype=torch.float64)
+    torch.testing.assert_close(at[:2], torch.zeros(2, dtype=torch.float64), atol=1e-4, rtol=0.0)
+    assert floor_height(away, world_from_splat) == pytest.approx(0.0, abs=1e-4)
 
 
 def test_up_is_known_where_axes_or_a_transform_state_it() -> None:

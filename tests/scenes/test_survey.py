@@ -62,6 +62,19 @@ def lying(gaussians: Gaussians, world_from_splat: Tensor) -> Gaussians:
     return gaussians.transformed(torch.linalg.inv(world_from_splat))
 
 
+def sky(place: Gaussians, share: float, seed: int = 0) -> Gaussians:
+    """Return a place under a dome of large Gaussians around it, which are a fraction ``share`` of the result; z up."""
+    count = round(share * len(place.means) / (1 - share))
+    rng = np.random.default_rng(seed)
+    away = rng.normal(size=(count, 3))
+    away[:, 2] = np.abs(away[:, 2])
+    away *= rng.uniform(35.0, 65.0, (count, 1)) / np.linalg.norm(away, axis=1, keepdims=True)
+    far = place[torch.from_numpy(rng.integers(len(place.means), size=count))]
+    far.means = place.means.mean(0) + torch.from_numpy(away).float()
+    far.scales = torch.full_like(far.scales, 1.0)
+    return torch.cat([place, far])
+
+
 def yard(step: float = 0.16) -> Gaussians:
     return surfaces([FLOOR, *BOXES], step)
 
@@ -93,6 +106,18 @@ def test_furniture_tells_the_floor_of_a_room_from_its_ceiling_whichever_axis_is_
     assert axis_name(upright.up) == axis
     assert upright.floor == pytest.approx(0.0, abs=0.01)
     assert upright.ceiling == pytest.approx(2.5, abs=0.01)
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1])
+@pytest.mark.parametrize("lies", ["z", "-y", "leaning"])
+def test_the_sky_around_a_room_moves_neither_up_nor_its_floor(lies: str, share: float) -> None:
+    leaning = rigid(axis_rotations(0, torch.tensor(0.6, dtype=torch.float64)), torch.zeros(3, dtype=torch.float64))
+    placed = leaning if lies == "leaning" else similarity(STANDING[lies])
+    file, truth = lying(sky(room(), share), placed), placed[2, :3].numpy()
+    for upright in (guess_upright(file), guess_upright(file, truth), guess_upright(file, truth, roughly=True)):
+        assert degrees_between(upright.up, truth) < 1.0
+        assert upright.floor == pytest.approx(0.0, abs=0.02)
+        assert upright.ceiling == pytest.approx(2.5, abs=0.02)
 
 
 @settings(max_examples=15, deadline=None)

@@ -11,6 +11,7 @@ from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from splatrl.envs.drawing.apple_picture import apple
 from splatrl.files import expanded, refusing
+from splatrl.images import eight_bits
 
 TAPS = 3
 """Texels that a pixel reads along each axis; smaller mip levels are padded to this size with empty texels."""
@@ -110,4 +111,4 @@ def _read_png(path: Path) -> np.ndarray:
             raise ValueError(f"sprite {path}: expected at most {LARGEST} pixels per side, got {image.size}")
         if not image.has_transparency_data:
             raise ValueError(f"sprite {path}: expected an alpha channel, got mode {image.mode}")
-        return np.array(image.convert("RGBA"))
+        return np.array(eight_bits(image).convert("RGBA"))

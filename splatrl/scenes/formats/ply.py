@@ -1,5 +1,6 @@
 """Reads 3DGS PLY as written by Inria's code, nerfstudio, gsplat and others, and writes Inria's layout."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from splatrl.scenes.formats.ply_rows import vertex_columns
 from splatrl.scenes.formats.stored import activated, opacity_logits
 from splatrl.scenes.gaussians import Gaussians
 
+THIN = np.float32(np.log(0.01))
+"""Log of the thickness that surfels are given, relative to their smaller scale."""
 MEANS = ("x", "y", "z")
 NORMALS = ("nx", "ny", "nz")
 SH0 = ("f_dc_0", "f_dc_1", "f_dc_2")
@@ -24,7 +27,9 @@ FILTER = "filter_3D"
 def read_ply(path: Path, max_inflation: float) -> Gaussians:
     """Read a PLY file of Gaussians: fields by name in any order, ASCII or binary, SH degree 0 to 3.
 
-    The 3D smoothing filter that Mip-Splatting and Gaussian Opacity Fields store in ``FILTER`` is applied.
+    The 3D smoothing filter that Mip-Splatting and Gaussian Opacity Fields store in ``FILTER`` is applied. Surfels of 2D
+    Gaussian Splatting (Huang et al. 2024) are flat, with the third axis as normal, and stored without the third scale;
+    it becomes a hundredth of the smaller one.
 
     Raises:
         ValueError: for a damaged file, one that does not hold Gaussians, or a wrong number of harmonics.
@@ -35,11 +40,13 @@ def read_ply(path: Path, max_inflation: float) -> Gaussians:
     rest = np.array(_checked_fields(path, header), object).reshape(3, -1).T  # the file stores harmonics by channel
     properties = header.elements["vertex"].properties
     filters = (FILTER,) if properties.get(FILTER, "list") != "list" else ()
-    groups = (MEANS, QUATS, SCALES, ("opacity",), (*SH0, *rest.ravel()), filters)
+    groups = (MEANS, QUATS, _scales(properties), ("opacity",), (*SH0, *rest.ravel()), filters)
     doubles = {"double", "float64"} & {properties[name] for name in MEANS}
     dtypes = [np.float64 if doubles else np.float32, *[np.float32] * (len(groups) - 1)]
     means, quats, log_scales, logits, sh, smoothing = vertex_columns(path, header, groups, dtypes)
     sh = sh.reshape(len(sh), 1 + len(rest), 3)
+    if log_scales.shape[1] == 2:
+        log_scales = np.column_stack([log_scales, log_scales.min(1) + THIN])
     return activated(path, means, quats, log_scales, logits[:, 0], sh, smoothing if filters else None)
 
 
@@ -80,6 +87,11 @@ def _rest(count: int) -> tuple[str, ...]:
     return tuple(f"f_rest_{i}" for i in range(count))
 
 
+def _scales(properties: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the names of the scales: two for surfels."""
+    return SCALES if SCALES[2] in properties else SCALES[:2]
+
+
 def _checked_fields(path: Path, header: PlyHeader) -> tuple[str, ...]:
     """Check that all fields are present and return the names of the harmonics above degree 0."""
     if "vertex" not in header.elements:
@@ -88,7 +100,7 @@ def _checked_fields(path: Path, header: PlyHeader) -> tuple[str, ...]:
     rest = _rest(sum(name.startswith("f_rest_") for name in properties))
     if len(rest) not in (0, 9, 24, 45):
         raise ValueError(f"{path}: f_rest_*: expected 0, 9, 24 or 45 harmonics above degree 0, got {len(rest)}")
-    needed = (*MEANS, *SH0, *rest, "opacity", *SCALES, *QUATS)
+    needed = (*MEANS, *SH0, *rest, "opacity", *_scales(properties), *QUATS)
     missing = [name for name in needed if properties.get(name, "list") == "list"]
     if missing:
         raise ValueError(

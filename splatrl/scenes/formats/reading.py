@@ -13,6 +13,7 @@ from torch import Tensor
 
 from splatrl.files import refusing
 from splatrl.scenes.formats.limits import MAX_INFLATION
+from splatrl.scenes.frame import similarity
 from splatrl.scenes.gaussians import LARGEST, Gaussians
 
 Reader = Callable[[Path, float], Gaussians]
@@ -68,13 +69,57 @@ def read_gaussians(
         ImportError: for SOG, compressed PLY and SPZ 4 if the extra is not installed.
     """
     path = Path(path)
+    return _placed(path, _stored(path, max_inflation), transform)
+
+
+def read_centred(path: Path) -> tuple[Gaussians, list[float]]:
+    """Read a splat file, with its origin moved to its middle if single precision rounds the doubles of a PLY.
+
+    Raises:
+        FileNotFoundError, ValueError, ImportError: see ``read_gaussians``.
+
+    Returns:
+        The Gaussians, and the new origin in the file's frame: whole units, zeros if it was not moved.
+    """
+    stored = _stored(path, MAX_INFLATION)
+    middle, single = stored.means.median(0).values.round(), stored.means.float()
+    if rounding(stored) is None or bool((single == stored.means).all()):
+        return _placed(path, stored, None), [0.0, 0.0, 0.0]
+    return _placed(path, stored, similarity(translation=(-middle).tolist())), middle.tolist()
+
+
+def rounding(gaussians: Gaussians) -> str | None:
+    """Say how far from the origin Gaussians lie, as georeferenced ones do, if float32 rounds their positions there.
+
+    Args:
+        gaussians: Gaussians in any frame and unit.
+
+    Returns:
+        A sentence without its full stop; None if positions are rounded by less than the size of most Gaussians.
+    """
+    away = float(gaussians.means.abs().amax(1).median())
+    step = float(np.spacing(np.float32(away)))
+    if step <= float(gaussians.scales.amax(1).median()):
+        return None
+    return (
+        f"half of its Gaussians lie more than {away:.3g} units from the origin, where single precision rounds "
+        f"positions to {step:.2g}, more than their size"
+    )
+
+
+def _stored(path: Path, max_inflation: float) -> Gaussians:
+    """Read a splat file as it is stored: doubles stay doubles."""
     if path.is_dir():
         if not (path / META).is_file():
             raise ValueError(f"{path}: expected a splat file, got a folder")
         path = path / META
     reader = splat_reader(path)
     with refusing(path, "a complete splat file"):
-        gaussians = reader(path, max_inflation)
+        return reader(path, max_inflation)
+
+
+def _placed(path: Path, gaussians: Gaussians, transform: Tensor | None) -> Gaussians:
+    """Move Gaussians to the frame of the result, then round their positions to single precision."""
     if transform is not None:
         gaussians = gaussians.transformed(transform)
     gaussians.means = gaussians.means.float()
@@ -89,13 +134,9 @@ def read_gaussians(
 
 
 def _warn_of_distance(path: Path, gaussians: Gaussians) -> None:
-    """Warn if Gaussians are so far from the origin, as georeferenced ones are, that float32 rounds their positions."""
-    away = float(gaussians.means.abs().amax(1).median())
-    step = float(np.spacing(np.float32(away)))
-    if step > float(gaussians.scales.amax(1).median()):
+    if (rounded := rounding(gaussians)) is not None:
         warnings.warn(
-            f"{path}: half of its Gaussians lie more than {away:.3g} units from the origin, where single precision "
-            f"rounds positions to {step:.2g}, more than their size; subtract an offset before writing the file, or, "
-            "for a PLY with doubles, with world_from_splat.translation",
-            stacklevel=3,
+            f"{path}: {rounded}; subtract an offset before writing the file, or, for a PLY with doubles, with "
+            "world_from_splat.translation",
+            stacklevel=4,
         )

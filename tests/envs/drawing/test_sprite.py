@@ -55,6 +55,15 @@ def test_a_palette_with_a_transparent_colour_has_alpha(tmp_path: Path) -> None:
     assert load_sprite(tmp_path / "palette.png").texels[-9, 3].item() == pytest.approx(0.5)
 
 
+def test_grey_of_16_bits_keeps_its_upper_eight_and_its_transparent_grey(tmp_path: Path) -> None:
+    grey = np.full((4, 4), 0x6455, np.uint16)
+    grey[:, 2:] = 0x6456
+    Image.fromarray(grey).save(tmp_path / "grey.png", transparency=0x6456)
+    texels = load_sprite(tmp_path / "grey.png").texels[:16].view(4, 4, 4)
+    assert texels[0, 0].tolist() == [0x64, 0x64, 0x64, 1.0]
+    assert texels[0, 3].tolist() == [0.0, 0.0, 0.0, 0.0]
+
+
 def _png(width: int, height: int, data: bytes = b"") -> bytes:
     """Encode a PNG with an RGBA header and the given data."""
 
