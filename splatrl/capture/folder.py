@@ -105,12 +105,13 @@ def share_of(moving: Tensor) -> str:
 def problems(placed: Placed, found: Suggestions, quality: Quality) -> list[str]:
     """List what is wrong with a capture, one sentence each; empty for a good one."""
     missing, floating = placed.reconstruction.missing, quality.floating / max(quality.solid, 1)
-    corrected = quality.psnr_corrected
+    corrected, error_deg = quality.psnr_corrected, placed.up_error_deg
+    tilt = "any angle" if error_deg is None else f"{error_deg:.0f}°"
     checks = {
         "It is not metric: its scale is unknown. Film a printed marker, or state a distance or the camera's height; "
         "until then, lengths assume that the camera was 1.5 m above the floor.": not placed.metric,
         "The up direction comes from how the camera was held, because too little of the floor was seen: it may be off "
-        f"by {placed.up_error_deg:.0f}°, and the floor may be lower.": placed.up_from == "cameras",
+        f"by {tilt}, and the floor may be lower.": placed.up_from == "cameras",
         "Its scale may be far off: it rests on a floor that was hardly seen, or on parts that may be joined wrongly. "
         "Film a printed marker, or measure a distance in the scene.": placed.metric
         and placed.scale_error is None
@@ -137,7 +138,7 @@ def problems(placed: Placed, found: Suggestions, quality: Quality) -> list[str]:
 
 
 def _proposals(placed: Placed, area: Area, found: Suggestions, quality: Quality) -> dict[str, Any]:
-    error = placed.scale_error
+    error, error_deg = placed.scale_error, placed.up_error_deg
     return {
         "metric": placed.metric,
         **place_proposals(area, found),
@@ -147,7 +148,7 @@ def _proposals(placed: Placed, area: Area, found: Suggestions, quality: Quality)
             "scale_from": placed.scale_from,
             "scale_error": None if error is None else float(f"{error:.2g}"),
             "up_from": placed.up_from,
-            "up_error_deg": float(f"{placed.up_error_deg:.2g}"),
+            "up_error_deg": None if error_deg is None else float(f"{error_deg:.2g}"),
             **quality.figures(),
         },
     }
