@@ -152,12 +152,16 @@ def test_moving_things_are_pictured_and_mentioned_in_the_report(tmp_path: Path) 
     folder, placed = tmp_path / "garden", tiny_capture(tmp_path / "images")
     moving = torch.zeros(CAMERAS, 32, 48, dtype=torch.bool)
     moving[5, 8:24, 12:36] = True  # a quarter of one image of 24
-    write_scene(folder, tiny_gaussians(), placed, HELD_OUT, moving=moving)
+    few = write_scene(folder, tiny_gaussians(), placed, HELD_OUT, moving=moving)
     assert "1 % of the image area shows moving things and was masked out" in (folder / "report.html").read_text()
     page = np.asarray(Image.open(folder / "moving.png")).astype(int)
     assert page.shape[0] == 320, "the picture has one image, the only one with a moving thing"
     red = (page[..., 0] > page[..., 1] + 60).reshape(page.shape[0], 2, -1).mean((0, 2))
     assert red.max() > 0.02 and red.min() < 0.005
+    moving[1:8] = moving[5]
+    many = write_scene(folder, tiny_gaussians(), placed, HELD_OUT, force=True, moving=moving)
+    told = [[problem for problem in quality.problems if "move fill" in problem] for quality in (few, many)]
+    assert not told[0] and "move fill 7.3 % of the image area" in told[1][0]
     write_scene(folder, tiny_gaussians(), placed, HELD_OUT, force=True)
     assert not (folder / "moving.png").exists()
 
