@@ -305,9 +305,13 @@ def _placed_again(
             break
         seen, photos = IN_VIEW.format(100 * share), replace(photos, moving=masks)
         say(f"moving      {seen}: poses are found again without them")
-        again = _placed(photos, stages, settings, progress, say, 0.0)
+        try:
+            again = _placed(photos, stages, settings, progress, say, 0.0)
+        except CaptureError as error:
+            say(f"poses       without what moves: {error}\n            The poses before are kept.")
+            break
         if len(again[0].reconstruction.paths) < NEARLY * len(placed.reconstruction.paths):
-            say("poses       too few images without what moves: the poses before are kept")
+            say("poses       without what moves: too few images\n            The poses before are kept.")
             break
         placed, remarks = again
     if seen and placed.remarks:

@@ -403,7 +403,7 @@ def test_a_film_that_seems_torn_and_shows_no_floor_is_refused_before_the_fit(
     assert stages == ["frames", "poses"] * 2 and any("No floor was found" in line for line in said)
 
 
-@pytest.mark.parametrize("again", ["all", "few"])
+@pytest.mark.parametrize("again", ["all", "few", "none"])
 def test_poses_are_found_again_without_people_who_walk_along_unless_fewer_images_get_one(
     again: str,
     tmp_path: Path,
@@ -417,6 +417,8 @@ def test_poses_are_found_again_without_people_who_walk_along_unless_fewer_images
 
     def find_poses(photos: Photos, *_: object, **__: object) -> Reconstruction:
         masks.append(photos.moving and sorted(path.name for path in photos.moving.glob("*.png"))[:2])
+        if photos.moving is not None and again == "none":
+            raise CaptureError("tracking lost")
         return found if photos.moving is None or again == "all" else replace(found, **few, **seen)
 
     def find_moving(found: Reconstruction, depths: Depths, *_: object) -> torch.Tensor:
@@ -438,7 +440,7 @@ def test_poses_are_found_again_without_people_who_walk_along_unless_fewer_images
         seen_in = f"{100 * (len(found.paths) - 1) / len(found.paths):.0f} % of the images"
         assert any(line.startswith("moving ") and f"{seen_in}: poses are found again" in line for line in said)
         assert len(placed.reconstruction.paths) == len(found.paths)
-        assert any("the poses before are kept" in line for line in said) == (again == "few")
+        assert any("The poses before are kept" in line for line in said) == (again != "all")
         assert notes[-2] == remark and f"in view in {seen_in}, which may be why" in notes[-1]
         assert stages.count("moving") == 1, "the masks are kept"
     still = replace(pipeline.CaptureSettings(), still=True)
