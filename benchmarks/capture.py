@@ -3,6 +3,7 @@
     python benchmarks/capture.py                    # films 60 s at 1080p in the backyard, then captures the film
     python benchmarks/capture.py --yard 3           # the same in a generated yard
     python benchmarks/capture.py --people 2         # two people walk through the place during the film
+    python benchmarks/capture.py --along 1          # somebody walks ahead of the camera through the whole film
     python benchmarks/capture.py kitchen_m.mp4      # any video with ground truth in a .npz beside it
 
 The truth only serves to judge the capture, except for the one length that a person would measure: the height of the
@@ -145,8 +146,8 @@ def filmed(path: Path, options: argparse.Namespace) -> Path:
     began = _clock()
     with tqdm(total=len(walk), unit="frame", desc="film", dynamic_ncols=True) as bar:
         renderer: NativeRenderer | PassersBy = NativeRenderer(scene, tolerance=TOLERANCE)
-        if options.people:
-            renderer = PassersBy(scene, options.people, phone.fps, TOLERANCE)
+        if options.people or options.along:
+            renderer = PassersBy(scene, options.people, options.along, phone.fps, TOLERANCE)
         phone_video(renderer, walk, phone, path, seed, lambda done, total: bar.update(done - bar.n))
     wall, cpu = (now - then for now, then in zip(_clock(), began, strict=True))
     print(f"filmed {len(walk)} frames of {phone.width} × {phone.height} pixels in {wall:.0f} s, {cpu:.0f} CPU s")
@@ -203,6 +204,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--height", type=float, default=ABOVE, help="height of the camera in the film, metres")
     parser.add_argument("--turn", type=float, default=Stroll.turn, help="seconds per full turn of the view")
     parser.add_argument("--people", type=int, default=0, help="number of people who walk through the film")
+    parser.add_argument("--along", type=int, default=0, help="number of people who walk ahead of the camera")
     parser.add_argument("--still", action="store_true", help="assume a static scene: do not look for moving things")
     parser.add_argument("--floor", type=float, default=0.0, help="height of the floor in the truth, metres")
     parser.add_argument("--width", type=int, default=FitSettings.width)

@@ -163,7 +163,7 @@ def seen(scene: Scene, places: Tensor, capture: Reconstruction) -> Tensor:
 
 def captured(place: str, folder: Path) -> Placed:
     """Return the cameras of a capture in the frame and scale of its finished scene."""
-    placed, _ = reconstruct(VIDEOS[place], folder, CaptureSettings())
+    placed, _ = reconstruct(VIDEOS[place], folder, CaptureSettings(still=True))
     to_scene = closest_similarity(
         placed.reconstruction.camera_to_world[:, :3, 3], torch.from_numpy(read_points(folder / PATH))
     )

@@ -105,7 +105,8 @@ def main() -> None:
         tilts = [math.degrees(math.acos(min(1.0, each[2, 2] / np.linalg.norm(each[2])))) for each in linear]
         known = [each.scale_error for each in all_of]
         within = [said is None or abs(off) < 100 * said for off, said in zip(scales, known, strict=True)]
-        upright = [off < each.up_error_deg + 0.05 for off, each in zip(tilts, all_of, strict=True)]
+        stated = [each.up_error_deg for each in all_of]
+        upright = [said is None or off < said + 0.05 for off, said in zip(tilts, stated, strict=True)]
         rows.append(
             [
                 name,

@@ -1,4 +1,4 @@
-"""People who walk through a place during a film and keep out of the camera's way, made of coloured Gaussians."""
+"""People in a film, made of coloured Gaussians: some walk through the place, others along with the camera."""
 
 import math
 
@@ -26,6 +26,8 @@ INSIDE, AWAY, ASIDE = 0.6, 1.6, 0.8
 """Distances to the scene's bounds, to the camera, and between people who walk along the same axis, metres."""
 LAP = 20.0
 """Seconds to walk through the place and back."""
+AHEAD, SLOWLY = 2.4, 0.5
+"""How far ahead of the camera people walk along with it, metres; seconds within which they follow its turns."""
 
 
 def person(seed: int) -> Gaussians:
@@ -53,25 +55,32 @@ def person(seed: int) -> Gaussians:
 class PassersBy:
     """A renderer of a place with people, who walk on with each frame.
 
+    Those who walk through keep out of the camera's way; those who walk along are ahead of it for the whole film.
+
     Args:
         scene: the place.
-        count: number of people.
+        count: number of people who walk through it.
+        along: number of people who walk along.
         fps: frames per second of film.
         tolerance: tolerance of the level of detail, pixels.
     """
 
-    def __init__(self, scene: Scene, count: int, fps: float, tolerance: float) -> None:
-        self._renderer = NativeRenderer([scene, *map(person, range(count))], tolerance=tolerance)
+    def __init__(self, scene: Scene, count: int, along: int, fps: float, tolerance: float) -> None:
+        self._renderer = NativeRenderer([scene, *map(person, range(count + along))], tolerance=tolerance)
         (x, y, _), (right, back, _) = scene.bounds
         self._lower, self._upper = torch.tensor([x + INSIDE, y + INSIDE]), torch.tensor([right - INSIDE, back - INSIDE])
-        self._count, self._fps, self._asked = count, fps, 0
+        self._count, self._along, self._fps, self._asked = count, along, fps, 0
+        self._ahead: Tensor | None = None
 
     def pixels(self, cameras: Cameras) -> Tensor:
         """Draw the next frame by each of B cameras: [B, H, W, 3] uint8."""
-        seconds, eye = self._asked / self._fps, cameras.camera_to_world[0, :2, 3]
+        seconds, eye, looks = self._asked / self._fps, *cameras.camera_to_world[0, :2, 2:].flip(1).unbind(1)
         self._asked += 1
-        poses = torch.stack([torch.eye(4), *(self.pose(number, seconds, eye) for number in range(self._count))])
-        parts = Parts(torch.arange(self._count + 1).expand(len(cameras), -1), poses.expand(len(cameras), -1, 4, 4))
+        self._ahead = looks if self._ahead is None else self._ahead.lerp(looks, 1 / (SLOWLY * self._fps))
+        through = [self.pose(number, seconds, eye) for number in range(self._count)]
+        along = [self.pose_along(number, seconds, eye, self._ahead) for number in range(self._along)]
+        poses = torch.stack([torch.eye(4), *through, *along])
+        parts = Parts(torch.arange(len(poses)).expand(len(cameras), -1), poses.expand(len(cameras), -1, 4, 4))
         return self._renderer.pixels(cameras, Parts(*(each.contiguous() for each in parts)))
 
     def pose(self, number: int, seconds: float, eye: Tensor) -> Tensor:
@@ -83,7 +92,20 @@ class PassersBy:
         apart = (place - eye).norm()
         if apart < AWAY:
             place = eye + (place - eye) * (AWAY / apart)
-        yaw = torch.tensor(axis * math.pi / 2 + 0.2 * math.sin(3 * seconds))
-        turn = torch.stack([yaw.cos(), -yaw.sin(), yaw.sin(), yaw.cos()]).view(2, 2)
-        rotation = torch.block_diag(turn, torch.eye(1))
-        return rigid(rotation, torch.cat([place, torch.zeros(1)]))
+        return _standing(place, axis * math.pi / 2 + 0.2 * math.sin(3 * seconds))
+
+    def pose_along(self, number: int, seconds: float, eye: Tensor, ahead: Tensor) -> Tensor:
+        """Return the pose of a person who walks along, ahead of the camera: [4, 4]."""
+        ahead = ahead / ahead.norm()
+        left = torch.stack([-ahead[1], ahead[0]])
+        away = AHEAD + 0.6 * number + 0.25 * math.sin(0.7 * seconds + number)
+        aside = 0.4 * math.sin(0.45 * seconds + 2 * number)
+        heading = math.atan2(float(ahead[1]), float(ahead[0]))
+        return _standing(eye + away * ahead + aside * left, heading + 0.2 * math.sin(3 * seconds))
+
+
+def _standing(place: Tensor, yaw: float) -> Tensor:
+    """Return the pose of a person who stands at a place [2] and looks along a yaw: [4, 4]."""
+    sine, cosine = math.sin(yaw), math.cos(yaw)
+    rotation = torch.tensor([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    return rigid(rotation, torch.cat([place, torch.zeros(1)]))

@@ -36,6 +36,8 @@ class Photos:
         files: N names of the source's files, for messages; empty where the images are known by their ``seconds``.
         cuts: times at which another take begins in a film that was put together from several, in those of ``seconds``.
         mask: image of the same size, black where all images show the same (see ``unchanging``); None where they do not.
+        moving: folder of images of the same size, each with the name of one of ``paths`` and ``.png`` after it, black
+            where that shows what moved (see ``masks``); None where that was not sought.
     """
 
     paths: list[Path]
@@ -53,6 +55,7 @@ class Photos:
     files: tuple[str, ...] = ()
     cuts: tuple[float, ...] = ()
     mask: Path | None = None
+    moving: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,9 @@ class Reconstruction:
         carried: [N] float64, how well the scale of a film is carried past each image (see ``carrying``); None for
             photos, whose order may mean nothing, and for poses that were known.
         mask: as in ``Photos``, without lens distortion.
+        numbers: [N] int64, which of the given photos the images are; None where unknown.
+        camera: [8] float64, OpenCV's fx, fy, cx, cy, k1, k2, p1, p2 of the photos before their lens distortion was
+            removed; None where they had none.
     """
 
     paths: list[Path]
@@ -104,6 +110,8 @@ class Reconstruction:
     focal_lengths: Tensor | None = None
     carried: Tensor | None = None
     mask: Path | None = None
+    numbers: Tensor | None = None
+    camera: Tensor | None = None
 
     def K_at(self, width: int, height: int) -> Tensor:
         """Return the intrinsics [3, 3] float64 for these images at another size."""

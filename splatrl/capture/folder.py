@@ -14,6 +14,7 @@ from torch import Tensor
 from splatrl.capture.area import SOLID, Area, survey_area
 from splatrl.capture.check import COMPARISON, MAP, Quality, check
 from splatrl.capture.drift import leap, lost_scale, weak_scale
+from splatrl.capture.masks import much_moves
 from splatrl.capture.page import report_page
 from splatrl.capture.pictures import GOALS, draw_cameras, draw_goals, draw_moving
 from splatrl.capture.progress import Progress, silent
@@ -79,7 +80,7 @@ def write_scene(
         area = survey_area(gaussians, placed, known)
         found = suggest(seen_by_cameras(placed), area)
         quality = check(gaussians, placed, held_out, fresh, area, found, progress)
-        quality = replace(quality, problems=tuple(problems(placed, found, quality)))
+        quality = replace(quality, problems=tuple(problems(placed, found, quality, moving)))
         draw_cameras(placed, area, fresh / CAMERAS)
         if found.goals:
             draw_goals(gaussians, found.goals, area.robot_height, fresh / GOALS)
@@ -102,15 +103,17 @@ def share_of(moving: Tensor) -> str:
     return f"{100 * float(moving.float().mean()):.2g} %"
 
 
-def problems(placed: Placed, found: Suggestions, quality: Quality) -> list[str]:
+def problems(placed: Placed, found: Suggestions, quality: Quality, moving: Tensor | None = None) -> list[str]:
     """List what is wrong with a capture, one sentence each; empty for a good one."""
     missing, floating = placed.reconstruction.missing, quality.floating / max(quality.solid, 1)
-    corrected = quality.psnr_corrected
+    corrected, error_deg = quality.psnr_corrected, placed.up_error_deg
+    moved = None if moving is None or not much_moves(moving) else share_of(moving)
+    tilt = "any angle" if error_deg is None else f"{error_deg:.0f}°"
     checks = {
         "It is not metric: its scale is unknown. Film a printed marker, or state a distance or the camera's height; "
         "until then, lengths assume that the camera was 1.5 m above the floor.": not placed.metric,
         "The up direction comes from how the camera was held, because too little of the floor was seen: it may be off "
-        f"by {placed.up_error_deg:.0f}°, and the floor may be lower.": placed.up_from == "cameras",
+        f"by {tilt}, and the floor may be lower.": placed.up_from == "cameras",
         "Its scale may be far off: it rests on a floor that was hardly seen, or on parts that may be joined wrongly. "
         "Film a printed marker, or measure a distance in the scene.": placed.metric
         and placed.scale_error is None
@@ -130,6 +133,8 @@ def problems(placed: Placed, found: Suggestions, quality: Quality) -> list[str]:
         is not None
         and corrected < GOOD_PSNR,
         "No image was held out, so the image quality is unknown.": quality.held_out == 0,
+        f"People or things that move fill {moved} of the image area: they may have bent the camera's path. Film with "
+        "nobody in view for long, or with everyone behind the camera.": moved is not None,
         "No free pose with something to see was found on the path: set landmarks.goal yourself.": not found.goals,
     }
     serious = [said for said in (lost_scale(placed), weak_scale(placed), leap(placed), placed.contradicted) if said]
@@ -137,7 +142,7 @@ def problems(placed: Placed, found: Suggestions, quality: Quality) -> list[str]:
 
 
 def _proposals(placed: Placed, area: Area, found: Suggestions, quality: Quality) -> dict[str, Any]:
-    error = placed.scale_error
+    error, error_deg = placed.scale_error, placed.up_error_deg
     return {
         "metric": placed.metric,
         **place_proposals(area, found),
@@ -147,7 +152,7 @@ def _proposals(placed: Placed, area: Area, found: Suggestions, quality: Quality)
             "scale_from": placed.scale_from,
             "scale_error": None if error is None else float(f"{error:.2g}"),
             "up_from": placed.up_from,
-            "up_error_deg": float(f"{placed.up_error_deg:.2g}"),
+            "up_error_deg": None if error_deg is None else float(f"{error_deg:.2g}"),
             **quality.figures(),
         },
     }

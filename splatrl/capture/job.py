@@ -25,6 +25,7 @@ class Job:
         seconds: [N] time at which each image of a film was taken, ascending; None for photos.
         cuts: times at which another take of the film begins.
         mask: image that is black where no features are sought; None to seek them everywhere.
+        moving: folder with such an image for each of the images, whose name has ``.png`` after theirs; None without.
     """
 
     images: str
@@ -38,6 +39,7 @@ class Job:
     seconds: list[float] | None = None
     cuts: tuple[float, ...] = ()
     mask: str | None = None
+    moving: str | None = None
 
 
 def write_job(folder: Path, job: Job) -> None:

@@ -21,7 +21,10 @@ LATER = 3
 images of a longer film lie farther apart, it is as many as are in that time, but at least one."""
 FEW = 40
 """Maximum number of images of which all pairs are compared."""
-MIN_BRIGHTNESS = 25.0
+MIN_BRIGHTNESS, DIM = 25.0, 60.0
+"""Mean grey level that images must have, and below which the dark may be why they show few points: phones smooth away
+what little they see.
+"""
 MIN_KEYPOINTS = 60
 """Minimum number of distinct points. A film of bare walls has 0; one that turns fast close to walls has 119, and 85 %
 of its images find a pose."""
@@ -81,10 +84,13 @@ class Look:
                 f"too dark: the mean grey level of the images is {self.brightness:.0f} of 255, but at least "
                 f"{MIN_BRIGHTNESS:.0f} is needed. Switch on lights, or set a longer exposure and move more slowly."
             )
-        for found in (self._texture(), self._speed(), self._motion()):
-            if found:
-                return found
-        return None
+        found = self._texture() or self._speed()
+        if found and self.brightness < DIM:
+            return (
+                f"perhaps too dark: the mean grey level of the images is {self.brightness:.0f} of 255. Switch on "
+                f"lights. Or {found}"
+            )
+        return found or self._motion()
 
     def refuse(self) -> None:
         """Refuse a capture that cannot work.

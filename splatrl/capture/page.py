@@ -63,13 +63,14 @@ def _figures(placed: Placed, area: Area, found: Suggestions, quality: Quality) -
     reconstruction = placed.reconstruction
     error = placed.scale_error
     within = "error unknown" if error is None else f"within {float(f'{100 * error:.2g}'):g} %"
+    upright = "error unknown" if placed.up_error_deg is None else f"within {placed.up_error_deg:.2g}°"
     (x0, y0), (x1, y1) = area.walk
     size = " × ".join(f"{high - low:.1f}" for low, high in zip(*area.bounds, strict=True))
     rows = [
         ("Cameras and points", f"{len(reconstruction.paths)} and {len(reconstruction.points)}"),
         ("Images without a pose", f"{100 * reconstruction.missing:.0f} %"),
         ("Scale from", f"{placed.scale_from.replace('_', ' ')}, {within}" if placed.metric else "unknown: not metric"),
-        ("Up from", f"{placed.up_from}, within {placed.up_error_deg:.2g}°"),
+        ("Up from", f"{placed.up_from}, {upright}"),
         ("Camera above the ground", f"{placed.camera_height:.2f} m"),
         ("Size", f"{size} m"),
         ("Walkable area", f"{x1 - x0:.1f} × {y1 - y0:.1f} m at {area.robot_height:.2f} m"),

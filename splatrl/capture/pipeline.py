@@ -1,4 +1,8 @@
-"""All stages of a capture, one after the other; each keeps its result, so that a second call continues."""
+"""All stages of a capture, one after the other; each keeps its result, so that a second call continues.
+
+Longer than other modules, since both halves of a capture look for moving things: the first to find poses without them,
+the second to fit the place without them.
+"""
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -14,13 +18,14 @@ from splatrl.capture.depth_points import with_measured_points
 from splatrl.capture.drift import leap
 from splatrl.capture.fit import FitSettings, fit, held_out, trained
 from splatrl.capture.fit_checkpoint import CHECKPOINT, Checkpoint
-from splatrl.capture.fit_pictures import Frame, frame_of
+from splatrl.capture.fit_pictures import frame_of
 from splatrl.capture.floaters import without_floaters
 from splatrl.capture.folder import share_of, write_scene
 from splatrl.capture.frames import read_photos
 from splatrl.capture.look import look
-from splatrl.capture.mapping import ENOUGH
+from splatrl.capture.mapping import ENOUGH, NEARLY
 from splatrl.capture.marker import MARKER_SIDE
+from splatrl.capture.masks import in_view, masks_of, write_masks
 from splatrl.capture.moving import find_moving
 from splatrl.capture.poses import check_libraries, find_poses
 from splatrl.capture.progress import Progress, silent
@@ -41,6 +46,9 @@ from splatrl.scenes.description import SCENE_FILE, SMALL_SPLAT, SPLAT, check_abs
 STAGES = "stages"
 """Sub-folder of a capture in which the stages keep their results; it can be deleted once the scene is there."""
 FITTED = "gaussians.ply"
+MASKS = ("masks", "masks_2")
+"""Folders with masks of what moves; with each, poses are found once more if it masks more than the one before."""
+IN_VIEW = "people or things that move were in view in {:.0f} % of the images"
 
 
 @dataclass(frozen=True)
@@ -168,29 +176,16 @@ def reconstruct(
     if photos.mask is not None:
         notes.append(said(photos.mask))
         say(f"unchanging  {notes[-1]}")
-    least = 0.0 if settings.force else ENOUGH
-    found = with_measured_points(find_poses(photos, stages, settings.seed, progress, least=least))
-    lost = f"\n            missing: {', '.join(found.lost)}" if found.lost else ""
-    say(f"poses       {len(found.paths)} of {len(photos.paths)} images, {len(found.points):,} points{lost}")
-    if photos.camera_to_world is not None and len(found.paths) > 1 and len(found.points) < FEWEST:
-        raise CaptureError(
-            f"only {len(found.points)} points agree with the recorded poses, expected at least {FEWEST}: do the poses "
-            "belong to these images, and do the images show texture?"
-        )
-    if photos.up is None and (rotated := why_not_upright(found, photos)) is not None:
-        notes.append(_unless_forced(rotated, settings.force, "poses", say))
-    if (changed := zoomed(found)) is not None:
-        slightly = zoomed(found, REFUSED) is None
-        notes.append(_unless_forced(changed, settings.force or slightly, "poses", say))
-    stated = settings.marker, settings.distance, settings.camera_height
-    placed = place(found, photos.up, photos.metric, *stated, progress=progress)
+    placed, remarks = _placed(photos, stages, settings, progress, say, 0.0 if settings.force else ENOUGH)
+    if not known and not settings.still:
+        placed, remarks = _placed_again(placed, remarks, photos, stages, settings, progress, say)
     if placed.up_from == "cameras" and (torn := leap(placed)) is not None:  # with force, the report says both
         _unless_forced(f"{torn} No floor was found, either: the scale may be far off.", settings.force, "world", say)
     world = (
         f"world       up from {placed.up_from}, scale from {placed.scale_from}, camera at {placed.camera_height:.2f} m"
     )
     say("\n".join([world, *(f"            {remark}" for remark in placed.remarks)]))
-    return placed, [*notes, *placed.remarks]
+    return placed, [*notes, *remarks, *placed.remarks]
 
 
 def build_scene(
@@ -216,13 +211,8 @@ def build_scene(
     """
     stages = Stages(folder / STAGES, lambda line: say(f"stages      {line}"))
     frame = frame_of(placed.reconstruction.camera_to_world)
-    depths = _depths(placed, frame, stages, progress)
-    finely = settings.fit
-    if settings.resolution is not None:
-        finely = settings.resolution.of(placed.reconstruction, finely)
-    unchanged, moving = left_out_at(placed.reconstruction, *depths.known.shape[1:]), None
-    if unchanged is not None:
-        depths = depths.without(unchanged.expand_as(depths.known))
+    finely, moving = _finely(placed, settings), None
+    depths = _depths(placed, stages, progress)
     if not settings.still:
         moving = _moving(placed, depths, stages, finely, progress)
         depths = depths.without(moving)
@@ -268,15 +258,99 @@ def _unless_forced(cause: str, force: bool, stage: str, say: Callable[[str], obj
     return cause
 
 
-def _depths(placed: Placed, frame: Frame, stages: Stages, progress: Progress) -> Depths:
-    """Return the depths of the photos' pixels, found once and kept."""
+def _placed(
+    photos: Photos,
+    stages: Path,
+    settings: CaptureSettings,
+    progress: Progress,
+    say: Callable[[str], object],
+    least: float,
+) -> tuple[Placed, list[str]]:
+    """Find the poses of the photos, and bring them to the world; return remarks for the report, too."""
+    found, remarks = with_measured_points(find_poses(photos, stages, settings.seed, progress, least=least)), []
+    lost = f"\n            missing: {', '.join(found.lost)}" if found.lost else ""
+    say(f"poses       {len(found.paths)} of {len(photos.paths)} images, {len(found.points):,} points{lost}")
+    if photos.camera_to_world is not None and len(found.paths) > 1 and len(found.points) < FEWEST:
+        raise CaptureError(
+            f"only {len(found.points)} points agree with the recorded poses, expected at least {FEWEST}: do the poses "
+            "belong to these images, and do the images show texture?"
+        )
+    if photos.up is None and (rotated := why_not_upright(found, photos)) is not None:
+        remarks.append(_unless_forced(rotated, settings.force, "poses", say))
+    if (changed := zoomed(found)) is not None:
+        slightly = zoomed(found, REFUSED) is None
+        remarks.append(_unless_forced(changed, settings.force or slightly, "poses", say))
+    stated = settings.marker, settings.distance, settings.camera_height
+    return place(found, photos.up, photos.metric, *stated, progress=progress), remarks
+
+
+def _placed_again(
+    first: Placed,
+    remarks: list[str],
+    photos: Photos,
+    stages: Path,
+    settings: CaptureSettings,
+    progress: Progress,
+    say: Callable[[str], object],
+) -> tuple[Placed, list[str]]:
+    """Find the poses again without what moves, while much of that is found and nearly as many images get one.
+
+    See ``_placed``.
+    """
+    placed, seen, kept = first, "", Stages(stages, lambda line: say(f"stages      {line}"))
+    for name in MASKS:
+        masks = _masks(name, placed, photos, kept, settings, progress)
+        share = in_view(masks)
+        if share is None:
+            break
+        seen, photos = IN_VIEW.format(100 * share), replace(photos, moving=masks)
+        say(f"moving      {seen}: poses are found again without them")
+        try:
+            again = _placed(photos, stages, settings, progress, say, 0.0)
+        except CaptureError as error:
+            say(f"poses       without what moves: {error}\n            The poses before are kept.")
+            break
+        if len(again[0].reconstruction.paths) < NEARLY * len(placed.reconstruction.paths):
+            say("poses       without what moves: too few images\n            The poses before are kept.")
+            break
+        placed, remarks = again
+    if seen and placed.remarks:
+        doubt = f"{seen.capitalize()}, which may be why the ground seems so."
+        placed = replace(placed, remarks=(*placed.remarks, doubt))
+    return placed, remarks
+
+
+def _masks(
+    name: str, placed: Placed, photos: Photos, stages: Stages, settings: CaptureSettings, progress: Progress
+) -> Path:
+    """Return a folder with a mask of what moves in each photo, made once and kept; empty where little more moves."""
+    found, finely = placed.reconstruction, _finely(placed, settings)
+
+    def write(made: Path) -> None:
+        moving = _moving(placed, _depths(placed, stages, progress), stages, finely, progress)
+        if (masks := masks_of(moving, found, photos)) is not None:
+            write_masks(made, masks, photos)
+
+    cameras = [found.K, found.seen_point, found.seen_by]  # whatever the scale: one stated later keeps the poses
+    return stages.folder(name, fingerprint(_recipe(finely), cameras, found.paths), write)
+
+
+def _finely(placed: Placed, settings: CaptureSettings) -> FitSettings:
+    resolution = settings.resolution
+    return settings.fit if resolution is None else resolution.of(placed.reconstruction, settings.fit)
+
+
+def _depths(placed: Placed, stages: Stages, progress: Progress) -> Depths:
+    """Return the depths of the photos' pixels without those that never change, found once and kept."""
     found, rows = placed.reconstruction, trained(len(placed.reconstruction.paths))
 
     def find() -> dict[str, torch.Tensor]:
-        depths = find_depths(found, frame, rows, progress=progress)
+        depths = find_depths(found, frame_of(found.camera_to_world), rows, progress=progress)
         return {"likely": depths.likely, "known": depths.known}
 
-    return Depths(**stages.arrays("depths", _key(found), find))
+    depths = Depths(**stages.arrays("depths", _key(found), find))
+    unchanged = left_out_at(found, *depths.known.shape[1:])
+    return depths if unchanged is None else depths.without(unchanged.expand_as(depths.known))
 
 
 def _moving(placed: Placed, depths: Depths, stages: Stages, settings: FitSettings, progress: Progress) -> torch.Tensor:
@@ -317,10 +391,14 @@ def _fitted(
 
 def _key(found: Reconstruction, settings: FitSettings | None = None, moving: torch.Tensor | None = None) -> str:
     """Return a fingerprint of everything that depths, or with settings a fit that masks moving things, depend on."""
-    recipe = {} if settings is None else asdict(settings) | {"threads": None, "device": None}
+    recipe = {} if settings is None else _recipe(settings)
     tensors = [found.K, found.camera_to_world, found.points, found.colors, found.seen_point, found.seen_by]
     masked = [] if moving is None or not moving.any() else [moving]
     return fingerprint([recipe, found.depth_unit], tensors + masked, (*found.paths, *found.depths))
+
+
+def _recipe(settings: FitSettings) -> dict[str, object]:
+    return asdict(settings) | {"threads": None, "device": None}
 
 
 def _words(quality: Quality) -> str:

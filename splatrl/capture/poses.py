@@ -34,7 +34,8 @@ def find_poses(
 
     Args:
         photos: photos of one place, taken with one camera; without lens distortion where the poses are known.
-        folder: the capture's folder; results are written to its sub-folders ``structure`` and ``undistorted``.
+        folder: the capture's folder; results are written to its sub-folders ``structure`` and ``undistorted``, or,
+            where masks of what moved are given, to folders with the name of the masks' after theirs.
         seed: seed of every random sample.
         progress: called for images, pairs of images and cameras.
         exact_camera: whether ``photos.K`` is exact and the images are without lens distortion; otherwise it is a first
@@ -56,10 +57,10 @@ def find_poses(
     stages = Stages(folder)
     job = job_of(photos, seed, exact_camera)
     version = str(getattr(require("pycolmap", "capture"), "__version__", ""))
-    recipe = asdict(job) | {"images": None, "mask": None, "pycolmap": version}
-    work = stages.workplace(
-        "structure", fingerprint(recipe, files=photos.paths if photos.mask is None else [*photos.paths, photos.mask])
-    )
+    recipe = asdict(job) | {"images": None, "mask": None, "moving": None, "pycolmap": version}
+    masks = [] if photos.mask is None else [photos.mask]
+    masks += [] if photos.moving is None else sorted(photos.moving.glob("*.png"))
+    work = stages.workplace(f"structure{_ending(photos)}", fingerprint(recipe, files=[*photos.paths, *masks]))
     try:
         model = read_arrays(work / structure.MODEL)
     except (FileNotFoundError, ValueError):  # nothing there yet, or damaged
@@ -93,7 +94,13 @@ def job_of(photos: Photos, seed: int = 0, exact_camera: bool = False) -> Job:
         seconds=None if photos.files else photos.seconds.tolist(),
         cuts=photos.cuts,
         mask=None if photos.mask is None else str(photos.mask),
+        moving=None if photos.moving is None else str(photos.moving),
     )
+
+
+def _ending(photos: Photos) -> str:
+    """Return what the names of the folders end in, so that a capture keeps the poses with and without masks."""
+    return "" if photos.moving is None else f"_{photos.moving.name}"
 
 
 def _check_share(photos: Photos, found: np.ndarray, least: float) -> None:
@@ -146,11 +153,13 @@ def _reconstruction(
     fx, fy, cx, cy = model["camera"][:4].tolist()
     K = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
     paths, mask = [photos.paths[number] for number in images], photos.mask
+    camera, ending = None, _ending(photos)
     if not exact_camera:
-        size = photos.width, photos.height
+        size, distortion = (photos.width, photos.height), model["camera"][4:]
+        camera = _tensor(model, "camera") if distortion.any() else None
         if mask is not None:
-            (mask,), _ = undistorted([mask], size, K, model["camera"][4:], stages, "undistorted_mask")
-        paths, K = undistorted(paths, size, K, model["camera"][4:], stages, "undistorted", progress)
+            (mask,), _ = undistorted([mask], size, K, distortion, stages, f"undistorted_mask{ending}")
+        paths, K = undistorted(paths, size, K, distortion, stages, f"undistorted{ending}", progress)
     film = not photos.files and photos.camera_to_world is None
     seen = model["points"], model["seen_point"], model["seen_by"]
     return Reconstruction(
@@ -173,6 +182,8 @@ def _reconstruction(
         focal_lengths=_tensor(model, "focal_lengths") if len(model["focal_lengths"]) else None,
         carried=torch.from_numpy(carried(model["camera_to_world"][:, :3, 3], *seen)) if film else None,
         mask=mask,
+        numbers=_tensor(model, "images"),
+        camera=camera,
     )
 
 

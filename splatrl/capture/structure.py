@@ -89,6 +89,8 @@ def _extract(pycolmap: Any, folder: Path, job: Job) -> None:
     reader = pycolmap.ImageReaderOptions(camera_model="PINHOLE" if job.fixed else "RADIAL")
     if job.mask is not None:
         reader.camera_mask_path = job.mask
+    if job.moving is not None:  # COLMAP uses both
+        reader.mask_path = job.moving
     if job.K is not None:
         intrinsics = [job.K[0][0], job.K[1][1], job.K[0][2], job.K[1][2]]
         reader.camera_params = ", ".join(map(repr, intrinsics if job.fixed else [*intrinsics[1:], 0.0, 0.0]))

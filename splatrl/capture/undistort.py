@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from splatrl.capture.base import CaptureError
+from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.photo_files import read_photo
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.stages import Stages, fingerprint
@@ -66,3 +67,27 @@ def undistorted(
     key = fingerprint([size, K.tolist(), list(distortion)], files=paths)
     kept = stages.folder(name, key, write)
     return [kept / name for name in names], torch.from_numpy(new + half)
+
+
+def distorted(masks: NDArray[np.bool_], size: tuple[int, int], found: Reconstruction) -> NDArray[np.bool_]:
+    """Return masks of images without lens distortion as masks of the photos that they were made from.
+
+    Args:
+        masks: [N, h, w], of any size.
+        size: width and height of the photos, pixels.
+        found: the reconstruction with these images.
+
+    Returns:
+        [N, h, w]; beyond the edge of the images without distortion, what is at that edge.
+    """
+    if found.camera is None:
+        return masks
+    cv2 = require("cv2", "capture")
+    height, width = masks.shape[1:]
+    scale = np.array(size) / (width, height)
+    places = (np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1) + 0.5) * scale
+    fx, fy, cx, cy, *distortion = found.camera.tolist()
+    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    straight = cv2.undistortPoints(places.reshape(-1, 1, 2), K, np.array(distortion), P=found.K.numpy())
+    column, line = np.floor(straight.reshape(height, width, 2) / scale).astype(int).transpose(2, 0, 1)
+    return masks[:, line.clip(0, height - 1), column.clip(0, width - 1)]

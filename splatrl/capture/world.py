@@ -52,7 +52,8 @@ class Placed:
             camera's height above a floor that was hardly seen or has much below it near the path, or where parts may be
             joined wrongly or something else that was stated contradicts it.
         up_from: source of the upward direction.
-        up_error_deg: possible error of the upward direction, degrees; larger where parts may be joined wrongly.
+        up_error_deg: possible error of the upward direction, degrees; larger where parts may be joined wrongly, and
+            None where the camera leaps and up comes from how it was held.
         camera_height: mean height of the cameras above the ground beneath them, as defined by ``mean_height``, metres.
         floor_points: number of points of the reconstruction that lie on the floor.
         contradicted: how a stated height or distance contradicts the source of the scale, in sentences; None where
@@ -65,7 +66,7 @@ class Placed:
     scale_from: ScaleFrom
     scale_error: float | None
     up_from: UpFrom
-    up_error_deg: float
+    up_error_deg: float | None
     camera_height: float
     floor_points: int
     contradicted: str | None = None
@@ -126,9 +127,12 @@ def place(
     floor = ground.up_from != "cameras" and ground.inliers >= MIN_INLIERS and not deep
     if scale_from == "camera_height" and not floor:
         error = None
-    up_error_deg = ground.error_deg
-    if not metric and (jerks(camera_leaps(reconstruction)) >= TORN or weakest(reconstruction) is not None):
-        error, up_error_deg = None, max(up_error_deg, ERROR_DEG["cameras"])  # parts may be joined wrongly
+    up_error_deg: float | None = ground.error_deg
+    torn = not metric and jerks(camera_leaps(reconstruction)) >= TORN
+    if torn or (not metric and weakest(reconstruction) is not None):  # parts may be joined wrongly
+        error, up_error_deg = None, max(ground.error_deg, ERROR_DEG["cameras"])
+    if torn and ground.up_from == "cameras":  # which parts that are turned against each other contradict
+        up_error_deg = None
     compared = camera_height if floor else None  # otherwise the height above what may be no floor
     contradicted = contradiction(reconstruction, scale, scale_from, scale * above, distance, compared)
     transform = _world_from_capture(poses, points, ground, scale)

@@ -15,6 +15,7 @@ import splatrl
 from splatrl.cameras import Cameras
 from splatrl.capture.check import Quality
 from splatrl.capture.world import Placed, moved
+from splatrl.evaluation.phone_walk import camera_poses
 from splatrl.renderers import NativeRenderer
 from splatrl.scenes import write_gaussians
 from tests.capture.walks import HEIGHT, WIDTH, K, walk
@@ -78,3 +79,14 @@ def test_a_capture_is_timed_and_judged_against_its_ground_truth(
     held_out = next(line for line in said.splitlines() if "held out" in line)
     assert float(held_out.split("|")[2].split()[0]) > 25  # the images are PNG, and only resized here
     assert Image.open(tmp_path / "a.png").width > 1000
+
+
+def test_somebody_who_walks_along_stays_ahead_of_the_camera_wherever_it_turns(benchmark: Any) -> None:
+    people, scene = benchmark("passers_by"), splatrl.backyard()
+    film = people.PassersBy(scene, 0, 1, fps=2.0, tolerance=0.5)
+    poses = camera_poses(torch.tensor([[0.1 * step, 0.0, 1.4, 1.5 * step, 0.1, 0.0] for step in range(5)]))
+    for pose in poses.float():
+        camera = Cameras(pose[None], torch.tensor([[40.0, 0, 32], [0, 40, 24], [0, 0, 1]]), 64, 48)
+        empty = NativeRenderer(scene, tolerance=0.5).pixels(camera)
+        someone = (film.pixels(camera).int() - empty.int()).abs().amax(-1)[0] > 20
+        assert float(someone.float().mean()) > 0.03 and float(someone[:, 12:52].sum()) > 0.9 * float(someone.sum())

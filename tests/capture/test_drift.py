@@ -79,9 +79,10 @@ def test_a_film_that_stands_still_for_half_its_length_is_not_reported_as_jumping
 
 def test_the_way_from_one_take_to_the_next_is_no_leap_and_a_leap_within_a_take_is_reported() -> None:
     torn = _film(1.5)
-    assert torn.scale_error is None and torn.up_error_deg >= 5.0
+    assert torn.scale_error is None and torn.up_error_deg is not None and torn.up_error_deg >= 5.0
     takes = _film(1.5, cuts=(9.9,))
-    assert leap(takes) is None and takes.scale_error == SCALE_ERROR["camera_height"] and takes.up_error_deg < 5.0
+    assert leap(takes) is None and takes.scale_error == SCALE_ERROR["camera_height"]
+    assert takes.up_error_deg is not None and takes.up_error_deg < 5.0
     assert "jump at 10 s" in str(leap(_film(1.5, cuts=(5.1, 15.0))))
     assert leap(_film(1.5, cuts=tuple(np.arange(0.1, 20.0, 0.5)))) is None, "all takes are of two images"
 

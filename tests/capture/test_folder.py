@@ -109,12 +109,16 @@ def test_suggested_goals_are_free_walkable_and_face_near_things_and_the_object_i
         assert (high - low) / 0.2 == pytest.approx(round((high - low) / 0.2))
 
 
-def test_a_scale_of_unknown_error_is_reported(tmp_path: Path) -> None:
+def test_a_scale_and_an_upward_direction_of_unknown_error_are_reported(tmp_path: Path) -> None:
     placed = replace(tiny_capture(tmp_path / "images"), scale_from="camera_height", scale_error=None)
+    placed = replace(placed, up_from="cameras", up_error_deg=None)
     quality = write_scene(tmp_path / "garden", tiny_gaussians(), placed, HELD_OUT)
     assert any(problem.startswith("Its scale may be far off") for problem in quality.problems)
-    assert read_description(tmp_path / "garden")["quality"]["scale_error"] is None
-    assert "camera height, error unknown" in (tmp_path / "garden" / "report.html").read_text(encoding="utf-8")
+    assert any("held, because too little of the floor was seen: it may be off by any" in p for p in quality.problems)
+    stated = read_description(tmp_path / "garden")["quality"]
+    assert stated["scale_error"] is None and stated["up_error_deg"] is None
+    page = (tmp_path / "garden" / "report.html").read_text(encoding="utf-8")
+    assert "camera height, error unknown" in page and "cameras, error unknown" in page
 
 
 def test_no_goal_is_suggested_where_nothing_is_free(tmp_path: Path) -> None:
@@ -148,12 +152,16 @@ def test_moving_things_are_pictured_and_mentioned_in_the_report(tmp_path: Path) 
     folder, placed = tmp_path / "garden", tiny_capture(tmp_path / "images")
     moving = torch.zeros(CAMERAS, 32, 48, dtype=torch.bool)
     moving[5, 8:24, 12:36] = True  # a quarter of one image of 24
-    write_scene(folder, tiny_gaussians(), placed, HELD_OUT, moving=moving)
+    few = write_scene(folder, tiny_gaussians(), placed, HELD_OUT, moving=moving)
     assert "1 % of the image area shows moving things and was masked out" in (folder / "report.html").read_text()
     page = np.asarray(Image.open(folder / "moving.png")).astype(int)
     assert page.shape[0] == 320, "the picture has one image, the only one with a moving thing"
     red = (page[..., 0] > page[..., 1] + 60).reshape(page.shape[0], 2, -1).mean((0, 2))
     assert red.max() > 0.02 and red.min() < 0.005
+    moving[1:8] = moving[5]
+    many = write_scene(folder, tiny_gaussians(), placed, HELD_OUT, force=True, moving=moving)
+    told = [[problem for problem in quality.problems if "move fill" in problem] for quality in (few, many)]
+    assert not told[0] and "move fill 7.3 % of the image area" in told[1][0]
     write_scene(folder, tiny_gaussians(), placed, HELD_OUT, force=True)
     assert not (folder / "moving.png").exists()
 

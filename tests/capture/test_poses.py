@@ -108,7 +108,7 @@ def test_images_without_a_pose_are_named_and_left_out_where_that_is_allowed(
     for number in reversed(range(len(images))):  # a phone's names, which are not those of the images that are kept
         (tmp_path / "in" / f"{number:04}.png").rename(tmp_path / "in" / f"IMG_{2031 + number}.png")
     said: list[str] = []
-    settings = CaptureSettings(camera_height=1.0, marker=None, force=True)
+    settings = CaptureSettings(camera_height=1.0, marker=None, force=True, still=True)
     placed, _ = reconstruct(tmp_path / "in", tmp_path / "scene", settings, say=said.append)
     assert "missing: IMG_2037.png to IMG_2039.png (3 images)" in "\n".join(said)
     assert placed.reconstruction.missing == pytest.approx(3 / 9), "with force, the capture goes on without them"

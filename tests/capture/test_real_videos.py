@@ -53,7 +53,7 @@ def test_a_rendered_video_becomes_a_scene_like_the_one_that_it_shows(
     video, folder = shared_scenes / "videos" / f"{name}.mp4", tmp_path / name
     quality = captured(video, folder, HEIGHT)
     assert quality["psnr"] > 27 and quality["path_free"] == 1.0
-    placed, _ = reconstruct(video, folder, CaptureSettings(camera_height=HEIGHT))
+    placed, _ = reconstruct(video, folder, CaptureSettings(camera_height=HEIGHT, still=True))
     off = deviation(placed, read_truth(video), WIDTH)
     assert placed.reconstruction.missing < 0.05
     assert off.path < 0.002 and off.up_deg < 2 and abs(off.scale) < 0.05
@@ -66,7 +66,7 @@ def test_poses_of_photos_along_a_street_are_found(shared_scenes: Path, tmp_path:
     photos = shared_scenes / "lund" / "photos"
     if not photos.is_dir():
         pytest.skip(f"{photos} is not here")
-    placed, _ = reconstruct(photos, tmp_path / "lund", CaptureSettings(camera_height=1.6))
+    placed, _ = reconstruct(photos, tmp_path / "lund", CaptureSettings(camera_height=1.6, still=True))
     places = placed.reconstruction.camera_to_world[:, :3, 3]
     ahead = placed.reconstruction.camera_to_world[:-1, :3, 2]
     steps = places.diff(dim=0)

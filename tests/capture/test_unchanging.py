@@ -111,7 +111,7 @@ def test_a_film_that_shows_mostly_the_robot_is_refused_and_a_still_camera_is_nam
     images[:, 30:] = images[0, 30:]
     _photos(tmp_path / "in", images)
     seen: list[Path | None] = []
-    settings = CaptureSettings(marker=None)
+    settings = CaptureSettings(marker=None, still=True)
     for cause, message in (
         (None, "70 % of the image, mostly around its middle, never"),
         ("hardly moved", "hardly moved"),
@@ -132,7 +132,9 @@ def test_cameras_of_a_robot_that_sees_its_own_deck_are_found(tmp_path: Path, mon
         image[top:] = ray_cast.room_image(truth[0], 1, K, size)[top:]
     photos_of(tmp_path / "in", images)
     said: list[str] = []
-    placed, notes = reconstruct(tmp_path / "in", tmp_path / "out", CaptureSettings(marker=None), say=said.append)
+    placed, notes = reconstruct(
+        tmp_path / "in", tmp_path / "out", CaptureSettings(marker=None, still=True), say=said.append
+    )
     assert any("mostly at the bottom, never changes" in note for note in notes) and notes[-1] in "\n".join(said)
     found, true = placed.reconstruction, torch.from_numpy(truth)
     assert len(found.paths) == len(truth) and seen[0] is not None

@@ -359,7 +359,7 @@ def test_without_any_source_of_scale_the_world_is_not_metric() -> None:
     assert placed.camera_height == pytest.approx(1.5)
 
 
-def test_the_scale_has_no_known_error_without_a_floor_or_where_the_camera_leaps() -> None:
+def test_scale_and_up_have_no_known_error_without_a_floor_or_where_the_camera_leaps() -> None:
     assert place(walk(), marker=None, camera_height=ABOVE).scale_error == SCALE_ERROR["camera_height"]
     seconds = torch.arange(CAMERAS).double()
     cloud = np.random.default_rng(0).normal(size=(3000, 3))
@@ -373,6 +373,8 @@ def test_the_scale_has_no_known_error_without_a_floor_or_where_the_camera_leaps(
         poses[CAMERAS // 2 :, 1, 3] += leap
         film = replace(walk(), camera_to_world=poses.clone(), seconds=seconds)
         assert place(film, marker=None, camera_height=ABOVE).scale_error == error
+        held = place(replace(film, points=without_floor.points), marker=None)
+        assert held.up_from == "cameras" and (held.up_error_deg is None) == (error is None)
 
 
 def test_a_stated_height_or_distance_that_contradicts_the_source_of_the_scale_is_a_problem(

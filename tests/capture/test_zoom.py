@@ -106,7 +106,7 @@ def test_a_slight_zoom_is_noted_and_a_strong_one_refused_unless_forced(
             up_from="floor", scale_from="camera_height", camera_height=ABOVE, remarks=()
         ),
     )
-    settings = CaptureSettings(camera_height=ABOVE)
+    settings = CaptureSettings(camera_height=ABOVE, still=True)
     said: list[str] = []
     if refused:
         with pytest.raises(CaptureError, match=r"changes by 20 % at about 7 s, .* Pass --force to continue anyway\."):

@@ -48,7 +48,8 @@ def photographed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Photos, Reco
         Image.fromarray(view).save(path)
     times, files = torch.arange(len(paths), dtype=torch.float64), tuple(path.name for path in paths)
     photos = Photos(paths, WIDTH // 4, HEIGHT // 4, times, files=files)
-    return photos, replace(found, paths=paths, K=small, width=WIDTH // 4, height=HEIGHT // 4)
+    numbers = torch.arange(len(paths))
+    return photos, replace(found, paths=paths, K=small, width=WIDTH // 4, height=HEIGHT // 4, numbers=numbers)
 
 
 @pytest.fixture(scope="module")
@@ -392,7 +393,7 @@ def test_a_film_that_seems_torn_and_shows_no_floor_is_refused_before_the_fit(
     placed, said = pipeline.place, []
     monkeypatch.setattr(pipeline, "place", lambda *given, **told: replace(placed(*given, **told), up_from=up_from))
     monkeypatch.setattr(pipeline, "leap", lambda _: "The camera seems to jump at 3 s.")
-    folder, settings = tmp_path / "garden", pipeline.CaptureSettings()
+    folder, settings = tmp_path / "garden", pipeline.CaptureSettings(still=True)
     if up_from == "floor":
         pipeline.reconstruct(Path("garden.mp4"), folder, settings)
         return
@@ -402,13 +403,58 @@ def test_a_film_that_seems_torn_and_shows_no_floor_is_refused_before_the_fit(
     assert stages == ["frames", "poses"] * 2 and any("No floor was found" in line for line in said)
 
 
+@pytest.mark.parametrize("again", ["all", "few", "none"])
+def test_poses_are_found_again_without_people_who_walk_along_unless_fewer_images_get_one(
+    again: str,
+    tmp_path: Path,
+    stages: list[str],
+    photographed: tuple[Photos, Reconstruction],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found, masks = photographed[1], []
+    few = {"paths": found.paths[:30], "camera_to_world": found.camera_to_world[:30]}
+    seen = {"seen_point": found.seen_point[found.seen_by < 30], "seen_by": found.seen_by[found.seen_by < 30]}
+
+    def find_poses(photos: Photos, *_: object, **__: object) -> Reconstruction:
+        masks.append(photos.moving and sorted(path.name for path in photos.moving.glob("*.png"))[:2])
+        if photos.moving is not None and again == "none":
+            raise CaptureError("tracking lost")
+        return found if photos.moving is None or again == "all" else replace(found, **few, **seen)
+
+    def find_moving(found: Reconstruction, depths: Depths, *_: object) -> torch.Tensor:
+        stages.append("moving")
+        moving = torch.zeros_like(depths.known, dtype=torch.bool)
+        moving[1:, :, :9] = True
+        return moving
+
+    monkeypatch.setattr(pipeline, "find_poses", find_poses)
+    monkeypatch.setattr(pipeline, "find_moving", find_moving)
+    place, remark = pipeline.place, "The floor seems to slope by 8° or more."
+    monkeypatch.setattr(pipeline, "place", lambda *given, **told: replace(place(*given, **told), remarks=(remark,)))
+    for times in (1, 2):
+        said: list[str] = []
+        placed, notes = pipeline.reconstruct(
+            Path("garden.mp4"), tmp_path / "garden", pipeline.CaptureSettings(), say=said.append
+        )
+        assert masks == [None, [f"{name.name}.png" for name in found.paths[:2]]] * times
+        seen_in = f"{100 * (len(found.paths) - 1) / len(found.paths):.0f} % of the images"
+        assert any(line.startswith("moving ") and f"{seen_in}: poses are found again" in line for line in said)
+        assert len(placed.reconstruction.paths) == len(found.paths)
+        assert any("The poses before are kept" in line for line in said) == (again != "all")
+        assert notes[-2] == remark and f"in view in {seen_in}, which may be why" in notes[-1]
+        assert stages.count("moving") == 1, "the masks are kept"
+    still = replace(pipeline.CaptureSettings(), still=True)
+    pipeline.reconstruct(Path("garden.mp4"), tmp_path / "garden", still)
+    assert masks[-2:] == [[f"{name.name}.png" for name in found.paths[:2]], None] and len(masks) == 5
+
+
 def test_what_was_left_out_of_a_source_is_said_and_noted_for_the_report(
     tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     read, said = pipeline.read_photos, []
     remark = "1 of 40 frames of garden.mp4 are damaged, and are not used."
     monkeypatch.setattr(pipeline, "read_photos", lambda *given: replace(read(*given), remarks=(remark,)))
-    settings = pipeline.CaptureSettings()
+    settings = pipeline.CaptureSettings(still=True)
     _, notes = pipeline.reconstruct(Path("garden.mp4"), tmp_path / "garden", settings, say=said.append)
     assert notes == [remark] and said[0].split("\n")[1] == f"            {remark}"
 
