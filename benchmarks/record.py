@@ -57,9 +57,10 @@ def write_json(
         "results": [_described(result) for result in results],
         **({"notes": list(notes)} if notes else {}),
     }
+    finite = json.loads(json.dumps(record), parse_constant=lambda _: None)  # what was not measured is null
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as stream:
-        stream.write((json.dumps(record, indent=2) + "\n").encode())
+        stream.write((json.dumps(finite, indent=2) + "\n").encode())
     return path
 
 

@@ -13,6 +13,8 @@ from splatrl.motions.base import PlannedMotion, Taps
 
 FAR = 1e6
 """Cost-to-go of states without a path to the goal."""
+LEAST_AWAY = 1e-3
+"""Least weight that an action gives to other nodes than its own; less may be rounding."""
 Reached = Callable[[Tensor], Tensor | None]
 """Function that returns whether states [N, ...] are at a goal, [N] bool, or None if there are no goal states."""
 SETTLED = 1e-3
@@ -112,7 +114,8 @@ def _onward(rows: Tensor, taps: Taps, steps: Tensor) -> tuple[Taps, Tensor]:
     """Repeat actions that stay near their own node until they have left it, so that few sweeps settle their costs.
 
     If a node has the weight w in where an action leads from it, then c = s + w c + (1 − w) c′ has the same solution as
-    c = s / (1 − w) + c′. An action that does not lead away costs ``FAR``.
+    c = s / (1 − w) + c′. An action that leads away by ``LEAST_AWAY`` or less costs
+    ``FAR``.
 
     Args:
         rows: [N] int64, the nodes from which the action leads.
@@ -121,7 +124,7 @@ def _onward(rows: Tensor, taps: Taps, steps: Tensor) -> tuple[Taps, Tensor]:
     """
     away = taps.weight * (taps.node != rows[:, None])
     rest = away.sum(1)
-    left = rest > 1e-3
+    left = rest > LEAST_AWAY
     weight = torch.where(left[:, None], away / rest[:, None], 0.0)
     used = (weight > 0).any(0)  # a turn on the spot needs one or two columns, a step four
     return Taps(taps.node[:, used], weight[:, used]), torch.where(left, steps / rest, FAR)

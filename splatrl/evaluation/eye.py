@@ -45,12 +45,15 @@ class Eye:
         """
         scale = self._scale(image)
         across, down = _shares(image.width, self.width, scale), _shares(image.height, self.height, scale)
-        pixels, lines = np.asarray(image), []
+        columns = _seen(across.any(0))
+        pixels, lines = np.asarray(image)[:, columns], []
         for shares in down:  # one row of the result at a time, so that a large image is never held as floats
-            first, last = np.flatnonzero(shares)[[0, -1]]
-            lines.append(np.tensordot(shares[first : last + 1], pixels[first : last + 1], 1))
-        means = np.einsum("ow,hwc->hoc", across, np.stack(lines))
-        return torch.from_numpy(np.floor(means + 0.5).astype(np.uint8))
+            rows = _seen(shares)
+            lines.append(np.tensordot(shares[rows], pixels[rows], 1))
+        means = np.tensordot(across[:, columns], np.stack(lines), (1, 1)).swapaxes(0, 1)
+        beyond = (self.height - len(down)) // 2, (self.width - len(across)) // 2
+        shown = np.pad(means, [(side, side) for side in (*beyond, 0)], "edge")
+        return torch.from_numpy(np.floor(shown + 0.5).astype(np.uint8))
 
     def note(self, image: Image.Image) -> str:
         """Say which part of the policy's field of view an image shows; empty if it shows all of it."""
@@ -84,17 +87,23 @@ def _angle(pixels: float, focal: float) -> float:
     return math.degrees(2 * math.atan(0.5 * pixels / focal))
 
 
+def _seen(weights: NDArray[np.generic]) -> slice:
+    """Return the range outside of which all weights are 0."""
+    first, last = np.flatnonzero(weights)[[0, -1]]
+    return slice(first, last + 1)
+
+
 def _shares(length: int, count: int, scale: float) -> NDArray[np.float64]:
-    """Return the weight of each of ``length`` pixels in the mean over each of ``count`` cells.
+    """Return the weight of each of ``length`` pixels in the mean over those of ``count`` cells that they show.
 
     The cells are ``scale`` pixels wide, in a row centred on the pixels; a pixel's weight is proportional to its overlap
-    with the cell. Cells that reach beyond the pixels repeat the nearest that do not.
+    with the cell. As many cells at either end are left out as reach beyond the pixels.
 
     Returns:
-        [count, length] weights, whose rows sum to 1.
+        [at most count, length] weights, whose rows sum to 1.
     """
     beyond = _beyond(length, count, scale)
-    cells = np.arange(count).clip(beyond, count - 1 - beyond)
+    cells = np.arange(beyond, count - beyond)
     edges = 0.5 * length + scale * (cells[:, None] + [0, 1] - 0.5 * count)
     pixels = np.arange(length)
     overlap = np.minimum(edges[:, 1:], pixels + 1) - np.maximum(edges[:, :1], pixels)

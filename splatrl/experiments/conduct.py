@@ -86,13 +86,17 @@ def score(experiment: Experiment, scored_by: Score) -> bool:
     Args:
         experiment: the experiment to score.
         scored_by: the function that computes the scores.
+
+    Raises:
+        ValueError: if another process is scoring the same experiment.
     """
     path, names = experiment.folder / SCORES, sorted(run.folder.name for run in experiment.runs)
     if any(status(run) != "finished" for run in experiment.runs):
         return False
     if path.exists() and read_json(path).get("runs") == names:
         return False
-    write_json(path, {"runs": names, "scores": scored_by(experiment.runs, experiment.folder)})
+    with alone_in(experiment.folder):
+        write_json(path, {"runs": names, "scores": scored_by(experiment.runs, experiment.folder)})
     return True
 
 

@@ -18,6 +18,7 @@ from splatrl.experiments.report import SCORES
 from splatrl.experiments.transfer import kept, score_in
 from splatrl.files import digest_of, expanded
 from splatrl.made_with import files_of
+from splatrl.scenes.blocks import scene_place
 
 PLACES = "places.json"
 TESTED_IN = ("unseen_yards", "backyard", "kitchen")
@@ -46,7 +47,7 @@ def choose_places(folder: Path, scenes: Mapping[str, Sequence[str]]) -> None:
 def _digest(overrides: Sequence[str]) -> str | None:
     """Return a digest of a scene's files; None for a scene that splatrl generates."""
     path = load_config(overrides).scene.get("path")
-    return None if path is None else digest_of(files_of(expanded(path)))
+    return None if path is None else digest_of(files_of(scene_place(expanded(path))))
 
 
 def score_in_places(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:

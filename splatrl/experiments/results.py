@@ -75,8 +75,8 @@ class Entry:
         return any(run.has_curriculum for run in self.runs)
 
     def spread(self, key: str) -> Spread:
-        """Return a value of ``evaluation.json`` for each seed that has it."""
-        return Spread(tuple(float(values[key]) for values in self.evaluations if key in values))
+        """Return a value of ``evaluation.json`` for each seed that has it; null is none."""
+        return Spread(tuple(float(values[key]) for values in self.evaluations if values.get(key) is not None))
 
     def spl(self) -> Spread:
         """Return SPL by distance if the task measures it, otherwise by steps."""

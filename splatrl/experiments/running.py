@@ -118,7 +118,7 @@ def train(
             while waiting or running:
                 while waiting and len(running) < jobs:
                     run = waiting.popleft()
-                    if run in told and status(run) == "finished":
+                    if status(run) == "finished":  # in the meantime, by another process
                         frames[run] = run.frames
                         continue
                     try:

@@ -110,16 +110,18 @@ def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None, roughly: bo
     The ground is the layer that holds the most Gaussians, mainly those that lie flat in it, and on which the most
     stands upright; directions near a file axis are preferred. Rival layers lower the confidence. The upper side of the
     ground is the one that things stand on or, if that is unclear, the one with the file's origin, which structure from
-    motion puts near the cameras. The guess fails for scenes without ground. Sky and other surroundings far larger than
-    the captured place are left out.
+    motion puts near the cameras. The guess fails for scenes without ground. A layer is as thick as the captured place
+    suggests, without sky and other surroundings that are far larger.
 
     Args:
         gaussians: Gaussians in the file's frame.
         up: [3] the up direction, if it is known; then only the floor and the units are guessed.
         roughly: whether ``up`` is known only to about 15°; it is then refined to fit floors and walls.
     """
-    points, normals, weights = _surfaces(captured(gaussians))
-    size = float(np.linalg.norm(np.subtract(*np.quantile(points, [0.99, 0.01], axis=0)))) or 1.0
+    place = captured(gaussians)
+    points, normals, weights = _surfaces(gaussians)
+    near, near_normals = (points, normals) if place is gaussians else _surfaces(place)[:2]
+    size = float(np.linalg.norm(np.subtract(*np.quantile(near, [0.99, 0.01], axis=0)))) or 1.0
     if up is None:
         layer, axis_guess = _ground(points, normals, weights, _THICKNESS * size)
     else:
@@ -131,7 +133,7 @@ def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None, roughly: bo
             angle = math.degrees(math.acos(min(1.0, float(leans @ layer.normal))))
             axis_guess = Guess(GIVEN, f"up is stated; floor and walls lean by {angle:.1f}° from it")
     heights = points @ layer.normal
-    other = _opposite(points, normals, layer)
+    other = _opposite(near, near_normals, layer)
     evidence, reason = _sign(heights, weights, layer, other, size)
     sign_guess = axis_guess
     if up is None:

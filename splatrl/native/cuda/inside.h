@@ -7,7 +7,9 @@
 namespace splatrl {
 
 constexpr int POINTS_INSIDE = 27;
-constexpr double WELL_INSIDE = 0.999;  // share of the way to the surface: rounding must not take a point out of the body
+// Share of the way to the surface: neither rounding nor a rotation that is orthonormal only to within ORTHONORMAL may
+// take a point out of the body.
+constexpr double WELL_INSIDE = 0.998;
 
 // The i-th point, in voxels in the frame of the body: a box's center, corners, and middles of its edges and faces; the
 // same directions from the centers of a capsule's caps and of its cylinder, or from a sphere's center.

@@ -88,8 +88,8 @@ def _rest(count: int) -> tuple[str, ...]:
 
 
 def _scales(properties: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the names of the scales: two for surfels."""
-    return SCALES if SCALES[2] in properties else SCALES[:2]
+    """Return the names of the scales: two for surfels, which have no others."""
+    return SCALES[:2] if {name for name in properties if name.startswith("scale")} == {*SCALES[:2]} else SCALES
 
 
 def _checked_fields(path: Path, header: PlyHeader) -> tuple[str, ...]:
