@@ -85,9 +85,11 @@ def warn_of_cut_off(scene: Scene, paths: Plan) -> None:
     """
     cut_off, free = int(paths.cut_off.sum()), int(paths.free.sum())
     if cut_off > CUT_OFF * free and not isinstance(paths.motion, OrbitMotion):
+        body = "a narrower robot.body may pass, or narrower task.motion.lower and upper leave them out"
+        way_out = body if paths.moves.repeats == 1 else "fewer transforms.skip.steps may lead out of there"
         warnings.warn(
             f"{scene.name}: {cut_off:,} of {free:,} free poses cannot reach the goal, and episodes never begin there; "
-            "a narrower robot.body may pass where this one does not",
+            f"{way_out}",
             stacklevel=2,
         )
 

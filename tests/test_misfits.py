@@ -10,6 +10,7 @@ from hydra.utils import instantiate
 from splatrl.building import build_one_world
 from splatrl.configuration import load_config
 from splatrl.curriculum import Plan
+from splatrl.curriculum.field import Moves
 from splatrl.curriculum.planner import UNREACHABLE
 from splatrl.misfits import CUT_OFF, check_goal, warn_of_cut_off
 from tests.tiny import tiny_overrides
@@ -41,6 +42,10 @@ def test_a_tenth_of_the_free_poses_may_be_cut_off_from_the_goal_and_more_are_war
             warn_of_cut_off(world.scene, plan)
     with pytest.warns(UserWarning, match=f"tiny: {tenth + 1} of {free} free poses cannot reach the goal, and episodes"):
         warn_of_cut_off(world.scene, cut(tenth + 1))
+    moves = world.plan.moves
+    skipping = replace(cut(tenth + 1), moves=Moves(moves.motion, moves.checker, moves.reached, 4))
+    with pytest.warns(UserWarning, match=r"; fewer transforms\.skip\.steps may lead out of there$"):
+        warn_of_cut_off(world.scene, skipping)
 
 
 def test_building_warns_of_free_poses_behind_a_gap_too_narrow_for_the_body(tmp_path: Path) -> None:
