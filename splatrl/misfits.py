@@ -8,9 +8,13 @@ from torch import Tensor
 
 from splatrl.collision.base import Checker
 from splatrl.collision.voxel_grid import widened
+from splatrl.curriculum import Plan
 from splatrl.envs.tasks.base import Task
 from splatrl.motions import OrbitMotion
 from splatrl.scenes.scene import Bounds, Scene
+
+CUT_OFF = 0.1
+"""Fraction of the free poses that may be cut off from the goal without a warning."""
 
 
 def check_height(bounds: Bounds, task: Task) -> None:
@@ -66,6 +70,26 @@ def warn_of_uncaptured(scene: Scene, task: Task, solid: Checker) -> None:
         warnings.warn(
             f"{scene.name}: robots may go where nothing was captured, {free}, beyond {_ranges(*extent)}; narrower "
             "task.motion.lower and upper keep them out",
+            stacklevel=2,
+        )
+
+
+def warn_of_cut_off(scene: Scene, paths: Plan) -> None:
+    """Warn if no path leads to the goal from more than a tenth of the free poses, such as those in another room.
+
+    Robots that orbit an object are left out: things that stand on their circle cut it off as a matter of course.
+
+    Args:
+        scene: the scene.
+        paths: free poses and shortest paths.
+    """
+    cut_off, free = int(paths.cut_off.sum()), int(paths.free.sum())
+    if cut_off > CUT_OFF * free and not isinstance(paths.motion, OrbitMotion):
+        body = "a narrower robot.body may pass, or narrower task.motion.lower and upper leave them out"
+        way_out = body if paths.moves.repeats == 1 else "fewer transforms.skip.steps may lead out of there"
+        warnings.warn(
+            f"{scene.name}: {cut_off:,} of {free:,} free poses cannot reach the goal, and episodes never begin there; "
+            f"{way_out}",
             stacklevel=2,
         )
 

@@ -1,10 +1,19 @@
-"""Goals that no robot can reach."""
+"""Goals that no robot can reach, or not from everywhere."""
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from hydra.utils import instantiate
 
+from splatrl.building import build_one_world
 from splatrl.configuration import load_config
-from splatrl.misfits import check_goal
+from splatrl.curriculum import Plan
+from splatrl.curriculum.field import Moves
+from splatrl.curriculum.planner import UNREACHABLE
+from splatrl.misfits import CUT_OFF, check_goal, warn_of_cut_off
+from tests.tiny import tiny_overrides
 
 
 def test_a_goal_among_the_robots_that_none_reaches_is_not_said_to_lie_outside() -> None:
@@ -15,3 +24,37 @@ def test_a_goal_among_the_robots_that_none_reaches_is_not_said_to_lie_outside() 
         "task.goal: expected a pose that robots can reach, got [0.6, 0.4]; type another landmarks.goal, or another "
         "motion@task.motion"
     )
+
+
+def test_a_tenth_of_the_free_poses_may_be_cut_off_from_the_goal_and_more_are_warned_of(tmp_path: Path) -> None:
+    world = build_one_world(load_config(tiny_overrides(tmp_path)))
+    rows = world.plan.free.nonzero().squeeze(1)
+
+    def cut(count: int) -> Plan:
+        distance = world.plan.distance.clone()
+        distance[rows[:count]] = UNREACHABLE
+        return replace(world.plan, distance=distance)
+
+    tenth, free = len(rows) // 10, len(rows)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for plan in (world.plan, cut(tenth)):
+            warn_of_cut_off(world.scene, plan)
+    with pytest.warns(UserWarning, match=f"tiny: {tenth + 1} of {free} free poses cannot reach the goal, and episodes"):
+        warn_of_cut_off(world.scene, cut(tenth + 1))
+    moves = world.plan.moves
+    skipping = replace(cut(tenth + 1), moves=Moves(moves.motion, moves.checker, moves.reached, 4))
+    with pytest.warns(UserWarning, match=r"; fewer transforms\.skip\.steps may lead out of there$"):
+        warn_of_cut_off(world.scene, skipping)
+
+
+def test_building_warns_of_free_poses_behind_a_gap_too_narrow_for_the_body(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="tiny: 24 of 48 free poses cannot reach the goal, .* a narrower robot.body"):
+        build_one_world(load_config([*tiny_overrides(tmp_path), "robot.body.size=[0.9,0.9,0.2]"]))
+
+
+def test_robots_that_orbit_are_not_warned_of_things_on_their_circle() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        world = build_one_world(load_config(["task=circle", "device=cpu"]))
+    assert world.plan.cut_off.sum() > CUT_OFF * world.plan.free.sum()

@@ -51,6 +51,11 @@ class Plan:
         return self.moves.checker
 
     @property
+    def cut_off(self) -> Tensor:
+        """Which states are free, but have no path to the goal: [S] bool; none of them without a goal."""
+        return self.free & (self.distance == UNREACHABLE)
+
+    @property
     def starts(self) -> Tensor:
         """The start set: [N, D] states."""
         return self.states[self.start_rows]

@@ -42,6 +42,7 @@ def planner_episodes(
         raise ValueError(f"planner: expected a task whose episodes end at goal states, got {type(world.task).__name__}")
     generator = torch.Generator().manual_seed(seed)
     kept: list[TensorDictBase] = []
+    tried = unseen = 0
     waiting: list[Tensor] = []
     for _ in range(TRIES * (1 + episodes // ROBOTS)):
         while sum(map(len, waiting)) < ROBOTS:
@@ -49,13 +50,19 @@ def planner_episodes(
         starts, rest = torch.cat(waiting).split([ROBOTS, sum(map(len, waiting)) - ROBOTS])
         waiting, starts = [rest], world.task.motion.varied(starts, generator)
         for episode in _walked(world, plan, starts, seed + len(kept), generator):
-            if int(episode["next", "outcome"][-1]) == Outcome.GOAL and len(kept) < episodes:
+            tried += 1
+            if int(episode["next", "outcome"][-1]) != Outcome.GOAL:
+                unseen += bool(plan.at_goal(episode["state"]).any())
+            elif len(kept) < episodes:
                 kept.append(episode)
                 progress(len(episode))
         if len(kept) == episodes:
             names = tuple(world.task.motion.action_names)
             return Demonstrations(joined(kept), names, repeats=world.repeats, scene=world.digest)
-    raise ValueError(f"planner: expected {episodes} episodes that reach the goal, got only {len(kept)}")
+    judged = f"; {unseen:,} stood where paths end, but the task did not find the goal in view" if unseen else ""
+    raise ValueError(
+        f"planner: expected {episodes} episodes that reach the goal, got only {len(kept)} of {tried:,}{judged}"
+    )
 
 
 @torch.no_grad()

@@ -346,7 +346,7 @@ class SplatEnv(EnvBase):
         robots = Standing(task, checker, scene, move.state, move.body_to_world, memory)
         view = self.senses.view(robots, tensordict.get("camera_offset", None))
         reward, terminated, outcome, remembered = task.judge(
-            Step(before, action, move, memory, view.pixels), self._chance(scene, len(before))
+            Step(before, action, move, memory, view.pixels, view.shown), self._chance(scene, len(before))
         )
         kept = {key: tensordict[key] for key in self._sensor_keys}
         known = {**memory, **remembered, **kept}

@@ -56,7 +56,9 @@ class Pictures:
         """Draw start positions and headings, coloured by success."""
         path = self.folder / "starts.png"
         planar = self._planar(episodes.start)
-        start_map(planar, episodes.success, self.view, path, self._blocked())
+        start_map(
+            planar, episodes.success, self.view, path, self._blocked(), self._cut_off(), len(self.plan.start_rows)
+        )
         return path
 
     def success_map(self, episodes: Episodes) -> Path:
@@ -65,7 +67,7 @@ class Pictures:
         planar = self._planar(episodes.start)
         tried, every = len(episodes.start.unique(dim=0)), len(self.plan.start_rows)
         starts = "all starts" if tried == every else f"{tried:,} of {every:,} starts:"
-        success_map(planar, episodes.success, self.view, path, starts)
+        success_map(planar, episodes.success, self.view, path, starts, self._cut_off())
         return path
 
     def video(
@@ -120,10 +122,20 @@ class Pictures:
 
     def _blocked(self) -> Tensor:
         """Find the positions at which the body does not fit in any heading: [M, 2] metres."""
-        places = self._planar(self.plan.states)[:, :2]
-        distinct, row = places.unique(dim=0, return_inverse=True)
-        fits = torch.zeros(len(distinct)).index_add(0, row, self.plan.free.float())
-        return distinct[fits == 0]
+        places, fits, _ = self._positions()
+        return places[~fits]
+
+    def _cut_off(self) -> Tensor:
+        """Find the positions at which the body fits, but from which no path leads to the goal: [M, 2] metres."""
+        places, fits, reaches = self._positions()
+        return places[fits & ~reaches]
+
+    def _positions(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Return all positions [P, 2], and whether in some heading the body fits there, and can reach the goal: [P]."""
+        free, connected = self.plan.free, self.plan.free & ~self.plan.cut_off
+        places, row = self._planar(self.plan.states)[:, :2].unique(dim=0, return_inverse=True)
+        fits, reaches = (torch.zeros(len(places)).index_add(0, row, some.float()) > 0 for some in (free, connected))
+        return places, fits, reaches
 
 
 def shown(steps: Sequence[int], frames: int) -> list[int]:

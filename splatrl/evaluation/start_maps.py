@@ -28,6 +28,8 @@ MOST_ARROWS = 20
 """Maximum number of positions along the longer side of a map whose arrows can still be told apart."""
 FOOT = 1.1
 """Space below a map for its axis labels and legend, inches."""
+NO_PATH = "goal cannot be reached"
+"""Legend of positions from which no path leads to the goal."""
 ARROW = np.array([[0.2, 0.22], [0.68, 0.42], [0.68, 1.0], [1.0, 0.0], [0.68, -1.0], [0.68, -0.42], [0.2, -0.22]])
 """Outline of an arrow along +x that is thin at its tail, [7, 2]: x in arrow lengths, y in half widths of the head."""
 
@@ -38,6 +40,8 @@ def start_map(
     view: MapView,
     path: Path,
     blocked: Tensor | None = None,
+    cut_off: Tensor | None = None,
+    every: int | None = None,
 ) -> None:
     """Draw every start pose as an arrow, coloured by whether the goal was reached from it.
 
@@ -51,6 +55,8 @@ def start_map(
         view: background and marks of the map.
         path: file of the figure; its suffix sets the format.
         blocked: [M, 2] x and y of positions at which the body fits in no heading, world frame, metres.
+        cut_off: [M, 2] likewise, of positions at which it fits, but from which no path leads to the goal.
+        every: number of poses in the start set, for the title; None if all of them are given.
     """
     poses, rate = _mean_by_row(planar, success)
     rows = len(poses), int((rate == 1).sum())
@@ -74,18 +80,26 @@ def start_map(
                 PolyCollection(arrows, facecolors=color, edgecolors="white", linewidths=0.15, zorder=3 + order)
             )
             handles.append(Patch(color=color, label=label))
-    if blocked is not None and len(blocked):
-        x, y = np.asarray(blocked).T
-        halo = [withStroke(linewidth=3, foreground="white")]
-        axes.plot(x, y, "x", color=INK, markersize=4, markeredgewidth=1.2, zorder=2.5, path_effects=halo)
-        handles.append(Line2D([], [], color=INK, marker="x", markersize=5, linewidth=0, label="body does not fit"))
+    handles += _positions(axes, blocked, "x", "body does not fit") + _positions(axes, cut_off, ".", NO_PATH)
     handles += _marks(axes, view.marks, length)
     title = f"goal reached from {rows[1]:,} of {rows[0]:,} start poses ({rows[1] / rows[0]:.1%})"
-    axes.set_title(title if some.all() else f"{title}\n{some.sum():,} of them drawn", fontsize=10)
+    notes = []
+    if every is not None and every > rows[0]:
+        notes.append(f"{rows[0]:,} of {every:,} tried")
+    if not some.all():
+        notes.append(f"{some.sum():,} of them drawn")
+    axes.set_title(f"{title}\n{', '.join(notes)}" if notes else title, fontsize=10)
     _finish(figure, handles, view, path)
 
 
-def success_map(planar: Tensor, success: Tensor, view: MapView, path: Path, starts: str = "all starts") -> None:
+def success_map(
+    planar: Tensor,
+    success: Tensor,
+    view: MapView,
+    path: Path,
+    starts: str = "all starts",
+    cut_off: Tensor | None = None,
+) -> None:
     """Draw the success rate by start position as coloured cells, averaged over headings and repetitions.
 
     Positions on a lattice get one cell each; other positions are pooled into 20 cells along the picture's longer side.
@@ -96,6 +110,7 @@ def success_map(planar: Tensor, success: Tensor, view: MapView, path: Path, star
         view: background and marks of the map.
         path: file of the figure; its suffix sets the format.
         starts: which starts these are, for the title.
+        cut_off: [M, 2] x and y of positions from which no path leads to the goal, world frame, metres.
     """
     positions = np.asarray(planar, dtype=np.float64)[:, :2]
     cell, corner = _spacing(positions, view.ground), positions.min(0)
@@ -113,7 +128,8 @@ def success_map(planar: Tensor, success: Tensor, view: MapView, path: Path, star
     bar.set_label("success, mean over headings")
     mean = np.asarray(success, dtype=np.float64).mean()
     axes.set_title(f"success by start position ({starts} {mean:.1%})", fontsize=10)
-    _finish(figure, _marks(axes, view.marks, 0.5 * cell), view, path)
+    handles = _positions(axes, cut_off, ".", NO_PATH) + _marks(axes, view.marks, 0.5 * cell)
+    _finish(figure, handles, view, path)
 
 
 def _mean_by_row(rows: Tensor | NDArray[np.float64], values: Tensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -193,6 +209,17 @@ def _overview(axes: Axes, overview: TopDown, ground: TopDown, place: float) -> N
     inset.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=GOAL, linewidth=1.5))
     inset.set(xticks=[], yticks=[], xlim=(left, right), ylim=(bottom, top), anchor="NW")
     inset.set_title(f"overview, {right - left:.0f} × {top - bottom:.0f} m", fontsize=8)
+
+
+def _positions(axes: Axes, places: Tensor | None, marker: str, label: str) -> list[Patch | Line2D]:
+    """Mark positions where no episode begins, [M, 2] metres; return the legend's entries."""
+    if places is None or not len(places):
+        return []
+    x, y = np.asarray(places).T
+    look: dict[str, Any] = {"color": INK, "marker": marker, "linestyle": "none", "markeredgewidth": 1.2}
+    halo = [withStroke(linewidth=3, foreground="white")]
+    axes.plot(x, y, markersize=4, zorder=2.5, path_effects=halo, **look)
+    return [Line2D([], [], markersize=5, label=label, **look)]
 
 
 def _marks(axes: Axes, marks: Sequence[Mark], length: float) -> list[Patch | Line2D]:

@@ -143,7 +143,7 @@ ERRORS = [
     ),
     ("train task=fps scene=vast landmarks.goal=[0.5,1.0,0.0]", "task.motion: expected at most 16,777,216 states"),
     (f"train {ROOM} task.motion.step=0.3", "task.motion.step: bounds along x: expected a whole number of steps of 0.3"),
-    (f"train task=apple {ROOM}", "drawing.size: expected at least 0.2"),
+    (f"train task=apple {ROOM}", "drawing.size: expected at least 0.3 m, so that red fills 30%"),
     (f"train {ROOM} collision.occupancy.resolution=0", "collision.occupancy: resolution: expected 0.0001 to 1000"),
     (f"train {ROOM} scene.bounds=[[0,0,0],[0,0,0]]", "scene: bounds: expected lower below upper along x"),
     (

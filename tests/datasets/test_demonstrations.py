@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from PIL import Image
 from tensordict import TensorDict
 from torchrl.data import SliceSampler, TensorDictReplayBuffer, TensorStorage
 
@@ -22,7 +23,7 @@ from splatrl.datasets import (
 )
 from splatrl.envs.tasks import Outcome
 from splatrl.envs.world import World
-from tests.tiny import tiny_overrides
+from tests.tiny import LONG_STEPS, tiny_overrides
 
 EPISODES = 40
 SENSING = ["sensors=[rgb,depth,gps,compass,contact,lidar]"]
@@ -161,6 +162,15 @@ def test_a_task_without_goal_states_has_no_planner(world: World) -> None:
     aimless = replace(world, plan=replace(world.plan, field=None))
     with pytest.raises(ValueError, match="planner: expected a task whose episodes end at goal states, got Grid"):
         planner_episodes(aimless, 1)
+
+
+def test_the_planner_says_that_the_goal_was_never_in_view_where_its_paths_end(tmp_path: Path) -> None:
+    Image.new("RGBA", (8, 8), (0, 200, 0, 255)).save(tmp_path / "green.png")
+    green = [*LONG_STEPS, f"drawing.sprite={tmp_path / 'green.png'}", "task.sprite_share=0.3", "drawing.size=0.5"]
+    assert len(planner_episodes(make_world(tmp_path, "apple", *green), 3).starts) == 3
+    elsewhere = make_world(tmp_path, "apple", *green, "drawing.position=[0,0,-9]")
+    with pytest.raises(ValueError, match=r"got only 0 of 128; [1-9]\d* stood where paths end, but the task did not"):
+        planner_episodes(elsewhere, 3)
 
 
 def test_the_required_disk_space_is_enough_for_all_files(

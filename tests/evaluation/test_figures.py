@@ -172,6 +172,23 @@ def test_the_goal_and_the_blocked_positions_are_marked_at_their_positions(drawn:
     assert {"body does not fit", "goal pose"} <= set(labels(drawn[0]))
 
 
+def test_both_maps_mark_the_positions_from_which_no_path_leads_to_the_goal(drawn: list[Figure]) -> None:
+    planar, cut_off = lattice(), torch.tensor([[0.5, 0.25], [0.75, 0.5]])
+    start_map(planar, planar[:, 0] > 0, VIEW, Path("unused.png"), cut_off=cut_off)
+    success_map(planar, planar[:, 0] > 0, VIEW, Path("unused.png"), cut_off=cut_off)
+    for figure in drawn:
+        dots = figure.axes[0].lines[0]
+        assert np.stack(dots.get_data(), -1).tolist() == cut_off.tolist() and dots.get_linestyle() == "None"
+        assert "goal cannot be reached" in labels(figure)
+
+
+def test_the_title_says_how_many_of_the_start_set_were_tried(drawn: list[Figure]) -> None:
+    for every in (None, 96, 1000):
+        start_map(lattice(), lattice()[:, 0] > -0.3, VIEW, Path("unused.png"), every=every)
+    title = "goal reached from 72 of 96 start poses (75.0%)"
+    assert [figure.axes[0].get_title() for figure in drawn] == [title, title, f"{title}\n96 of 1,000 tried"]
+
+
 def test_each_mark_is_drawn_and_marks_with_the_same_name_share_a_legend_entry(drawn: list[Figure]) -> None:
     places = torch.tensor([[0.3, 0.7, math.nan], [-0.5, 0.2, math.nan], [0.9, 1.1, 0.5]], dtype=torch.float64)
     marks = [Mark(name, place) for name, place in zip(("apple", "apple", "door"), places, strict=True)]

@@ -1,5 +1,6 @@
 """Videos of a training show physics in real time, and no more episodes than fit into a limited number of frames."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -7,6 +8,7 @@ import torch
 
 from splatrl.building import build_one_world
 from splatrl.configuration import load_config
+from splatrl.curriculum.planner import UNREACHABLE
 from splatrl.envs.tasks import Outcome
 from splatrl.evaluation import Episodes, pictures
 from splatrl.evaluation.pictures import Pictures, shown, steps_a_second
@@ -30,9 +32,26 @@ def test_a_map_says_how_many_starts_of_how_many_were_tried(tmp_path: Path, monke
     world = build_one_world(load_config(tiny_overrides(tmp_path)))
     drawn = Pictures(world.scene.gaussians, world.occupancy, world.plan, world.env(1), tmp_path)
     told: list[str] = []
-    monkeypatch.setattr(pictures, "success_map", lambda *given: told.append(given[-1]))
+    monkeypatch.setattr(pictures, "success_map", lambda *given: told.append(given[-2]))
     every = world.plan.states[world.plan.start_rows]
     for start in (every, every.repeat_interleave(2, 0), every[:3].repeat_interleave(2, 0)):
         row = torch.zeros(len(start), dtype=torch.int64)
         drawn.success_map(Episodes(start, row + Outcome.GOAL, row, row.float(), row, row == 0))
     assert told == ["all starts", "all starts", f"3 of {len(every)} starts:"]
+
+
+def test_maps_are_told_where_the_body_fits_but_has_no_way_to_the_goal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world = build_one_world(load_config(tiny_overrides(tmp_path)))
+    place = world.task.motion.planar(world.plan.states)[:, :2]
+    west = place[:, 0] < -0.4
+    walled = replace(world.plan, distance=torch.where(west, UNREACHABLE, world.plan.distance))
+    assert torch.equal(walled.cut_off, walled.free & west)
+    told: list[torch.Tensor] = []
+    monkeypatch.setattr(pictures, "start_map", lambda *given: told.extend(given[-3:-1]))
+    row = torch.zeros(len(walled.starts), dtype=torch.int64)
+    episodes = Episodes(walled.starts, row + Outcome.GOAL, row, row.float(), row, row == 0)
+    Pictures(world.scene.gaussians, world.occupancy, walled, world.env(1), tmp_path).starts(episodes)
+    blocked, cut_off = ({tuple(position) for position in positions.tolist()} for positions in told)
+    assert cut_off == {tuple(position) for position in place[walled.cut_off].tolist()} and not cut_off & blocked

@@ -72,6 +72,13 @@ class Sprite:
             aspect=height / width,
         )
 
+    @property
+    def finest(self) -> Tensor:
+        """Texels of the finest level, without those that pad it: [N, 4] float32."""
+        height, width = int(self.heights[0]), int(self.widths[0])
+        rows, columns = max(height, TAPS), max(width, TAPS)
+        return self.texels[: rows * columns].view(rows, columns, 4)[:height, :width].flatten(0, 1)
+
     def to(self, device: torch.device | str) -> "Sprite":
         """Return a copy of the sprite on a device."""
         return replace(

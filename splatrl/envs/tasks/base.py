@@ -59,6 +59,7 @@ class Step(NamedTuple):
         move: the motion's result, including the states after the step.
         memory: the task's memory before the step.
         pixels: [B, H, W, 3] uint8, the robots' views after the step.
+        shown: what the drawing returned about each view, [B, ...] by key; see ``View``.
     """
 
     before: Tensor
@@ -66,6 +67,7 @@ class Step(NamedTuple):
     move: Move
     memory: Memory
     pixels: Tensor
+    shown: Mapping[str, Tensor] = NOTHING
 
 
 class Verdict(NamedTuple):

@@ -2,6 +2,7 @@
 
 import copy
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -120,6 +121,12 @@ class NavigationTask(TaskModule):
     def settle(self, site: Site, fits: Fits) -> Fits:
         """Choose the goals of a scene; episodes begin where one of them is in range. See ``Task.settle``."""
         fits = super().settle(site, fits)
+        if self.motion.action_names and self.motion.step >= 2 * self.success_distance:
+            warnings.warn(
+                f"task.motion.step: robots may step over a goal unless it is below twice task.success_distance="
+                f"{self.success_distance:g}, got {self.motion.step:g}",
+                stacklevel=2,
+            )
         self.choose_goals(site.checker, fits)
         connected, within = self.geodesics.grounds[0].connected, self.geodesics.within
 

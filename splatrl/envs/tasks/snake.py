@@ -56,7 +56,7 @@ class Snake(Apple):
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
         """Judge a step and place the next apple; see ``Task.judge``."""
         fresh, old = self._targets(anywhere()), step.memory["target"]
-        outcome = self._outcome(step, self.seen(step.move.state, old, step.pixels)).unsqueeze(1)
+        outcome = self._outcome(step, self.seen(step.move.state, old, step.pixels, step.shown)).unsqueeze(1)
         target = torch.where(outcome == Outcome.GOAL, fresh, old)
         never = torch.zeros_like(outcome, dtype=torch.bool)
         return Verdict(self.outcome_rewards[outcome], never, outcome, {"target": target})

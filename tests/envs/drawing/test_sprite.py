@@ -38,6 +38,12 @@ def test_every_mip_level_has_the_mean_of_the_picture() -> None:
         torch.testing.assert_close(sprite.texels[start:end].double().sum(0) / count, mean)
 
 
+def test_the_finest_level_is_the_picture_without_padding() -> None:
+    for height, width in ((8, 4), (1, 2)):
+        picture = torch.full((height, width, 4), 255, dtype=torch.uint8)
+        assert torch.equal(Sprite.of(picture).finest, torch.tensor([255.0, 255, 255, 1]).expand(height * width, 4))
+
+
 def test_a_picture_of_any_size_keeps_its_aspect_ratio_and_mean_alpha(tmp_path: Path) -> None:
     picture = np.zeros((90, 200, 4), dtype=np.uint8)
     picture[:, :100] = [200, 30, 30, 255]

@@ -9,9 +9,11 @@ from hydra.utils import instantiate
 from torch import Tensor
 
 from splatrl.configuration import load_config
+from splatrl.envs.drawing import SceneDrawing, Sprite, SpriteDrawing
 from splatrl.envs.tasks import Apple, Outcome, Step
 from splatrl.motions import Move
 from tests.envs.rooms import PLACE, coarse_apple
+from tests.tiny import tiny_renderer, tiny_robot
 
 X, Y, _ = PLACE
 NEAR = (X - 0.25, Y, 0.0)
@@ -94,6 +96,49 @@ def test_mean_red_replaces_the_share_of_red_pixels() -> None:
     assert sees(coarse_apple(), image(*[RED] * 5)) and not sees(task, image(*[RED] * 5))
 
 
+def test_sprite_share_replaces_the_share_of_red_pixels() -> None:
+    task, shares = coarse_apple(sprite_share=0.3), torch.tensor([[0.29], [0.3], [1.0]])
+    states, targets = torch.tensor([NEAR, NEAR, (0.0, 0.0, 0.0)]), torch.tensor([PLACE] * 3)
+    for color in (RED, GREY):
+        pixels = image(*[color] * 10).expand(3, 2, 5, 3)
+        assert task.seen(states, targets, pixels, {"sprite_share": shares}).tolist() == [False, True, False]
+
+
+def blue(size: float = 1.0, alpha: int = 255) -> SpriteDrawing:
+    picture = torch.tensor([0, 0, 200, alpha], dtype=torch.uint8).expand(8, 8, 4)
+    return SpriteDrawing(tiny_renderer(), Sprite.of(picture), size, PLACE)
+
+
+def half_red(size: float) -> SpriteDrawing:
+    picture = torch.tensor([[0, 0, 200, 255], [200, 0, 0, 255]], dtype=torch.uint8).repeat(8, 4, 1)
+    return SpriteDrawing(tiny_renderer(), Sprite.of(picture), size, PLACE)
+
+
+def test_a_picture_without_red_is_refused_unless_the_sprite_counts_whatever_its_colour() -> None:
+    message = r"drawing\.sprite: expected a picture with red in it, got one without; task\.sprite_share=0\.3 finds"
+    with pytest.raises(ValueError, match=message):
+        coarse_apple().check_picture(blue(), tiny_robot())
+    coarse_apple(sprite_share=0.3).check_picture(blue(), tiny_robot())
+    coarse_apple(mean_red=0.3).check_picture(blue(), tiny_robot())
+    with pytest.raises(ValueError, match=r"drawing\.sprite: .* something opaque in it, got one without$"):
+        coarse_apple(sprite_share=0.3).check_picture(blue(alpha=0), tiny_robot())
+    with pytest.raises(ValueError, match=r"task\.sprite_share: expected a sprite, .* got none"):
+        coarse_apple(sprite_share=0.3).check_picture(SceneDrawing(tiny_renderer()), tiny_robot())
+
+
+def test_a_sprite_must_be_so_large_that_what_counts_of_it_can_fill_the_required_fraction() -> None:
+    robot = tiny_robot()
+    across = 0.25 * math.tan(math.radians(robot.fov_deg) / 2)  # seen from half a step away, metres
+    whole = math.sqrt(0.3 * across * across * robot.image_height / robot.image_width)
+    for task, drawing, needed in (
+        (coarse_apple(sprite_share=0.3), blue, whole),
+        (coarse_apple(), half_red, whole * math.sqrt(2)),
+    ):
+        task.check_picture(drawing(1.01 * needed), robot)
+        with pytest.raises(ValueError, match=r"drawing\.size: expected at least"):
+            task.check_picture(drawing(0.99 * needed), robot)
+
+
 @pytest.mark.parametrize(
     ("state", "there"),
     [
@@ -162,6 +207,11 @@ def test_the_config_is_the_published_one_with_collision_switched_off() -> None:
         ({"place": (0.0, 1.0, math.nan)}, r"task\.place"),
         ({"red_share": 0.0}, r"task\.red_share: expected a fraction in \(0, 1\], got 0\.0"),
         ({"red_share": 1.5}, r"task\.red_share"),
+        ({"sprite_share": 0.0}, r"task\.sprite_share: expected a fraction in \(0, 1\], got 0\.0"),
+        (
+            {"sprite_share": 0.3, "mean_red": 0.5},
+            r"task\.sprite_share: expected null beside task\.mean_red=0\.5, got 0\.3",
+        ),
         ({"mean_red": 55.0}, r"task\.mean_red: expected a fraction in \(0, 1\], got 55\.0"),
         ({"max_steps": 0}, r"task\.max_steps"),
     ],

@@ -1,6 +1,7 @@
 """Point-goal and image-goal navigation: episodes and measures worked out by hand."""
 
 import math
+import warnings
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -281,6 +282,25 @@ def test_episodes_begin_only_where_a_training_goal_is_in_range(tmp_path: Path) -
     assert far.min() >= 1.0 and far.max() <= 1.2
     with pytest.raises(ValueError, match=r"expected free poses, .*; try other values of task\.nearest, task\.far"):
         splatrl.make_env([*given, "task.nearest=1.0001", "task.farthest=1.0002"])
+
+
+@pytest.mark.parametrize(
+    ("change", "warned"),
+    [
+        (["task.motion.step=0.39"], False),
+        (["task.motion.step=0.4"], True),
+        (["task.success_distance=0.1"], True),
+        (["task.success_distance=0.02", "motion@task.motion=drive"], False),  # which can take shorter steps
+    ],
+)
+def test_steps_so_long_that_robots_may_step_over_a_goal_are_warned_of(
+    change: list[str], warned: bool, tmp_path: Path
+) -> None:
+    given = [*tiny_overrides(tmp_path, "pointnav"), "task.goals=2", "task.test_goals=3", "robot.body.radius=0.1"]
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        splatrl.make_env([*given, *change])
+    assert any("task.motion.step: robots may step over a goal unless" in str(one.message) for one in told) is warned
 
 
 def test_a_motion_that_cannot_stop_is_refused() -> None:
