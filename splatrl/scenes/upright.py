@@ -118,10 +118,10 @@ def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None, roughly: bo
         up: [3] the up direction, if it is known; then only the floor and the units are guessed.
         roughly: whether ``up`` is known only to about 15°; it is then refined to fit floors and walls.
     """
-    place = captured(gaussians)
     points, normals, weights = _surfaces(gaussians)
-    near, near_normals = (points, normals) if place is gaussians else _surfaces(place)[:2]
-    size = float(np.linalg.norm(np.subtract(*np.quantile(near, [0.99, 0.01], axis=0)))) or 1.0
+    place = captured(gaussians).means.detach().double().cpu().numpy()
+    near = ((points >= place.min(0)) & (points <= place.max(0))).all(1)
+    size = float(np.linalg.norm(np.subtract(*np.quantile(points[near], [0.99, 0.01], axis=0)))) or 1.0
     if up is None:
         layer, axis_guess = _ground(points, normals, weights, _THICKNESS * size)
     else:
@@ -133,7 +133,9 @@ def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None, roughly: bo
             angle = math.degrees(math.acos(min(1.0, float(leans @ layer.normal))))
             axis_guess = Guess(GIVEN, f"up is stated; floor and walls lean by {angle:.1f}° from it")
     heights = points @ layer.normal
-    other = _opposite(near, near_normals, layer)
+    if near[np.abs(heights - layer.height) <= layer.thickness].mean() < 0.5:  # the place is an object on wide ground
+        near = np.ones_like(near)
+    other = _opposite(points[near], normals[near], layer)
     evidence, reason = _sign(heights, weights, layer, other, size)
     sign_guess = axis_guess
     if up is None:

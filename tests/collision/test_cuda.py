@@ -102,6 +102,19 @@ def test_every_pose_gets_the_same_answer_as_on_the_cpu(make, scenes, name, body,
     assert not found.beyond(SURE), str(found)
 
 
+@pytest.mark.parametrize("body", [Sphere(0.5), Capsule(0.5, 0.5), Box((1.0, 1.0, 1.0))])
+def test_poses_that_are_barely_orthonormal_get_the_same_answer_as_on_the_cpu(make, body):
+    wall = Occupancy.from_boxes([(2.0, 0.0, 0.0)], [(3.0, 3.0, 3.0)])
+    turned = torch.tensor([[1.0, 1.0, 1.0], [-2.0, 1.0, 1.0], [0.0, -1.0, 1.0]], dtype=torch.float64)
+    turned = torch.nn.functional.normalize(turned, dim=1) @ (torch.eye(3, dtype=torch.float64) + 0.00045)
+    gaps = torch.linspace(-1e-3, 1e-3, 41, dtype=torch.float64)[:, None]
+    reach = 0.5 + (0.25 * turned[0, 2] if isinstance(body, Capsule) else 0.0)
+    places = torch.tensor([2.0 - reach, 1.51, 1.51], dtype=torch.float64) - gaps * torch.eye(3, dtype=torch.float64)[0]
+    poses = rigid(turned.expand(41, 3, 3), places).float()
+    hits = There(make(wall, body)).collides(poses)
+    assert torch.equal(hits, NativeChecker(wall, body).collides(poses))
+
+
 @pytest.mark.parametrize("count", [400, pytest.param(50_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("turning", [False, True])
 @pytest.mark.parametrize("body", BODIES)

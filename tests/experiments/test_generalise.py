@@ -37,6 +37,17 @@ def test_scores_in_other_places_or_files_are_removed(tmp_path: Path) -> None:
         assert scores.exists() == stay
 
 
+def test_a_place_named_by_its_scene_yaml_has_the_digest_of_its_folder(tmp_path: Path) -> None:
+    west, _ = two_rooms(tmp_path)
+    scores, splat = tmp_path / "scores.json", next(west.glob("*.ply"))
+    for more, stay in ((b"", True), (b"\n", False)):
+        choose_places(tmp_path, {"kitchen": [f"scene={west / 'scene.yaml'}"]})
+        scores.touch()
+        splat.write_bytes(splat.read_bytes() + more)
+        choose_places(tmp_path, {"kitchen": [f"scene={west / 'scene.yaml'}"]})
+        assert scores.exists() == stay
+
+
 def test_a_policy_is_tested_in_several_scenes_at_once_and_in_one(tmp_path: Path) -> None:
     west, east = two_rooms(tmp_path)
     words = [*overrides("fps"), *LONG_STEPS, "evaluation.starts=6", "task.max_steps=8"]

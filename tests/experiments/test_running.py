@@ -121,6 +121,19 @@ def test_a_run_that_another_process_is_training_is_waited_for(
     assert "".join(capsys.readouterr()).count("waiting: another process is training in it") == 1
 
 
+def test_a_run_that_another_process_finishes_meanwhile_is_not_begun(tmp_path: Path) -> None:
+    first, second = made_up(tmp_path).runs[:2]
+    asked: list[Run] = []
+
+    def one(run: Run, cores: int, program: Sequence[str]) -> subprocess.Popen[bytes]:
+        asked.append(run)
+        finish(second, 0.5)
+        return python("pass")
+
+    assert train([first, second], 1, 1, PROGRAM, one, poll=0.01) == []
+    assert asked == [first]
+
+
 def test_a_training_gets_its_overrides_and_limits_its_libraries_to_one_thread(tmp_path: Path) -> None:
     run = made_up(tmp_path).runs[0]
     says = "import os, sys; print(sys.argv[1:], os.environ['OMP_NUM_THREADS'])"

@@ -62,6 +62,13 @@ def test_surfels_of_2d_gaussian_splatting_are_a_hundredth_as_thick_as_wide(tmp_p
     assert_same(read_gaussians(written(tmp_path / "a.ply", ply_bytes(fields, kind))), gaussians)
 
 
+def test_a_third_scale_of_another_name_makes_no_surfels(tmp_path: Path) -> None:
+    fields = ply_fields(sample_gaussians(3, 0))
+    fields["scale_02"] = fields.pop("scale_2")
+    with pytest.raises(ValueError, match=r"got a PLY file without scale_2; it has .*scale_02"):
+        read_gaussians(written(tmp_path / "a.ply", ply_bytes(fields)))
+
+
 @pytest.mark.parametrize("degree", [0, 3])
 def test_written_gaussians_read_back_the_same(tmp_path: Path, degree: int) -> None:
     gaussians = sample_gaussians(11, degree)

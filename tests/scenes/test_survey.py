@@ -120,6 +120,22 @@ def test_the_sky_around_a_room_moves_neither_up_nor_its_floor(lies: str, share: 
         assert upright.ceiling == pytest.approx(2.5, abs=0.02)
 
 
+@pytest.mark.parametrize("share", [0.6, 0.85])
+def test_a_dense_object_on_wide_sparse_ground_does_not_hide_the_ground(share: float) -> None:
+    rng, ground = np.random.default_rng(0), surfaces([(-10.0, -10.0, 0.0, 10.0, 10.0, 0.0)], 0.25)
+    count = len(ground.means)
+    bush = ground[torch.from_numpy(rng.integers(count, size=round(count * share / (1 - share))))]
+    leaves = rng.normal(size=(len(bush.means), 3))
+    leaves *= rng.uniform(0.5, 0.7, (len(leaves), 1)) / np.linalg.norm(leaves, axis=1, keepdims=True)
+    bush.means = torch.from_numpy(leaves + [0.0, 0.0, 0.8]).float()
+    bush.quats = torch.nn.functional.normalize(torch.from_numpy(rng.normal(size=(len(leaves), 4))).float(), dim=1)
+    placed = similarity(STANDING["-y"])
+    file, truth = lying(torch.cat([ground, bush]), placed), placed[2, :3].numpy()
+    for upright in (guess_upright(file), guess_upright(file, truth), guess_upright(file, truth, roughly=True)):
+        assert degrees_between(upright.up, truth) < 1.0
+        assert upright.floor == pytest.approx(0.0, abs=0.05)
+
+
 @settings(max_examples=15, deadline=None)
 @given(turns=st.tuples(*[st.floats(-math.pi, math.pi)] * 3), scale=st.floats(0.01, 100))
 def test_up_is_found_within_a_degree_or_snapped_to_a_nearby_axis(
