@@ -7,7 +7,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from splatrl.configuration import paths_of, with_absolute_paths
+from splatrl.configuration import paths_of, with_absolute_paths, with_values
 from splatrl.files import digest_of, expanded
 from splatrl.native import _core
 from splatrl.physics import mjcf_files
@@ -17,12 +17,15 @@ from splatrl.values import flat
 SPEED_ONLY = {"threads", "renderer.threads", "resume", "collector.cuda_graph", "optim.compile"}
 SPEED_ONLY |= {"resume_changed", "allow_targets", "view"}
 """Keys of a config that do not change the results."""
-FREE = ("device:", "scene.path:", "scene.name:", "logger.", "checkpoint.", "evaluation.", "collector.total_frames:")
-"""Prefixes of the lines of ``differences`` that a resumed run may have; a scene is identified by its content."""
+FREE = (
+    *("device:", "scene.name:", "scene.paths:", "demos:", "collector.total_frames:"),
+    *("logger.", "checkpoint.", "evaluation."),
+)
+"""Prefixes of the lines of ``differences`` that a resumed run may have; files are identified by their content."""
 ROBOTS, ANYWAY = "env.num_envs", "to resume with them anyway, type resume_changed=true"
 NOT_DIGESTED = ("scene.path", "demos", "evaluation.episodes")
-"""Paths without a digest: the scene has its own, a checkpoint no longer depends on demonstrations, and the episodes of
-evaluations do not concern the training."""
+"""Ends of the keys of paths without a digest: scenes have their own, a checkpoint no longer depends on demonstrations,
+and the episodes of evaluations do not concern the training."""
 
 
 def differences(asked: Mapping[str, Any], found: Mapping[str, Any]) -> list[str]:
@@ -56,9 +59,9 @@ def made_with(cfg: DictConfig, scene_digest: str) -> dict[str, Any]:
 def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
     """Refuse to resume a training that began with another scene, other settings or files with other content.
 
-    The device, the scene's location, the training's length and the settings of logging, checkpoints and evaluation may
-    change. If the number of PyTorch threads or the processor's instruction set differs, a warning says that results may
-    differ in their last bits.
+    The device, the paths of files, the demonstrations, the training's length and the settings of logging, checkpoints
+    and evaluation may change. If the number of PyTorch threads or the processor's instruction set differs, a warning
+    says that results may differ in their last bits.
 
     Args:
         now: ``made_with`` of the run that is to resume.
@@ -69,7 +72,8 @@ def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
     """
     if not then:
         return
-    changed = [line for line in differences(now["settings"], then["settings"]) if not line.startswith(FREE)]
+    asked = _with_paths_of(then["settings"], now["settings"])
+    changed = [line for line in differences(asked, then["settings"]) if not line.startswith(FREE)]
     changed += changed_content(now, then)
     if changed:
         robots = any(line.startswith(f"{ROBOTS}:") for line in changed)
@@ -88,7 +92,14 @@ def changed_content(now: Mapping[str, Any], then: Mapping[str, Any]) -> list[str
     changed = [] if now["scene"] == then["scene"] else ["scene: its Gaussians or its free space differ"]
     began = then.get("files", {})
     common = now["files"].keys() & began.keys()  # a new file is told by the setting or the file that refers to it
-    return changed + [f"{path}: its content differs" for path in sorted(common) if now["files"][path] != began[path]]
+    return changed + [f"{file}: its content differs" for file in sorted(common) if now["files"][file] != began[file]]
+
+
+def _with_paths_of(then: Mapping[str, Any], now: Mapping[str, Any]) -> DictConfig:
+    """Return settings with the paths that other settings had, wherever both have one."""
+    cfg = OmegaConf.create(dict(now))
+    asked, before = paths_of(cfg), paths_of(OmegaConf.create(dict(then)))
+    return with_values(cfg, {key: path for key, path in before.items() if key in asked})
 
 
 def _settings(config: Mapping[str, Any]) -> dict[str, Any]:
@@ -99,9 +110,18 @@ def _settings(config: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _digests(cfg: DictConfig) -> dict[str, str]:
-    """Return digests of the files that a training depends on besides its scene, by path, without built-in ones."""
-    given = [expanded(path) for key, path in paths_of(cfg).items() if key not in NOT_DIGESTED]
-    return {str(file): digest_of([file]) for path in given for file in files_of(path)}
+    """Return digests of the files that a training depends on besides its scene, without built-in ones.
+
+    They are named by the key of their path, and those that belong to them by their name beside it: where they are does
+    not matter.
+    """
+    given = {key: expanded(path) for key, path in paths_of(cfg).items() if not key.endswith(NOT_DIGESTED)}
+    return {_name(key, path, file): digest_of([file]) for key, path in given.items() for file in files_of(path)}
+
+
+def _name(key: str, path: Path, file: Path) -> str:
+    """Return the name of a file at a key, or of one that belongs to it."""
+    return key if file == path else f"{file.relative_to(path if path.is_dir() else path.parent)} of {key}"
 
 
 def files_of(path: Path) -> list[Path]:

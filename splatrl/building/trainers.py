@@ -1,6 +1,7 @@
 """Builds policies and their trainers."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -33,13 +34,18 @@ def build_model(cfg: DictConfig, env: EnvBase) -> ActorValueOperator:
     return instantiate(cfg.network)(image_shape, env.action_spec, **given).to(env.device)
 
 
-def build_trainer(cfg: DictConfig, world: World | Worlds, folder: Path) -> Trainer:
+def build_trainer(
+    cfg: DictConfig, world: World | Worlds, folder: Path, resumes: Callable[[Any, Any], None] | None = None
+) -> Trainer:
     """Build the learner and the training loop around it.
 
     Args:
         cfg: the complete config.
         world: everything that the envs share.
         folder: the run folder.
+        resumes: continues the training in the folder, unless this refuses its ``made_with``, given that of the config
+            and then that of the checkpoint; None begins a training. Demonstrations are read only if the policy has not
+            yet learned from them.
     """
     curriculum = instantiate(cfg.curriculum)([one.plan for one in world.worlds])
     env = world.env(cfg.env.num_envs, curriculum, cfg.seed)
@@ -49,7 +55,7 @@ def build_trainer(cfg: DictConfig, world: World | Worlds, folder: Path) -> Train
     ppo = PPO(
         env, model, loss, optim, collector.frames_per_batch, collector.total_frames, _cuda_graph(collector.cuda_graph)
     )
-    teaching = _teaching(cfg, world, ppo)
+    teaching = _teaching(cfg, world, ppo) if resumes is None else None  # refuses before anything is written
     starts = spread_starts(world, cfg.logger.num_test_episodes)
     test_env = world.env(min(cfg.env.num_envs, len(starts.state)), seed=cfg.seed)
 
@@ -65,16 +71,21 @@ def build_trainer(cfg: DictConfig, world: World | Worlds, folder: Path) -> Train
         return result
 
     logger, checkpoint, plain = cfg.logger, cfg.checkpoint, cast(dict[str, Any], OmegaConf.to_container(cfg))
-    return Trainer(
+    made = made_with(with_absolute_paths(cfg), world.digest)
+    trainer = Trainer(
         ppo,
         folder,
         test,
         logger.test_interval,
         checkpoint.interval,
         make_tracker(logger.backend, folder, logger.exp_name, logger.project, logger.online, plain),
-        made_with(with_absolute_paths(cfg), world.digest),
+        made,
         teaching,
     )
+    if resumes is not None:
+        trainer.resume(partial(resumes, made))
+        trainer.prepare = _teaching(cfg, world, ppo) if ppo.frames == 0 else None
+    return trainer
 
 
 def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> Callable[[], Iterator[dict[str, float]]] | None:

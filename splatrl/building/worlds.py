@@ -11,7 +11,7 @@ from torchrl.envs import Transform
 from splatrl.building.instantiation import instantiate
 from splatrl.building.places import build_places, constructor
 from splatrl.collision.several import SeveralCheckers
-from splatrl.configuration import check_config, place_configs, place_names, with_absolute_paths
+from splatrl.configuration import check_config, check_files, place_configs, place_names, with_absolute_paths
 from splatrl.device import chosen_device
 from splatrl.envs.drawing import Drawing
 from splatrl.envs.transforms import FrameSkip
@@ -31,6 +31,7 @@ def build_world(cfg: DictConfig) -> World | Worlds:
         ValueError: for a value that is missing, or that a constructor refuses.
     """
     check_config(cfg)
+    check_files(cfg)
     given, device = with_absolute_paths(cfg).copy(), chosen_device(cfg.device)
     if cfg.device != str(device):
         cfg = cfg.copy()

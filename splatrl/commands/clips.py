@@ -10,7 +10,7 @@ from splatrl.building import build_one_world
 from splatrl.building.instantiation import instantiate
 from splatrl.commands.entries import clips as main
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import check_config, conf_dir, run_config
+from splatrl.configuration import check_config, conf_dir, config_elsewhere
 from splatrl.evaluation.clips import REPORT, write_report
 from splatrl.experiments.clip_scores import altered, film_run, record_clips, score_run
 from splatrl.values import require_number
@@ -33,7 +33,7 @@ def run(cfg: DictConfig) -> None:
         raise ValueError(f"run: expected distinct run folders, got {', '.join(runs) or 'none'}")
     if cfg.fov is not None:
         require_number("fov", cfg.fov, 1, 179, unit="degrees")
-    loading = (cfg.checkpoint, cfg.device, cfg.allow_targets, cfg.fov)
+    loading = (cfg.checkpoint, cfg.device, cfg.allow_targets, cfg.fov, cfg.place)
     if cfg.film is not None:
         film = Path(cfg.film)
         names = [Path(run).absolute().name for run in runs]
@@ -44,7 +44,7 @@ def run(cfg: DictConfig) -> None:
             for path in film_run(Path(name), film, output, *loading):
                 print(path)
     if cfg.record is not None:
-        own = run_config(Path(runs[0]), cfg.allow_targets)
+        own = config_elsewhere(Path(runs[0]), cfg.place, cfg.allow_targets)
         own.device = cfg.device or own.device
         torch.set_num_threads(own.threads)
         world = build_one_world(altered(own, cfg.seed))

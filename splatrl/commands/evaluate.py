@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from splatrl.commands.entries import evaluate as main
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import PATHS, check_config, conf_dir, config_elsewhere, options, quoted, run_config
+from splatrl.configuration import NAMES_OR_PATHS, PATHS, check_config, conf_dir, config_elsewhere, options, quoted
 from splatrl.configuration.grammar import bare
 from splatrl.documents import read_yaml
 from splatrl.envs.world import World, Worlds
@@ -59,7 +59,7 @@ def run(cfg: DictConfig) -> None:
     check_config(cfg)
     folder, results = Path(cfg.run), None
     words = [_absolute(str(word)) for word in cfg.place]
-    own = config_elsewhere(folder, words, cfg.allow_targets) if words else run_config(folder, cfg.allow_targets)
+    own = config_elsewhere(folder, words, cfg.allow_targets)
     if cfg.episodes:
         words.append(f"episodes={Path(str(cfg.episodes)).absolute()}")
     if words:
@@ -80,7 +80,7 @@ def _absolute(word: str) -> str:
     """Return an override, with its value made absolute if it is the path of a scene or of another file."""
     key, _, value = word.partition("=")
     path = bare(value)
-    is_path = key in ("scene", *PATHS) and path and path not in options(key) and Path(path).exists()
+    is_path = key in ("scene", *PATHS, *NAMES_OR_PATHS) and path and path not in options(key) and Path(path).exists()
     return f"{key}={quoted(Path(path).absolute())}" if is_path else word
 
 

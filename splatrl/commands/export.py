@@ -8,7 +8,7 @@ from omegaconf import DictConfig
 
 from splatrl.commands.entries import export as main
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import check_config, conf_dir, run_config
+from splatrl.configuration import check_config, conf_dir, config_elsewhere
 from splatrl.export import export_policy
 from splatrl.export.onnx_file import POLICY, RUNNER
 from splatrl.runs import load_policy
@@ -25,7 +25,7 @@ def run(cfg: DictConfig) -> None:
     out = Path(cfg.out or folder / "export")
     if out.is_file():
         raise ValueError(f"out: expected a folder, got {out}, a file")
-    own = run_config(folder, cfg.allow_targets)
+    own = config_elsewhere(folder, cfg.place, cfg.allow_targets)
     torch.set_num_threads(own.threads)
     trained = load_policy(folder, cfg.checkpoint, "cpu", own)
     facts = {"task": own.task._target_, "scene": trained.world.name, "run": folder.absolute().name}

@@ -11,7 +11,7 @@ from tqdm import tqdm
 from splatrl.building import build_one_world
 from splatrl.commands.entries import replay as main
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import check_config, conf_dir, run_config
+from splatrl.configuration import check_config, conf_dir, config_elsewhere
 from splatrl.datasets import read_demonstrations, replay
 
 
@@ -22,7 +22,7 @@ def run(cfg: DictConfig) -> None:
     check_config(cfg)
     folder = Path(cfg.demos)
     demonstrations = read_demonstrations(folder)
-    own = run_config(folder, cfg.allow_targets)
+    own = config_elsewhere(folder, cfg.place, cfg.allow_targets)
     own.device = "cpu"
     torch.set_num_threads(own.threads)
     world = build_one_world(own)

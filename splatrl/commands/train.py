@@ -3,7 +3,6 @@
 import gc
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 
 import hydra
@@ -87,9 +86,9 @@ def train(cfg: DictConfig, folder: Path) -> float:
     print(device_line(world.device))
     if cfg.evaluation.episodes is not None:
         given_episodes(world, Path(str(cfg.evaluation.episodes)))  # refuses a wrong file now, not after the training
-    trainer = build_trainer(cfg, world, folder)
+    accepting = (lambda now, then: None) if cfg.resume_changed else check_made_with
+    trainer = build_trainer(cfg, world, folder, accepting if resume else None)
     if resume:
-        trainer.resume((lambda then: None) if cfg.resume_changed else partial(check_made_with, trainer.made_with))
         save_config(cfg, folder)
     gc.collect()
     # Modules and the world live as long as the process; rescanning them would take a tenth of the training time.

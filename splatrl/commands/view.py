@@ -18,10 +18,10 @@ from splatrl.commands.faults import in_one_line
 from splatrl.configuration import (
     check_config,
     check_constructors,
+    check_files,
     conf_dir,
     config_elsewhere,
     place_configs,
-    run_config,
 )
 from splatrl.configuration.scene_overrides import CORNERS, TARGETS
 from splatrl.envs.world import World
@@ -53,6 +53,7 @@ def run(cfg: DictConfig) -> None:
         raise ValueError(f"scene: expected one scene for this command, got {count}; type scene=<one of them>")
     if own.scene.get("path", "") is None or OmegaConf.is_missing(own.scene, "path"):
         check_config(own)
+    check_files(own)
     torch.set_num_threads(own.threads)
     page = Page(instantiate(own.scene), cfg.host, cfg.port)
     print(f"{page.address}: {page.scene.name}, {len(page.scene.gaussians):,} Gaussians; Ctrl-C to quit", flush=True)
@@ -74,7 +75,7 @@ def config_of_run(cfg: DictConfig, typed: Sequence[str]) -> tuple[DictConfig, Ca
         typed: the overrides that were typed for the command.
     """
     folder, words = Path(cfg.run), list(cfg.place)
-    own = config_elsewhere(folder, words, cfg.allow_targets) if words else run_config(folder, cfg.allow_targets)
+    own = config_elsewhere(folder, words, cfg.allow_targets)
     own.device = own.device if cfg.device == "auto" else cfg.device
     if any(word.startswith("evaluation.checkpoint=") for word in typed):
         own.evaluation.checkpoint = cfg.evaluation.checkpoint

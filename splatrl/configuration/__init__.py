@@ -6,25 +6,32 @@ from splatrl.configuration.elsewhere import config_elsewhere, placed, words_of_p
 from splatrl.configuration.grammar import quoted
 from splatrl.configuration.places import place_configs, place_names
 from splatrl.configuration.run_configs import (
-    PATHS,
     RUN_CONFIG,
     check_new,
     forget_run,
-    paths_of,
     resumed_config,
     run_config,
     save_config,
+)
+from splatrl.configuration.run_files import (
+    NAMES_OR_PATHS,
+    PATHS,
+    check_files,
+    paths_of,
     with_absolute_paths,
+    with_values,
 )
 from splatrl.configuration.scene_choice import job_config, load_config, with_scene_paths
 from splatrl.configuration.search_path import conf_dir, is_group, options
 
 __all__ = [
+    "NAMES_OR_PATHS",
     "PATHS",
     "RUN_CONFIG",
     "UserError",
     "check_config",
     "check_constructors",
+    "check_files",
     "check_new",
     "command_line",
     "conf_dir",
@@ -44,5 +51,6 @@ __all__ = [
     "save_config",
     "with_absolute_paths",
     "with_scene_paths",
+    "with_values",
     "words_of_place",
 ]

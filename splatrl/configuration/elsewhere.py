@@ -1,17 +1,19 @@
-"""Moves the config of a run to a place other than the one in which its policy was trained."""
+"""Reads the config of a run whose files have been moved, or moves it to a place in which it was not trained."""
 
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
 
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
 from splatrl.configuration.checking import check_constructors
 from splatrl.configuration.grammar import quoted, written
 from splatrl.configuration.places import place_configs
-from splatrl.configuration.run_configs import PATHS, run_config, with_absolute_paths
+from splatrl.configuration.run_configs import run_config
+from splatrl.configuration.run_files import NAMES_OR_PATHS, PATHS, may_name_file, set_value, with_absolute_paths
 from splatrl.configuration.scene_choice import has_key, load_config, load_job, without_proposals
 from splatrl.configuration.search_path import composed
 from splatrl.documents import read_yaml
@@ -37,21 +39,31 @@ def placed(cfg: DictConfig, place: DictConfig) -> DictConfig:
 
 
 def config_elsewhere(folder: Path, words: Sequence[str], allow_targets: Sequence[str] = ()) -> DictConfig:
-    """Return the config that a run would have if other overrides had been typed for its place.
+    """Return the config of a run with its files where they are now, or of another place.
+
+    Words that say where a file of the run is, such as ``scene.path=home/``, change nothing else. With any others, the
+    config is what it would be if they had been typed for the training's place.
 
     Args:
         folder: the run folder, which need not be trusted.
         words: overrides of the place, such as ``scene=kitchen``; choosing a scene also drops the overrides of the
             original scene's goals and bounds, and what that scene proposed. Settings that a resumption changed hold.
+            Without any, the config is the run's own.
         allow_targets: see ``run_config``.
 
     Raises:
-        FileNotFoundError: if the run folder has no record of the overrides.
+        FileNotFoundError: if another place is asked for and the run folder has no record of the overrides.
         ValueError: for overrides that the command line would refuse, or that would build what is not allowed.
     """
-    own, path = run_config(folder, allow_targets), folder / TYPED
+    own, words = _with_files(run_config(folder, allow_targets), words)
+    if not words:
+        return own
+    path = folder / TYPED
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: expected the overrides typed for the training, found no such file")
+        raise FileNotFoundError(
+            f"{path}: expected the overrides typed for the training, found no such file; without it, only the new path "
+            f"of a file can be typed, as in scene.path=..., got {' '.join(words)}"
+        )
     typed = read_yaml(path)
     if not isinstance(typed, list) or not all(isinstance(word, str) and "${" not in word for word in typed):
         raise ValueError(f"{path}: expected a list of overrides without ${{...}} references, got {typed!r:.80}")
@@ -74,6 +86,21 @@ def config_elsewhere(folder: Path, words: Sequence[str], allow_targets: Sequence
     there.allow_targets = list(allow_targets)
     check_constructors(there)
     return placed(own, there)
+
+
+def _with_files(own: DictConfig, words: Sequence[str]) -> tuple[DictConfig, list[str]]:
+    """Return a run's config with its files where some words say that they are, and the other words.
+
+    A path beside the choice of a whole node, as in ``scene=kitchen scene.path=kitchen.spz``, is not one of the run's.
+    """
+    keys, others = [_key(word) for word in words], list[str]()
+    for key, word in zip(keys, words, strict=True):
+        within = any(key.startswith(f"{node}.") for node in keys)
+        if within or word.startswith("~") or not may_name_file(own, key):
+            others.append(word)
+        else:
+            set_value(own, key, OverridesParser.create().parse_override(word).value())
+    return with_absolute_paths(own), others
 
 
 def _scene_paths(own: DictConfig) -> list[str]:
@@ -106,7 +133,8 @@ def _changed_later(own: DictConfig, typed: Sequence[str]) -> dict[str, Any]:
 
 def words_of_place(words: Sequence[str]) -> tuple[list[str], list[str]]:
     """Split command-line overrides into those of a run's place and all others."""
-    mine = [word for word in words if "=" in word and _key(word).partition(".")[0] in PLACE]
+    keys = {word: _key(word) for word in words if "=" in word}
+    mine = [word for word, key in keys.items() if key.partition(".")[0] in PLACE or key in NAMES_OR_PATHS]
     return mine, [word for word in words if word not in mine]
 
 

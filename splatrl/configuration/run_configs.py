@@ -4,7 +4,7 @@ import functools
 import itertools
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn
@@ -17,10 +17,11 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from splatrl.configuration.checking import check_constructors
+from splatrl.configuration.run_files import set_value, with_absolute_paths
 from splatrl.configuration.scene_choice import has_key, load_config
 from splatrl.configuration.search_path import is_group
 from splatrl.documents import read_config
-from splatrl.files import expanded, replacing, require_room
+from splatrl.files import replacing, require_room
 
 
 @functools.cache
@@ -98,10 +99,6 @@ RUN_CONFIG = "config.yaml"
 """File name of the config in a run folder."""
 FIRST_BYTES = 2**16
 """Least free space for a run, in bytes: its configs, which Hydra writes before the command begins."""
-PATHS = ("scene.path", "collision.occupancy.cloud", "demos", "evaluation.episodes", "task.motion.looks")
-"""Keys whose strings are paths, made absolute in a run folder; ``demos`` may also be a number, which is left alone."""
-NAMES_OR_PATHS = ("drawing.sprite", "transforms.sprite.sprite", "task.motion.gait", "task.motion.things", "robot.path")
-"""Keys whose strings are paths or built-in names; they are made absolute if there is such a file."""
 
 
 def save_config(cfg: DictConfig, folder: Path) -> None:
@@ -126,32 +123,6 @@ def forget_run(folder: Path) -> None:
         for path in (folder / ".hydra", folder / "checkpoints", folder):
             if path.exists():
                 path.rmdir()
-
-
-def with_absolute_paths(cfg: DictConfig) -> DictConfig:
-    """Return a config with absolute paths, valid from any working directory; the same object if nothing changes."""
-    given = paths_of(cfg)
-    absolute = {key: str(expanded(path).absolute()) for key, path in given.items()}
-    changed = {key: path for key, path in absolute.items() if path != given[key]}
-    if changed:
-        cfg = cfg.copy()
-        for key, path in changed.items():
-            OmegaConf.update(cfg, key, path)
-    return cfg
-
-
-def paths_of(cfg: DictConfig) -> dict[str, str]:
-    """Return the paths in a config by key, such as ``task.motion.things[ball]``; built-in names are left out."""
-    named = {key: path for key, path in _strings(cfg, NAMES_OR_PATHS) if expanded(path).is_file()}
-    return dict(_strings(cfg, PATHS)) | named
-
-
-def _strings(cfg: DictConfig, keys: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield the strings at keys of a config and in the nodes there, with their keys."""
-    for key in keys:
-        value = OmegaConf.select(cfg, key)
-        within = {f"{key}[{name!s}]": value[name] for name in value} if isinstance(value, DictConfig) else {key: value}
-        yield from ((place, text) for place, text in within.items() if isinstance(text, str))
 
 
 def run_config(folder: Path, allow_targets: Sequence[str] = ()) -> DictConfig:
@@ -206,7 +177,7 @@ def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
 
     Raises:
         ValueError: for an override that chooses a config group, which would make it a different run, that deletes a
-            key, or whose key the run does not have.
+            key, whose key the run does not have, or for ``scene.paths`` other than those of the run's own scenes.
     """
     typed = OverridesParser.create().parse_overrides(list(overrides))
     changes = [one for one in typed if one.key_or_group not in WHERE]
@@ -221,7 +192,7 @@ def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
         if change.is_delete() or not has_key(cfg, change.key_or_group):
             got = str(change.input_line).lstrip("+")
             raise ValueError(f"resume={folder}: expected values for keys of the run, got {got}")
-        OmegaConf.update(cfg, change.key_or_group, change.value())
+        set_value(cfg, change.key_or_group, change.value())
     return cfg
 
 

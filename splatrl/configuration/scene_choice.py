@@ -132,9 +132,9 @@ def _choosing(value: str, sweeps: bool) -> list[str]:
     path = bare(value)
     if path in options("scene"):
         return [f"scene={path}"]  # without any quotes
-    if _is_path(path):
+    if is_path(path):
         return _files([path])
-    if sweeps and all(map(_is_path, several := [bare(one) for one in value.split(",")])):
+    if sweeps and all(map(is_path, several := [bare(one) for one in value.split(",")])):
         return _files(several)
     if sweeps and (seeds := _seeds(value)):
         return ["scene=yard", f"scene.seed={','.join(seeds)}"]
@@ -153,16 +153,21 @@ def _seeds(value: str) -> list[str]:
     return [yard[2] for yard in yards if yard] if all(yard and yard[1] == "yard" for yard in yards) else []
 
 
-def _is_path(text: str) -> bool:
+def is_path(text: str) -> bool:
     """Whether a scene was typed as the path of something that exists, rather than as the name of a config."""
     return bool(text) and text not in options("scene") and Path(text).exists()
 
 
 def _files(paths: Sequence[str]) -> list[str]:
     """Return the overrides that choose a scene, or in a sweep several, by existing paths."""
+    return ["scene=file", f"scene.path={','.join(quoted(path_of_scene(path)) for path in paths)}"]
+
+
+def path_of_scene(typed: str) -> str:
+    """Return the path of a scene as it was typed, or its folder if ``scene.yaml`` or ``blocks.yaml`` was typed."""
     from splatrl.configuration.scene_files import found_scene
 
-    return ["scene=file", f"scene.path={','.join(quoted(found_scene(path)) for path in paths)}"]
+    return found_scene(typed)
 
 
 def _any_in_blocks(overrides: Sequence[str], chosen: Sequence[str]) -> bool:
@@ -175,7 +180,7 @@ def _any_in_blocks(overrides: Sequence[str], chosen: Sequence[str]) -> bool:
     if "scene=many" in chosen:
         return any(_in_blocks(str(unquoted(one))) for one in _paths(chosen))
     typed = [bare(override.partition("=")[2]) for override in overrides if override.startswith("scene=")]
-    return any(_in_blocks(path) for path in typed if _is_path(path))
+    return any(_in_blocks(path) for path in typed if is_path(path))
 
 
 def _places(overrides: Sequence[str], name: str) -> list[str]:
@@ -262,9 +267,7 @@ def _chosen(text: str, key: str = "scene.paths") -> list[str]:
     if not Path(text).exists():
         expected = f"one of {', '.join(known)}, one with a seed such as yard:3, or an existing path"
         raise ValueError(f"{key}: expected {expected}, got {text}")
-    from splatrl.configuration.scene_files import found_scene
-
-    return ["scene=file", f"scene.path={quoted(Path(found_scene(text)).absolute())}"]
+    return ["scene=file", f"scene.path={quoted(Path(path_of_scene(text)).absolute())}"]
 
 
 def _whole_configs() -> list[str]:

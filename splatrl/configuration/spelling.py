@@ -49,5 +49,11 @@ def _with_place(arguments: Sequence[str]) -> list[str]:
     return [*words, f"place=[{','.join(map(quoted, place))}]"] if place else words
 
 
-SPELLED: dict[str, Callable[[Sequence[str]], list[str]]] = {"evaluate": _of_evaluation, "view": _of_view}
+SPELLED: dict[str, Callable[[Sequence[str]], list[str]]] = {
+    "evaluate": _of_evaluation,
+    "view": _of_view,
+    "export": _with_place,
+    "clips": _with_place,
+    "replay": _with_place,
+}
 """Commands that accept other spellings of some arguments, with the function that translates them."""

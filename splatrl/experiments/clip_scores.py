@@ -13,7 +13,7 @@ from tensordict.nn import TensorDictModuleBase
 from tqdm import tqdm
 
 from splatrl.building import build_one_world
-from splatrl.configuration import run_config
+from splatrl.configuration import config_elsewhere, run_config
 from splatrl.envs.world import World
 from splatrl.evaluation.clip_files import film_images, read_clips
 from splatrl.evaluation.clips import ClipResult, match
@@ -68,6 +68,7 @@ def score_run(
     device: str | None = None,
     allow_targets: Sequence[str] = (),
     fov: float | None = None,
+    place: Sequence[str] = (),
 ) -> list[ClipResult]:
     """Score the policy of a run folder on clips.
 
@@ -79,11 +80,12 @@ def score_run(
         allow_targets: your own packages from which the run's config may build objects.
         fov: horizontal field of view of the clips, degrees; None takes that of the policy's camera. A line says for
             each clip what the policy does not see of its field of view.
+        place: overrides of the place in which the policy is loaded, such as ``scene.path`` of a scene that has moved.
 
     Raises:
         ValueError: for a task whose actions have no names.
     """
-    policy, names, eye, known = _watching(folder, checkpoint, device, allow_targets, fov)
+    policy, names, eye, known = _watching(folder, checkpoint, device, allow_targets, fov, place)
     found = read_clips(clips, names)
     for clip in found:
         _tell(eye, clip.source)
@@ -99,9 +101,10 @@ def film_run(
     device: str | None = None,
     allow_targets: Sequence[str] = (),
     fov: float | None = None,
+    place: Sequence[str] = (),
 ) -> list[Path]:
     """Overlay a film with what the policy of a run folder would do; see ``draw_film`` and ``score_run``."""
-    policy, names, eye, known = _watching(folder, checkpoint, device, allow_targets, fov)
+    policy, names, eye, known = _watching(folder, checkpoint, device, allow_targets, fov, place)
     _tell(eye, film)
     output.parent.mkdir(parents=True, exist_ok=True)
     with tqdm(unit="frame", desc=folder.name, dynamic_ncols=True) as bar:
@@ -109,10 +112,15 @@ def film_run(
 
 
 def _watching(
-    folder: Path, checkpoint: str | None, device: str | None, allow_targets: Sequence[str], fov: float | None
+    folder: Path,
+    checkpoint: str | None,
+    device: str | None,
+    allow_targets: Sequence[str],
+    fov: float | None,
+    place: Sequence[str],
 ) -> tuple[TensorDictModuleBase, Sequence[str], Eye, TensorDictBase]:
     """Load a run's policy, its action names, its camera and its other inputs at the start of an episode."""
-    cfg = run_config(folder, allow_targets)
+    cfg = config_elsewhere(folder, place, allow_targets)
     torch.set_num_threads(cfg.threads)
     trained = load_policy(folder, checkpoint, device, cfg)
     motion, policy, begun = trained.world.task.motion, trained.policy, trained.beginning()

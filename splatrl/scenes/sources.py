@@ -82,9 +82,7 @@ def read_scene(
     """
     splat = scene_place(expanded(path))
     if not splat.exists():
-        raise FileNotFoundError(
-            f"{splat}: expected a splat file or a scene's folder, found none; if it has moved, type scene.path=..."
-        )
+        raise FileNotFoundError(f"{splat}: expected a splat file or a scene's folder, found none")
     if is_in_blocks(splat):
         if _says_something(world_from_splat):
             raise ValueError(

@@ -185,6 +185,7 @@ def test_other_observations_of_a_policy_are_given_on_the_command_line(
         ),
         (["run={run}", "frames=none"], "splatrl-export: frames: expected a number"),
         (["run={run}", "checkpoint=first"], "splatrl-export: checkpoint: expected last or best, got 'first'"),
+        (["run={run}", "scene.path=moved"], "splatrl-export: .*/moved: expected a file or a folder, found none"),
         (["run={run}", "output=x"], "output: no such key, did you mean out"),
     ],
 )

@@ -19,6 +19,7 @@ from splatrl.commands import record, replay
 from splatrl.configuration import load_config
 from splatrl.datasets import Demonstrations, planner_episodes, read_demonstrations
 from splatrl.envs.world import World
+from splatrl.made_with import check_made_with
 from splatrl.scenes import write_gaussians
 from splatrl.training import load_checkpoint
 from splatrl.training.history import unpacked
@@ -101,6 +102,20 @@ def test_a_scene_that_has_changed_since_the_recording_is_mentioned(
         call(replay, monkeypatch, demos)
     with pytest.warns(UserWarning, match=said):
         build_trainer(cfg, build_world(cfg), tmp_path)
+
+
+def test_demonstrations_are_replayed_where_their_scene_has_moved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call(record, monkeypatch, *tiny_overrides(tmp_path), "by=planner", "episodes=2", f"out={tmp_path / 'demos'}")
+    (splat,) = tmp_path.glob("*.ply")
+    (tmp_path / "home").mkdir()
+    splat.rename(tmp_path / "home" / "room.ply")
+    monkeypatch.chdir(tmp_path / "home")
+    with pytest.raises(SystemExit, match=r"expected a file or a folder, .*; if it has moved, type scene\.path="):
+        call(replay, monkeypatch, f"demos={tmp_path / 'demos'}")
+    call(replay, monkeypatch, f"demos={tmp_path / 'demos'}", "scene.path=room.ply")
+    assert "are identical, byte for byte" in capsys.readouterr().out
 
 
 def test_a_replay_that_differs_ends_with_an_error(demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -258,6 +273,19 @@ def test_a_training_killed_during_imitation_restarts_with_the_same_bytes(
     assert all(torch.equal(value, other["ppo"]["model"][key]) for key, value in one["ppo"]["model"].items())
     rows = [[row | {"seconds": 0.0} for row in unpacked(state["history"])] for state in (one, other)]
     assert repr(rows[0]) == repr(rows[1])  # nan equals nan
+
+
+def test_demonstrations_are_not_read_again_after_imitation(
+    taught: tuple[DictConfig, World, Path], tmp_path: Path
+) -> None:
+    cfg, world, whole = taught
+    shutil.copytree(whole, tmp_path / "run")
+    changed = cfg.copy()
+    changed.demos = str(tmp_path / "nowhere")
+    trainer = build_trainer(changed, world, tmp_path / "run", check_made_with)
+    assert trainer.prepare is None and trainer.ppo.frames > 0
+    with pytest.raises(FileNotFoundError, match="nowhere: expected a folder of demonstrations"):
+        build_trainer(changed, world, tmp_path / "new")
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import pytest
 from hydra import initialize_config_dir
 
 from splatrl.configuration import (
+    check_files,
     command_line,
     conf_dir,
     config_elsewhere,
@@ -14,6 +15,7 @@ from splatrl.configuration import (
     resumed_config,
     run_config,
     save_config,
+    words_of_place,
 )
 from splatrl.scenes import write_gaussians
 from tests.tiny import tiny_gaussians
@@ -99,6 +101,73 @@ def test_a_run_keeps_the_files_of_its_things_and_looks_in_any_working_directory(
     for cfg in (run_config(run), config_elsewhere(run, ["task.max_steps=50"])):
         assert dict(cfg.task.motion.things) == {"ball": "ball", "crate": str(tmp_path / "box.xml")}
         assert dict(cfg.task.motion.looks) == {"ball": str(tmp_path / "garden" / "a.ply")}
+
+
+def moved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]) -> Path:
+    """Start a run in the garden, move the garden to ``home/mine``, and go there."""
+    run = trained(tmp_path / "run", words)
+    (tmp_path / "home").mkdir()
+    (tmp_path / "garden").rename(tmp_path / "home" / "mine")
+    monkeypatch.chdir(tmp_path / "home")
+    return run
+
+
+def test_a_run_whose_scene_has_moved_keeps_everything_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = moved(tmp_path, monkeypatch, ["scene=garden/", "transforms/pose_noise=uniform"])
+    own = run_config(run)
+    with pytest.raises(FileNotFoundError, match=r"/garden: expected .* found none; if it has moved, type scene\.path="):
+        check_files(own)
+    own.scene.path = str(tmp_path / "home" / "mine")
+    (run / ".hydra" / "overrides.yaml").unlink()  # as in a copy without hidden files
+    there = config_elsewhere(run, ["scene.path=mine"])
+    check_files(there)
+    assert there == own and own.transforms.pose_noise
+    with pytest.raises(FileNotFoundError, match=r"overrides\.yaml: expected .* can be typed.* got scene=m"):
+        config_elsewhere(run, ["scene=mine", "scene.path=mine"])
+
+
+def test_a_run_goes_to_another_place_from_where_its_files_are_now(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "garden" / "duck.png").touch()
+    run = moved(tmp_path, monkeypatch, ["task=apple", "scene=garden/", "drawing.sprite=garden/duck.png"])
+    words, others = words_of_place(["drawing.sprite=mine/duck.png", "scene.path=mine", "robot.fov_deg=60", "seed=1"])
+    assert others == ["seed=1"]
+    there = config_elsewhere(run, words)
+    paths = [str(tmp_path / "home" / "mine"), str(tmp_path / "home" / "mine" / "duck.png")]
+    assert [there.scene.path, there.drawing.sprite] == paths
+    assert (there.robot.fov_deg, there.robot.height) == (60, 0.7)
+    backyard = config_elsewhere(run, [words[0], "scene=backyard"])
+    assert backyard.drawing.sprite == paths[1] and "path" not in backyard.scene
+
+
+def test_one_of_several_scenes_may_have_moved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = moved(tmp_path, monkeypatch, ["scene=many", "scene.paths=[garden/,yard:3]"])
+    with pytest.raises(FileNotFoundError, match=r"/garden: .* type scene\.paths=\[\.\.\.\] anew"):
+        check_files(run_config(run))
+    expected, word = list(run_config(run).scene.places), "scene.paths=[mine,yard:3]"
+    expected[0].scene.path = str(tmp_path / "home" / "mine")
+    resumed = resumed_config(run, command_line("train", [f"resume={run}", word]))
+    for cfg in (resumed, config_elsewhere(run, [word]), config_elsewhere(run, [word, "robot.fov_deg=60"])):
+        assert list(cfg.scene.places) == expected
+    save_config(resumed, run)
+    save_config(resumed_config(run, [f"resume={run}", "scene.places.0.scene.path=mine"]), run)
+    assert list(run_config(run).scene.places) == expected
+    for paths in ("[yard:3]", "[mine,yard:4]", "[backyard,yard:3]", "[garden,yard:3]", "mine"):
+        told = r"scene\.paths: expected the run's own scenes, \['mine','yard:3'\], with new paths .*, got "
+        with pytest.raises(ValueError, match=told):
+            config_elsewhere(run, [f"scene.paths={paths}"])
+    assert len(config_elsewhere(run, ["scene=many", "scene.paths=[mine]"]).scene.places) == 1
+
+
+@pytest.mark.parametrize("command", ["evaluate", "view", "export", "clips", "replay"])
+def test_all_commands_that_read_a_run_are_told_in_the_same_way_where_its_files_are(
+    command: str, tmp_path: Path
+) -> None:
+    run = trained(tmp_path / "run", ["scene=garden/"])
+    folder = f"{'demos' if command == 'replay' else 'run'}={run}"
+    *_, place = command_line(command, [folder, "scene.path=home", "robot.path=mine.xml"])
+    assert place == r"place=['scene.path=home','robot.path=mine.xml']"
 
 
 def test_changed_settings_are_allowed_for_one_resumption_only(tmp_path: Path) -> None:
