@@ -127,7 +127,7 @@ def test_a_dense_object_on_wide_sparse_ground_does_not_hide_the_ground(share: fl
     bush = ground[torch.from_numpy(rng.integers(count, size=round(count * share / (1 - share))))]
     leaves = rng.normal(size=(len(bush.means), 3))
     leaves *= rng.uniform(0.5, 0.7, (len(leaves), 1)) / np.linalg.norm(leaves, axis=1, keepdims=True)
-    bush.means = torch.from_numpy(leaves + [0.0, 0.0, 0.8]).float()
+    bush.means = torch.from_numpy(leaves + np.array([0.0, 0.0, 0.8])).float()
     bush.quats = torch.nn.functional.normalize(torch.from_numpy(rng.normal(size=(len(leaves), 4))).float(), dim=1)
     placed = similarity(STANDING["-y"])
     file, truth = lying(torch.cat([ground, bush]), placed), placed[2, :3].numpy()
