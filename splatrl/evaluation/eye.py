@@ -45,7 +45,7 @@ class Eye:
         """
         scale = self._scale(image)
         across, down = _shares(image.width, self.width, scale), _shares(image.height, self.height, scale)
-        columns = _seen(across.any(0))
+        columns = _seen(across.sum(0))
         pixels, lines = np.asarray(image)[:, columns], []
         for shares in down:  # one row of the result at a time, so that a large image is never held as floats
             rows = _seen(shares)
@@ -87,7 +87,7 @@ def _angle(pixels: float, focal: float) -> float:
     return math.degrees(2 * math.atan(0.5 * pixels / focal))
 
 
-def _seen(weights: NDArray[np.generic]) -> slice:
+def _seen(weights: NDArray[np.float64]) -> slice:
     """Return the range outside of which all weights are 0."""
     first, last = np.flatnonzero(weights)[[0, -1]]
     return slice(first, last + 1)
