@@ -18,7 +18,7 @@ SPEED_ONLY = {"threads", "renderer.threads", "resume", "collector.cuda_graph", "
 SPEED_ONLY |= {"resume_changed", "allow_targets", "view"}
 """Keys of a config that do not change the results."""
 FREE = (
-    *("device:", "scene.name:", "scene.paths:", "demos:", "collector.total_frames:"),
+    *("device:", "scene.name:", "scene.paths:", "collector.total_frames:"),
     *("logger.", "checkpoint.", "evaluation."),
 )
 """Prefixes of the lines of ``differences`` that a resumed run may have; files are identified by their content."""
@@ -59,7 +59,7 @@ def made_with(cfg: DictConfig, scene_digest: str) -> dict[str, Any]:
 def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
     """Refuse to resume a training that began with another scene, other settings or files with other content.
 
-    The device, the paths of files, the demonstrations, the training's length and the settings of logging, checkpoints
+    The device, the paths of files, the training's length and the settings of logging, checkpoints
     and evaluation may change. If the number of PyTorch threads or the processor's instruction set differs, a warning
     says that results may differ in their last bits.
 
@@ -90,9 +90,12 @@ def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
 def changed_content(now: Mapping[str, Any], then: Mapping[str, Any]) -> list[str]:
     """List the scene and the files whose content differs between two results of ``made_with``."""
     changed = [] if now["scene"] == then["scene"] else ["scene: its Gaussians or its free space differ"]
-    began = then.get("files", {})
-    common = now["files"].keys() & began.keys()  # a new file is told by the setting or the file that refers to it
-    return changed + [f"{file}: its content differs" for file in sorted(common) if now["files"][file] != began[file]]
+    files, began = now["files"], then.get("files", {})
+    common = files.keys() & began.keys()  # a new file is told by the setting or the file that refers to it
+    other = {name for name in common if files[name] != began[name]}
+    # and a folder in place of a file, or of a folder of other files, has no name in common with it
+    other |= ({_key(name) for name in files} & {_key(name) for name in began}) - {_key(name) for name in common}
+    return changed + [f"{name}: its content differs" for name in sorted(other)]
 
 
 def _with_paths_of(then: Mapping[str, Any], now: Mapping[str, Any]) -> DictConfig:
@@ -122,6 +125,11 @@ def _digests(cfg: DictConfig) -> dict[str, str]:
 def _name(key: str, path: Path, file: Path) -> str:
     """Return the name of a file at a key, or of one that belongs to it."""
     return key if file == path else f"{file.relative_to(path if path.is_dir() else path.parent)} of {key}"
+
+
+def _key(name: str) -> str:
+    """Return the key of a file's name."""
+    return name.rpartition(" of ")[2]
 
 
 def files_of(path: Path) -> list[Path]:

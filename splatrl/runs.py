@@ -11,7 +11,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.modules import ActorValueOperator
 
 from splatrl.building import build_model, build_world
-from splatrl.configuration import run_config
+from splatrl.configuration import moves_scene, run_config
 from splatrl.envs.world import World, Worlds
 from splatrl.files import refusing
 from splatrl.training import load_checkpoint
@@ -53,6 +53,7 @@ def load_policy(
     cfg: DictConfig | None = None,
     world: World | Worlds | None = None,
     allow_targets: Sequence[str] = (),
+    place: Sequence[str] = (),
 ) -> TrainedPolicy:
     """Load the policy of a run folder, which need not be trusted: it is read as data, and builds only what conf/ names.
 
@@ -63,10 +64,11 @@ def load_policy(
         cfg: config of the run, if it has already been read or changed.
         world: world built from ``cfg``, if it has already been built.
         allow_targets: additional packages that may define what the config builds.
+        place: the overrides with which ``cfg`` was made; see ``config_elsewhere``.
 
     Raises:
         FileNotFoundError: if the folder holds no run, or the checkpoint does not exist.
-        ValueError: for a damaged checkpoint.
+        ValueError: for a damaged checkpoint, or if ``place`` says where the scene has been moved and another is there.
     """
     run = Path(run)
     cfg = run_config(run, allow_targets) if cfg is None else cfg
@@ -77,6 +79,11 @@ def load_policy(
     path = run / "checkpoints" / f"{chosen}.pt"
     state = load_checkpoint(path)
     world = build_world(cfg) if world is None else world
+    if moves_scene(place) and state.get("made_with", {}).get("scene", world.digest) != world.digest:
+        raise ValueError(
+            f"{' '.join(place)}: expected the training's own scenes, in their order, where they are now, got others or "
+            f"other contents; type scene=... to go elsewhere"
+        )
     model = build_model(cfg, world.env(1))
     with refusing(path, "the weights of the policy that the run's config describes"):
         model.load_state_dict(state["ppo"]["model"])

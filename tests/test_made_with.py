@@ -98,6 +98,30 @@ def test_the_scenes_of_a_run_may_lie_elsewhere_but_not_be_others() -> None:
         check_made_with(among("/b", "{scene:{_target_:splatrl.backyard}}"), among("/a"))
 
 
+@pytest.mark.parametrize("look", ["look", "looks", "look.ply"])
+def test_a_folder_in_place_of_a_file_or_of_other_files_is_another_content(look: str) -> None:
+    Path("looks").mkdir()
+    Path("looks/other.webp").write_text("an image")
+    Path("look.ply").write_text("Gaussians")
+    before = made_with(load_config([*PUSH[:-1], "+task.motion.looks.ball=looks"]), "scene")
+    now = made_with(load_config([*PUSH[:-1], f"+task.motion.looks.ball={look}"]), "scene")
+    if look == "looks":
+        check_made_with(now, before)
+    else:
+        with pytest.raises(
+            ValueError, match=r"different ones: task\.motion\.looks\[ball\]: its content differs; to resume"
+        ):
+            check_made_with(now, before)
+
+
+@pytest.mark.parametrize("typed", ["demos=8", "demos=null"])
+def test_a_run_keeps_saying_what_it_learned_from(typed: str) -> None:
+    before = made_with(load_config(["task=grid", "demos=demos"]), "scene")
+    check_made_with(made_with(load_config(["task=grid", "demos=elsewhere"]), "scene"), before)
+    with pytest.raises(ValueError, match=r"different ones: demos: asked for "):
+        check_made_with(made_with(load_config(["task=grid", typed]), "scene"), before)
+
+
 def test_no_way_is_offered_to_resume_with_another_number_of_robots() -> None:
     before, now = (made_with(load_config(["task=grid", f"env.num_envs={robots}"]), "scene") for robots in (16, 8))
     with pytest.raises(ValueError, match=r"env\.num_envs: asked for 8, found 16; a training keeps its number .*s$"):

@@ -1,5 +1,7 @@
 """Policies are loaded from run folders."""
 
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -54,6 +56,18 @@ def test_a_policy_can_be_loaded_on_another_device_than_it_was_trained_on(run: Pa
     cfg.device = "cuda"
     trained = load_policy(run, device="cpu", cfg=cfg)
     assert trained.world.device.type == "cpu" and next(trained.model.parameters()).device.type == "cpu"
+
+
+@pytest.mark.parametrize("place", [["scene.path=moved"], ["scene.paths=[b,a]"], ["scene.places.0.scene.path=moved"]])
+def test_another_scene_where_the_runs_own_should_be_is_refused(run: Path, tmp_path: Path, place: list[str]) -> None:
+    world, run = build_world(run_config(run)), Path(shutil.copytree(run, tmp_path / "run"))
+    path = run / "checkpoints/last.pt"
+    save_checkpoint(path, torch.load(path, weights_only=True) | {"made_with": {"scene": world.digest}})
+    load_policy(run, world=world, place=place)
+    emptied = replace(world, scene=replace(world.scene, gaussians=world.scene.gaussians[1:]), made_by=None)
+    load_policy(run, world=emptied, place=["scene=b", *place])
+    with pytest.raises(ValueError, match=r"expected the training's own scenes, .* got others or other contents"):
+        load_policy(run, world=emptied, place=place)
 
 
 def test_a_missing_run_or_an_unknown_checkpoint_is_refused_by_name(run: Path, tmp_path: Path) -> None:

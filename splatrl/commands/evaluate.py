@@ -28,7 +28,11 @@ PLACE = "place.yaml"
 
 
 def evaluate_run(
-    cfg: DictConfig, folder: Path, world: World | Worlds | None = None, results: Path | None = None
+    cfg: DictConfig,
+    folder: Path,
+    world: World | Worlds | None = None,
+    results: Path | None = None,
+    place: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Evaluate the run in a folder with a given config, and print the results.
 
@@ -37,13 +41,14 @@ def evaluate_run(
         folder: the run folder.
         world: the world built from ``cfg``, if it exists already.
         results: folder for numbers and pictures; None is the run folder.
+        place: the overrides with which ``cfg`` was made, if any; see ``load_policy``.
 
     Raises:
         OSError: if ``results`` cannot be written to; the message names it.
     """
     results = results or folder
     require_room(results)
-    trained = load_policy(folder, cfg=cfg, world=world)
+    trained = load_policy(folder, cfg=cfg, world=world, place=place)
     settings = EvaluationSettings(**cfg.evaluation)
     policy, checkpoint = Actor(trained.model, judges=False), trained.checkpoint
     summary, files = evaluate(trained.world, policy, checkpoint, results, settings, cfg.seed, cfg.logger.video)
@@ -73,7 +78,7 @@ def run(cfg: DictConfig) -> None:
     own.device = cfg.device or own.device
     torch.set_num_threads(own.threads)
     with nullcontext() if results is None else _made(results, words):
-        evaluate_run(own, folder, results=results)
+        evaluate_run(own, folder, results=results, place=words)
 
 
 def _absolute(word: str) -> str:

@@ -27,7 +27,7 @@ def run(cfg: DictConfig) -> None:
         raise ValueError(f"out: expected a folder, got {out}, a file")
     own = config_elsewhere(folder, cfg.place, cfg.allow_targets)
     torch.set_num_threads(own.threads)
-    trained = load_policy(folder, cfg.checkpoint, "cpu", own)
+    trained = load_policy(folder, cfg.checkpoint, "cpu", own, place=cfg.place)
     facts = {"task": own.task._target_, "scene": trained.world.name, "run": folder.absolute().name}
     found = export_policy(trained.model, trained.world, out, cfg.frames, facts)
     print(f"{out / POLICY}: outputs differ from PyTorch by at most {found:.1e} on {cfg.frames:,} views")

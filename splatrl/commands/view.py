@@ -79,7 +79,7 @@ def config_of_run(cfg: DictConfig, typed: Sequence[str]) -> tuple[DictConfig, Ca
     own.device = own.device if cfg.device == "auto" else cfg.device
     if any(word.startswith("evaluation.checkpoint=") for word in typed):
         own.evaluation.checkpoint = cfg.evaluation.checkpoint
-    return own, lambda world: load_policy(folder, cfg=own, world=world)
+    return own, lambda world: load_policy(folder, cfg=own, world=world, place=words)
 
 
 def furnish(

@@ -2,7 +2,7 @@
 
 from splatrl.configuration.checking import check_config, check_constructors
 from splatrl.configuration.command_line import UserError, command_line
-from splatrl.configuration.elsewhere import config_elsewhere, placed, words_of_place
+from splatrl.configuration.elsewhere import config_elsewhere, moves_scene, placed, words_of_place
 from splatrl.configuration.grammar import quoted
 from splatrl.configuration.places import place_configs, place_names
 from splatrl.configuration.run_configs import (
@@ -40,6 +40,7 @@ __all__ = [
     "is_group",
     "job_config",
     "load_config",
+    "moves_scene",
     "options",
     "paths_of",
     "place_configs",

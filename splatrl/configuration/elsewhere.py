@@ -13,7 +13,14 @@ from splatrl.configuration.checking import check_constructors
 from splatrl.configuration.grammar import quoted, written
 from splatrl.configuration.places import place_configs
 from splatrl.configuration.run_configs import run_config
-from splatrl.configuration.run_files import NAMES_OR_PATHS, PATHS, may_name_file, set_value, with_absolute_paths
+from splatrl.configuration.run_files import (
+    NAMES_OR_PATHS,
+    PATHS,
+    SEVERAL,
+    may_name_file,
+    set_value,
+    with_absolute_paths,
+)
 from splatrl.configuration.scene_choice import has_key, load_config, load_job, without_proposals
 from splatrl.configuration.search_path import composed
 from splatrl.documents import read_yaml
@@ -136,6 +143,12 @@ def words_of_place(words: Sequence[str]) -> tuple[list[str], list[str]]:
     keys = {word: _key(word) for word in words if "=" in word}
     mine = [word for word, key in keys.items() if key.partition(".")[0] in PLACE or key in NAMES_OR_PATHS]
     return mine, [word for word in words if word not in mine]
+
+
+def moves_scene(words: Sequence[str]) -> bool:
+    """Return whether overrides say where the scenes of a run are now, rather than choose others."""
+    keys = {_key(word) for word in words}
+    return "scene" not in keys and any(key == SEVERAL or key.endswith("scene.path") for key in keys)
 
 
 def _key(word: str) -> str:

@@ -122,7 +122,7 @@ def _watching(
     """Load a run's policy, its action names, its camera and its other inputs at the start of an episode."""
     cfg = config_elsewhere(folder, place, allow_targets)
     torch.set_num_threads(cfg.threads)
-    trained = load_policy(folder, checkpoint, device, cfg)
+    trained = load_policy(folder, checkpoint, device, cfg, place=place)
     motion, policy, begun = trained.world.task.motion, trained.policy, trained.beginning()
     if not motion.action_names:
         raise ValueError(f"task: expected a motion with named actions, got {type(motion).__name__}")

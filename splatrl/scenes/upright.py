@@ -149,7 +149,7 @@ def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None, roughly: bo
         f"{share:.0%} of the opacity lies in this flat layer" + (" or in the ceiling's" if len(ends) == 2 else ""),
     )
     if len(ends) == 1 and sign * evidence < -0.3:
-        ends = [float(np.quantile(heights, 0.02))]
+        ends = [float(np.quantile(heights[near], 0.02))]
         floor_guess = Guess(GUESS, "the main layer lies above the rest, so this is only the bottom of the scene")
     ceiling = ends[1] if len(ends) == 2 else None
     scale, units_guess = _units(None if ceiling is None else ceiling - ends[0])

@@ -278,7 +278,7 @@ def test_an_evaluation_can_override_the_settings_of_its_run(
     run: tuple[Path, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given = []
-    monkeypatch.setattr(evaluate, "evaluate_run", lambda cfg, folder, results: given.append(cfg.evaluation))
+    monkeypatch.setattr(evaluate, "evaluate_run", lambda cfg, folder, results, place: given.append(cfg.evaluation))
     monkeypatch.setattr(sys, "argv", ["splatrl-evaluate", f"run={run[0]}", "starts=5", "seed=3", "checkpoint=last"])
     evaluate.main()
     own = run_config(run[0]).evaluation
