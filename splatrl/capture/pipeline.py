@@ -26,7 +26,7 @@ from splatrl.capture.look import look
 from splatrl.capture.mapping import ENOUGH, NEARLY
 from splatrl.capture.marker import MARKER_SIDE
 from splatrl.capture.masks import in_view, masks_of, write_masks
-from splatrl.capture.moving import find_moving
+from splatrl.capture.moving import find_moving, small_fit
 from splatrl.capture.poses import check_libraries, find_poses
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.recordings import is_recording, read_recording
@@ -332,7 +332,7 @@ def _masks(
             write_masks(made, masks, photos)
 
     cameras = [found.K, found.seen_point, found.seen_by]  # whatever the scale: one stated later keeps the poses
-    return stages.folder(name, fingerprint(_recipe(finely), cameras, found.paths), write)
+    return stages.folder(name, fingerprint(_recipe(small_fit(finely, found.width)), cameras, found.paths), write)
 
 
 def _finely(placed: Placed, settings: CaptureSettings) -> FitSettings:
@@ -360,7 +360,7 @@ def _moving(placed: Placed, depths: Depths, stages: Stages, settings: FitSetting
     def find() -> dict[str, torch.Tensor]:
         return {"moving": find_moving(found, depths, settings, progress)}
 
-    return stages.arrays("moving", _key(found, settings, depths.moving), find)["moving"]
+    return stages.arrays("moving", _key(found, small_fit(settings, found.width), depths.moving), find)["moving"]
 
 
 def _fitted(
