@@ -79,15 +79,7 @@ def find_moving(
     Raises:
         CaptureError: as ``fit`` does.
     """
-    small = replace(
-        settings,
-        width=depths.known.shape[2],
-        cap=min(GAUSSIANS, settings.cap),
-        views=max(1, round(settings.views * SHARE)),
-        levels=((0.0, 1.0),),
-        sh_degree=0,
-        device="cpu",
-    )
+    small = small_fit(settings, depths.known.shape[2])
     rows, frame = trained(len(reconstruction.paths)), frame_of(reconstruction.camera_to_world)
     if reconstruction.depths:  # a sensor also measures moving things
         (seen,) = pictures(reconstruction, frame, [depths.known.shape[2]])
@@ -108,6 +100,19 @@ def find_moving(
             moving[rows] = still[rows] | (resized(found.things(last).float(), moving.shape[1:]) > 0)
             fitting.levels = {1.0: (seen, depths.without(moving).at(seen, rows))}
     return moving & ~still
+
+
+def small_fit(settings: FitSettings, width: int) -> FitSettings:
+    """Return the settings of the small fit to images of this width; nothing else of ``settings`` counts."""
+    return replace(
+        settings,
+        width=width,
+        cap=min(GAUSSIANS, settings.cap),
+        views=max(1, round(settings.views * SHARE)),
+        levels=((0.0, 1.0),),
+        sh_degree=0,
+        device="cpu",
+    )
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from splatrl.capture.look import look
 from splatrl.capture.mapping import ENOUGH, NEARLY
 from splatrl.capture.marker import MARKER_SIDE
 from splatrl.capture.masks import in_view, masks_of, write_masks
-from splatrl.capture.moving import find_moving
+from splatrl.capture.moving import find_moving, small_fit
 from splatrl.capture.poses import check_libraries, find_poses
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.recordings import is_recording, read_recording
@@ -81,6 +81,33 @@ class CaptureSettings:
     fit: FitSettings = field(default_factory=FitSettings)
     still: bool = False
     resolution: Resolution | None = None
+
+
+@dataclass(frozen=True)
+class _Poses:
+    """Poses that were found, and brought to the world.
+
+    Attributes:
+        placed: the cameras in the world.
+        remarks: remarks for the report.
+        unmeasured: why the stated distance cannot be measured in their images. It may have been clicked in those of
+            poses that are found later, so this is an error only where none follow.
+    """
+
+    placed: Placed
+    remarks: list[str]
+    unmeasured: CaptureError | None = None
+
+    @property
+    def doubt(self) -> int:
+        """0 where the camera does not seem to leap, 1 where it does, and 2 where no floor was found, either."""
+        return 0 if leap(self.placed) is None else 2 if self.placed.up_from == "cameras" else 1
+
+    def worse(self, before: "_Poses") -> str | None:
+        """Return in what these poses are worse than those before; None where they are not."""
+        if len(self.placed.reconstruction.paths) < NEARLY * len(before.placed.reconstruction.paths):
+            return "too few images"
+        return leap(self.placed) if self.doubt > before.doubt else None
 
 
 def capture(
@@ -176,16 +203,19 @@ def reconstruct(
     if photos.mask is not None:
         notes.append(said(photos.mask))
         say(f"unchanging  {notes[-1]}")
-    placed, remarks = _placed(photos, stages, settings, progress, say, 0.0 if settings.force else ENOUGH)
+    poses = _placed(photos, stages, settings, progress, say, 0.0 if settings.force else ENOUGH)
     if not known and not settings.still:
-        placed, remarks = _placed_again(placed, remarks, photos, stages, settings, progress, say)
+        poses = _placed_again(poses, photos, stages, settings, progress, say)
+    if poses.unmeasured is not None:
+        raise poses.unmeasured
+    placed = poses.placed
     if placed.up_from == "cameras" and (torn := leap(placed)) is not None:  # with force, the report says both
         _unless_forced(f"{torn} No floor was found, either: the scale may be far off.", settings.force, "world", say)
     world = (
         f"world       up from {placed.up_from}, scale from {placed.scale_from}, camera at {placed.camera_height:.2f} m"
     )
     say("\n".join([world, *(f"            {remark}" for remark in placed.remarks)]))
-    return placed, [*notes, *remarks, *placed.remarks]
+    return placed, [*notes, *poses.remarks, *placed.remarks]
 
 
 def build_scene(
@@ -265,8 +295,8 @@ def _placed(
     progress: Progress,
     say: Callable[[str], object],
     least: float,
-) -> tuple[Placed, list[str]]:
-    """Find the poses of the photos, and bring them to the world; return remarks for the report, too."""
+) -> _Poses:
+    """Find the poses of the photos, and bring them to the world."""
     found, remarks = with_measured_points(find_poses(photos, stages, settings.seed, progress, least=least)), []
     lost = f"\n            missing: {', '.join(found.lost)}" if found.lost else ""
     say(f"poses       {len(found.paths)} of {len(photos.paths)} images, {len(found.points):,} points{lost}")
@@ -280,26 +310,45 @@ def _placed(
     if (changed := zoomed(found)) is not None:
         slightly = zoomed(found, REFUSED) is None
         remarks.append(_unless_forced(changed, settings.force or slightly, "poses", say))
-    stated = settings.marker, settings.distance, settings.camera_height
-    return place(found, photos.up, photos.metric, *stated, progress=progress), remarks
+
+    def by(distance: Distance | None) -> Placed:
+        stated = settings.marker, distance, settings.camera_height
+        return place(found, photos.up, photos.metric, *stated, progress=progress)
+
+    try:
+        return _Poses(by(settings.distance), remarks)
+    except CaptureError as error:
+        if settings.distance is None:
+            raise
+        return _Poses(by(None), remarks, error)
 
 
 def _placed_again(
-    first: Placed,
-    remarks: list[str],
+    first: _Poses,
     photos: Photos,
     stages: Path,
     settings: CaptureSettings,
     progress: Progress,
     say: Callable[[str], object],
-) -> tuple[Placed, list[str]]:
-    """Find the poses again without what moves, while much of that is found and nearly as many images get one.
+) -> _Poses:
+    """Find the poses again without what moves, while much of that is found and the poses are no worse for it.
 
     See ``_placed``.
     """
-    placed, seen, kept = first, "", Stages(stages, lambda line: say(f"stages      {line}"))
+    chain, seen, kept = [first], "", Stages(stages, lambda line: say(f"stages      {line}"))
+
+    def keep(why: object) -> None:
+        say(f"poses       without what moves: {why}\n            The poses before are kept.")
+
     for name in MASKS:
-        masks = _masks(name, placed, photos, kept, settings, progress)
+        try:
+            masks = _masks(name, chain[-1].placed, photos, kept, settings, progress)
+        except CaptureError as error:  # the fit would fail like the search
+            if len(chain) == 1:
+                raise
+            keep(error)
+            chain.pop()
+            break
         share = in_view(masks)
         if share is None:
             break
@@ -308,16 +357,20 @@ def _placed_again(
         try:
             again = _placed(photos, stages, settings, progress, say, 0.0)
         except CaptureError as error:
-            say(f"poses       without what moves: {error}\n            The poses before are kept.")
+            keep(error)
             break
-        if len(again[0].reconstruction.paths) < NEARLY * len(placed.reconstruction.paths):
-            say("poses       without what moves: too few images\n            The poses before are kept.")
+        if (worse := again.worse(chain[-1])) is not None:
+            keep(worse)
             break
-        placed, remarks = again
-    if seen and placed.remarks:
+        chain.append(again)
+    measured = [poses for poses in chain if poses.unmeasured is None]
+    last = measured[-1] if measured else chain[-1]
+    if last is not chain[-1]:
+        keep(chain[-1].unmeasured)
+    if seen and last.placed.remarks:
         doubt = f"{seen.capitalize()}, which may be why the ground seems so."
-        placed = replace(placed, remarks=(*placed.remarks, doubt))
-    return placed, remarks
+        last = replace(last, placed=replace(last.placed, remarks=(*last.placed.remarks, doubt)))
+    return last
 
 
 def _masks(
@@ -332,7 +385,7 @@ def _masks(
             write_masks(made, masks, photos)
 
     cameras = [found.K, found.seen_point, found.seen_by]  # whatever the scale: one stated later keeps the poses
-    return stages.folder(name, fingerprint(_recipe(finely), cameras, found.paths), write)
+    return stages.folder(name, fingerprint(_recipe(small_fit(finely, found.width)), cameras, found.paths), write)
 
 
 def _finely(placed: Placed, settings: CaptureSettings) -> FitSettings:
@@ -360,7 +413,7 @@ def _moving(placed: Placed, depths: Depths, stages: Stages, settings: FitSetting
     def find() -> dict[str, torch.Tensor]:
         return {"moving": find_moving(found, depths, settings, progress)}
 
-    return stages.arrays("moving", _key(found, settings, depths.moving), find)["moving"]
+    return stages.arrays("moving", _key(found, small_fit(settings, found.width), depths.moving), find)["moving"]
 
 
 def _fitted(

@@ -57,7 +57,8 @@ def find_poses(
     stages = Stages(folder)
     job = job_of(photos, seed, exact_camera)
     version = str(getattr(require("pycolmap", "capture"), "__version__", ""))
-    recipe = asdict(job) | {"images": None, "mask": None, "moving": None, "pycolmap": version}
+    recipe = asdict(job) | {"images": None, "mask": None, "pycolmap": version}
+    del recipe["moving"]  # the masks count as files, and without any the poses are those of captures before
     masks = [] if photos.mask is None else [photos.mask]
     masks += [] if photos.moving is None else sorted(photos.moving.glob("*.png"))
     work = stages.workplace(f"structure{_ending(photos)}", fingerprint(recipe, files=[*photos.paths, *masks]))
