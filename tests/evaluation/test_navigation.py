@@ -56,7 +56,9 @@ def test_a_file_of_episodes_is_evaluated_whole_unless_a_number_of_starts_is_type
     run: Path, typed: list[str], most: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[int] = []
-    monkeypatch.setattr(evaluate, "evaluate_run", lambda cfg, folder, results: asked.append(cfg.evaluation.starts))
+    monkeypatch.setattr(
+        evaluate, "evaluate_run", lambda cfg, folder, results, place: asked.append(cfg.evaluation.starts)
+    )
     words = [f"run={run}", f"episodes={run / 'episodes.json.gz'}", *typed]
     monkeypatch.setattr(sys, "argv", ["splatrl-evaluate", *words])
     evaluate.main()

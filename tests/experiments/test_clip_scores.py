@@ -99,6 +99,6 @@ def test_a_task_without_named_actions_is_refused(runs: Path, clips: Path, monkey
     trained = load_policy(runs / "forward")
     driven = replace(trained, world=replace(trained.world, task=SimpleNamespace(motion=DriveMotion(HEIGHT))))
     monkeypatch.setattr(type(trained), "beginning", lambda self: trained.world.env(1).reset())
-    monkeypatch.setattr(clip_scores, "load_policy", lambda *_: driven)
+    monkeypatch.setattr(clip_scores, "load_policy", lambda *given, **more: driven)
     with pytest.raises(ValueError, match="expected a motion with named actions, got DriveMotion"):
         score_run(runs / "forward", clips)
