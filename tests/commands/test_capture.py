@@ -404,11 +404,25 @@ def test_a_film_that_seems_torn_and_shows_no_floor_is_refused_before_the_fit(
     assert stages == ["frames", "poses"] * 2 and any("No floor was found" in line for line in said)
 
 
+@pytest.fixture
+def movers(stages: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make much of all images but the first move."""
+
+    def find_moving(found: Reconstruction, depths: Depths, *_: object) -> torch.Tensor:
+        stages.append("moving")
+        moving = torch.zeros_like(depths.known, dtype=torch.bool)
+        moving[1:, :, :9] = True
+        return moving
+
+    monkeypatch.setattr(pipeline, "find_moving", find_moving)
+
+
 @pytest.mark.parametrize("again", ["all", "few", "none"])
 def test_poses_are_found_again_without_people_who_walk_along_unless_fewer_images_get_one(
     again: str,
     tmp_path: Path,
     stages: list[str],
+    movers: None,
     photographed: tuple[Photos, Reconstruction],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -422,14 +436,7 @@ def test_poses_are_found_again_without_people_who_walk_along_unless_fewer_images
             raise CaptureError("tracking lost")
         return found if photos.moving is None or again == "all" else replace(found, **few, **seen)
 
-    def find_moving(found: Reconstruction, depths: Depths, *_: object) -> torch.Tensor:
-        stages.append("moving")
-        moving = torch.zeros_like(depths.known, dtype=torch.bool)
-        moving[1:, :, :9] = True
-        return moving
-
     monkeypatch.setattr(pipeline, "find_poses", find_poses)
-    monkeypatch.setattr(pipeline, "find_moving", find_moving)
     place, remark = pipeline.place, "The floor seems to slope by 8° or more."
     monkeypatch.setattr(pipeline, "place", lambda *given, **told: replace(place(*given, **told), remarks=(remark,)))
     for times in (1, 2):
@@ -451,7 +458,7 @@ def test_poses_are_found_again_without_people_who_walk_along_unless_fewer_images
 
 @pytest.fixture
 def walked_along(
-    stages: list[str], photographed: tuple[Photos, Reconstruction], monkeypatch: pytest.MonkeyPatch
+    movers: None, stages: list[str], photographed: tuple[Photos, Reconstruction], monkeypatch: pytest.MonkeyPatch
 ) -> list[Reconstruction]:
     """Make much of the images move; the value holds the poses found with it in view, and those found without it."""
     given = [photographed[1], replace(photographed[1], points=photographed[1].points + 1e-6)]
@@ -460,14 +467,7 @@ def walked_along(
         stages.append("poses" if photos.moving is None else f"poses without {photos.moving.name}")
         return given[photos.moving is not None]
 
-    def find_moving(found: Reconstruction, depths: Depths, *_: object) -> torch.Tensor:
-        stages.append("moving")
-        moving = torch.zeros_like(depths.known, dtype=torch.bool)
-        moving[1:, :, :9] = True
-        return moving
-
     monkeypatch.setattr(pipeline, "find_poses", find_poses)
-    monkeypatch.setattr(pipeline, "find_moving", find_moving)
     return given
 
 
