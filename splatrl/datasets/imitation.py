@@ -31,7 +31,7 @@ def imitate(
         ValueError: for demonstrations that do not fit the policy, a task without a teacher, or a need for more frames
             than ``collector.total_frames``.
     """
-    known = _together([_frames(each, ppo, cloner.reads, world.repeats) for each in shown])
+    known = _together([_frames(each, ppo, cloner.reads, world.repeats) for each in shown], ppo.device)
     check_imitation(ppo, world, dagger, frames := len(known.get("frame", ())), ppo.frames)
     if known:
         ppo.frames += frames
@@ -40,16 +40,22 @@ def imitate(
     for number in range(dagger.rounds):
         guided = 1.0 if number < dagger.shown_rounds else dagger.guided
         new = visited(env, ppo.learner, plans, dagger.frames_per_round, cloner.reads, guided)
-        known = _together([known, new] if known else [new])
+        known = _together([known, new] if known else [new], ppo.device)
         ppo.frames += dagger.frames_per_round
         yield {"loss_cloning": cloner.fit(known, dagger.epochs)}
     if dagger.last_epochs:
         yield {"loss_cloning": cloner.fit(known, dagger.last_epochs, anneal=True)}
 
 
-def _together(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
-    """Concatenate frames on the CPU, so that the caller can free the parts: images of many frames fill the memory."""
-    return {key: torch.cat([part[key].cpu() for part in parts]) for key in (parts[0] if parts else ())}
+def _together(parts: Sequence[dict[str, Tensor]], device: torch.device) -> dict[str, Tensor]:
+    """Concatenate frames, so that the caller can free the parts: images of many frames fill the memory.
+
+    They stay on the CPU unless the device is a GPU half of whose free memory holds them.
+    """
+    if device.type == "cuda":
+        size = sum(value.nbytes for part in parts for value in part.values())
+        device = device if size < torch.cuda.mem_get_info(device)[0] // 2 else torch.device("cpu")
+    return {key: torch.cat([part[key].to(device) for part in parts]) for key in (parts[0] if parts else ())}
 
 
 def check_imitation(ppo: PPO, world: World | Worlds, dagger: DaggerSettings, shown: int, matched: int) -> None:

@@ -4,17 +4,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import torch
-from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.distributions import Distribution
 from torch.nn.functional import smooth_l1_loss
-from torch.nn.utils.rnn import pad_sequence
-from torchrl.modules import ActorValueOperator, set_recurrent_mode
+from torchrl.modules import ActorValueOperator
 from tqdm import tqdm
 
 from splatrl.training.distributions import Choice
 from splatrl.training.heads import distribution
-from splatrl.training.memory import STATE
 from splatrl.values import require_number
 
 
@@ -98,7 +95,7 @@ class Cloner:
 
     def _minibatches(self, shown: Mapping[str, Tensor]) -> Iterator[dict[str, Tensor]]:
         """Yield every frame once, in random order; with memory, every episode once, one or more per minibatch."""
-        size, begins = self.settings.mini_batch_size, (shown["frame"] == 0).nonzero().squeeze(1)
+        size, begins = self.settings.mini_batch_size, (shown["frame"] == 0).nonzero().squeeze(1).cpu()
         rows: list[Tensor] = list(torch.arange(len(shown["frame"])).tensor_split(begins[1:]))
         if self._memory:
             order, chosen = torch.randperm(len(rows)).tolist(), list[Tensor]()
@@ -112,6 +109,7 @@ class Cloner:
             yield self._some(shown, some)
 
     def _some(self, shown: Mapping[str, Tensor], rows: Tensor) -> dict[str, Tensor]:
+        rows = rows.to(shown["frame"].device)
         return {key: value[rows].to(self._device) for key, value in shown.items()}
 
     def _step(self, frames: dict[str, Tensor]) -> Tensor:
@@ -130,16 +128,12 @@ class Cloner:
     def _hidden(self, hidden: Tensor, frame: Tensor) -> Tensor:
         """Return what the heads read: features that have passed through the memory, if any, episode by episode."""
         for module in self._memory:
-            begins = (frame == 0).nonzero().squeeze(1).cpu()
-            episodes = hidden.tensor_split(begins[1:])
-            padded = pad_sequence(list(episodes), batch_first=True)
-            is_init = torch.zeros(*padded.shape[:2], 1, dtype=torch.bool, device=hidden.device)
-            is_init[:, 0] = True
-            size = module.gru.hidden_size
-            known = {"features": padded, STATE: padded.new_zeros(*padded.shape[:2], 1, size), "is_init": is_init}
-            with set_recurrent_mode(True):
-                thought = module(TensorDict(known, padded.shape[:2]))["hidden"]
-            hidden = torch.cat([row[: len(each)] for row, each in zip(thought, episodes, strict=True)])
+            begins = (frame == 0).nonzero().squeeze(1)
+            lengths = begins.diff(append=begins.new_tensor([len(frame)]))
+            seen = (torch.arange(int(lengths.max()), device=frame.device) < lengths.unsqueeze(1)).unsqueeze(-1)
+            padded = hidden.new_zeros(*seen.shape[:2], hidden.shape[1]).masked_scatter(seen, hidden)
+            thought, _ = module.gru(padded)  # from a state of zeros
+            hidden = thought.masked_select(seen).unflatten(0, (len(frame), -1))
         return hidden
 
 

@@ -31,8 +31,7 @@ class Learner:
         model: actor and critic over a shared trunk.
         loss: settings of the loss.
         optim: settings of the optimiser.
-        capture: captures gradient steps; None takes them one operation after another, as do compiled losses, and
-            policies with memory, whose sequences are cut where episodes end.
+        capture: captures gradient steps; None takes them one operation after another, as do compiled losses.
     """
 
     def __init__(
@@ -47,10 +46,9 @@ class Learner:
         self._reads, self._prepared = list(pool.in_keys), list(pool.out_keys)
         self._measured = torch.compile(self._losses) if optim.compile else self._losses
         self._policy, self._value = model.get_policy_head(), model.get_value_head().module
-        plain = not memory and not optim.compile
         parts = self._trunk, self._policy, self._value
-        self._native = native_step(*parts, optim.max_grad_norm) if plain else None
-        self._captured = CapturedSteps(self, capture) if capture is not None and plain else None
+        self._native = None if memory or optim.compile else native_step(*parts, optim.max_grad_norm)
+        self._captured = CapturedSteps(self, capture) if capture is not None and not optim.compile else None
 
     def anneal(self, left: float) -> None:
         """Set learning rate and entropy bonus for the point at which a fraction ``left`` of the training remains."""

@@ -30,8 +30,8 @@ class PPO:
         frames_per_batch: frames between updates, a multiple of the env's batch size.
         total_frames: frames that the whole training may use; the last batch ends at or before this number.
         cuda_graph: whether the steps of a rollout and of learning on a GPU are each captured in a CUDA graph; None
-            captures those of a rollout if renderer and checker can be captured, and those of learning. A policy with
-            memory and a compiled loss learn without a graph.
+            captures those of a rollout if renderer and checker can be captured, and those of learning. A compiled loss
+            learns without a graph.
         on_device: whether rollouts stay on the device (``DeviceCollector``); None keeps them there except on a CPU.
 
     Raises:

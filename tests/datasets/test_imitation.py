@@ -18,6 +18,7 @@ from splatrl.datasets import (
     replay,
     write_demonstrations,
 )
+from splatrl.datasets.imitation import _together
 from splatrl.envs.world import World
 from splatrl.training import PPO, Cloner, CloningSettings, DaggerSettings, LossSettings, OptimSettings
 from tests.tiny import LONG_STEPS, tiny_overrides
@@ -106,3 +107,9 @@ def test_a_task_that_continues_after_its_goals_has_no_planner_to_learn_from(tmp_
     ppo = make_ppo(cfg, world)
     with pytest.raises(ValueError, match=r"dagger\.rounds: expected 0 for a task with neither goal .* \(Snake\)"):
         list(imitate(ppo, Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5)), world, [], DaggerSettings(1, 64, 1), 0))
+
+
+def test_frames_that_a_gpu_has_no_room_for_stay_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    parts = [{"pixels": torch.full((3, 2), value)} for value in (1.0, 2.0)]
+    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda device: (2 * 48, 10**9))  # twice what the frames take
+    assert _together(parts, torch.device("cuda"))["pixels"].tolist() == [[1.0, 1.0]] * 3 + [[2.0, 2.0]] * 3

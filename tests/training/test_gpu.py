@@ -1,5 +1,6 @@
 """Training on a GPU: rollouts that never synchronise, their CUDA graph, checkpoints and the commands."""
 
+import copy
 import json
 import math
 from pathlib import Path
@@ -11,7 +12,7 @@ from splatrl.building import build_trainer, build_world
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.envs import World
-from splatrl.training import PPO, actor_critic, load_checkpoint, save_checkpoint
+from splatrl.training import PPO, Cloner, CloningSettings, actor_critic, load_checkpoint, save_checkpoint
 from splatrl.training.collectors import DeviceCollector
 from splatrl.training.cuda_graph import CudaGraph
 from tests.commands.test_train import UNFILMED, command, finish
@@ -97,6 +98,24 @@ def test_learning_by_cuda_graph_equals_learning_without(worlds: dict[str, World]
 
 
 @pytest.mark.parametrize("name", WORLDS)
+def test_a_policy_with_memory_imitates_as_on_a_cpu(worlds: dict[str, World], cuda_device: torch.device) -> None:
+    ppo = learner(worlds["remembering fps"], memory_of("remembering fps"))
+    lengths, actions = (5, 1, 7, 3), ppo.env.action_spec.space.n
+    shown = {
+        "pixels": torch.randint(256, (16, *ppo.env.observation_spec["pixels"].shape[1:])).byte(),
+        "target": torch.eye(actions)[torch.randint(actions, (16,))],
+        "value_target": torch.rand(16),
+        "frame": torch.cat([torch.arange(length) for length in lengths]),
+    }
+    losses = []
+    for device, frames_on in (("cpu", "cpu"), (cuda_device, "cpu"), (cuda_device, cuda_device)):
+        torch.manual_seed(2)
+        cloner = Cloner(copy.deepcopy(ppo.model).to(device), CloningSettings(1, 6, 1e-3, 0.5))
+        losses.append([cloner.fit({key: value.to(frames_on) for key, value in shown.items()}) for _ in range(3)])
+    assert losses[1] == pytest.approx(losses[0], rel=1e-3)
+    assert losses[2] == pytest.approx(losses[1], rel=1e-6)
+
+
 def test_a_few_hundred_frames_change_the_weights_and_advance_the_curriculum(
     worlds: dict[str, World], name: str
 ) -> None:

@@ -8,17 +8,22 @@ import torch
 from tensordict import TensorDictBase
 
 from splatrl.training.learner import Learner
+from splatrl.training.memory import Memory
 from tests.tiny import tiny_env
 from tests.training.tape import Taped
+from tests.training.test_memory import MEMORY, remembering
 from tests.training.test_ppo import LOSS, OPTIM, learner
 
 BATCHES = 4
 
 
-@pytest.fixture(scope="module")
-def batches() -> tuple[Learner, list[TensorDictBase]]:
+@pytest.fixture(scope="module", params=[0, MEMORY], ids=["without memory", "with memory"])
+def batches(request: pytest.FixtureRequest) -> tuple[Learner, list[TensorDictBase]]:
     """A learner that has learned nothing, and batches whose last minibatch is smaller than the others."""
-    ppo = learner(tiny_env([8], max_steps=5))
+    ppo = learner(remembering(tiny_env([8], max_steps=5), request.param), memory=request.param)
+    for part in ppo.model.modules():
+        if isinstance(part, Memory):
+            part.stepwise = True  # as on a GPU
     return ppo.learner, [ppo.collect().clone() for _ in range(BATCHES)]
 
 
@@ -26,7 +31,8 @@ def test_captured_steps_equal_steps_one_by_one_also_after_a_checkpoint(
     batches: tuple[Learner, list[TensorDictBase]],
 ) -> None:
     found, (origin, collected) = [], batches
-    loss = replace(LOSS, mini_batch_size=12, entropy_coeff=0.5, anneal_entropy=True)
+    size = 3 * collected[0].shape[1] if origin._memory else 12
+    loss = replace(LOSS, mini_batch_size=size, entropy_coeff=0.5, anneal_entropy=True)
     optim = replace(OPTIM, anneal_lr=True)
     for capture in (None, Taped):
         model = copy.deepcopy(origin.model)
