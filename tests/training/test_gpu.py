@@ -113,7 +113,7 @@ def test_a_policy_with_memory_imitates_as_on_a_cpu(worlds: dict[str, World], cud
         cloner = Cloner(copy.deepcopy(ppo.model).to(device), CloningSettings(1, 6, 1e-3, 0.5))
         losses.append([cloner.fit({key: value.to(frames_on) for key, value in shown.items()}) for _ in range(3)])
     assert losses[1] == pytest.approx(losses[0], rel=1e-3)
-    assert losses[2] == pytest.approx(losses[1], rel=1e-6)
+    assert losses[2] == pytest.approx(losses[1], rel=1e-5)
 
 
 def test_a_few_hundred_frames_change_the_weights_and_advance_the_curriculum(
