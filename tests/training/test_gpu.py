@@ -97,7 +97,6 @@ def test_learning_by_cuda_graph_equals_learning_without(worlds: dict[str, World]
     assert found[1][0] == pytest.approx(found[0][0], rel=1e-2)
 
 
-@pytest.mark.parametrize("name", WORLDS)
 def test_a_policy_with_memory_imitates_as_on_a_cpu(worlds: dict[str, World], cuda_device: torch.device) -> None:
     ppo = learner(worlds["remembering fps"], memory_of("remembering fps"))
     lengths, actions = (5, 1, 7, 3), ppo.env.action_spec.space.n
@@ -116,6 +115,7 @@ def test_a_policy_with_memory_imitates_as_on_a_cpu(worlds: dict[str, World], cud
     assert losses[2] == pytest.approx(losses[1], rel=1e-5)
 
 
+@pytest.mark.parametrize("name", WORLDS)
 def test_a_few_hundred_frames_change_the_weights_and_advance_the_curriculum(
     worlds: dict[str, World], name: str
 ) -> None:
