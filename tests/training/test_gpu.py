@@ -85,7 +85,7 @@ def test_a_rollout_by_cuda_graph_equals_one_without(worlds: dict[str, World], na
     assert batches[0][-1]["next", "done"].any()
 
 
-@pytest.mark.parametrize("name", ["grid", "drive"])
+@pytest.mark.parametrize("name", ["grid", "drive", "remembering fps"])
 def test_learning_by_cuda_graph_equals_learning_without(worlds: dict[str, World], name: str) -> None:
     found = []
     for cuda_graph in (False, None):
