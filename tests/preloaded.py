@@ -25,7 +25,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Union
 
-from tests.yaml_once import parse_once
+from tests.yaml_once import compose_once, parse_once
 
 ROOT = Path(__file__).parents[1]
 LIBRARIES = (
@@ -237,6 +237,7 @@ if __name__ == "__main__":
         asking.close()
         for name in IMPORTED:
             importlib.import_module(name)
+        compose_once()
         _prepare()
         words = _requested([listener.accept()[0]], listener, bare)
     if words:
