@@ -106,6 +106,15 @@ def blank_curves(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def unflushed() -> Iterator[None]:
+    """Leave what is written to the system's cache: waiting for the disk takes milliseconds per file, and guards only
+    against power cuts."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(os, "fsync", lambda _: None)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def quick_videos() -> Iterator[dict[str, str]]:
     """Encode videos at x264's fastest preset, in a third of the time; the value is the options that users get."""
     video: Any = sys.modules.get("splatrl.evaluation.video")

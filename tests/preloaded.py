@@ -228,6 +228,7 @@ if __name__ == "__main__":
     for name in LIBRARIES:
         importlib.import_module(name)
     parse_once()
+    os.fsync = lambda _: None  # as in the tests themselves
     listener, (bare, asking) = socket.socket(fileno=int(sys.argv[1])), socket.socketpair(type=socket.SOCK_SEQPACKET)
     if os.fork() == 0:
         listener.close()
