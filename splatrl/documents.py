@@ -19,6 +19,8 @@ MAX_JSON = 64 * 2**20
 MAX_NESTS = 2**21
 """Maximum number of lists and objects in a JSON text: an empty one is two bytes of text, but 64 bytes of memory."""
 MAX_DEPTH = 32
+FAST: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+"""PyYAML's parser in C, ten times as fast, or the one in Python where PyYAML was built without it."""
 INVALID = (yaml.YAMLError, OmegaConfBaseException, AssertionError, RecursionError, ValueError, TypeError, LookupError)
 """What PyYAML and OmegaConf raise for a text that is not YAML or cannot be plain values."""
 REFERENCE = re.compile(r"\$\{[\w.]+\}")
@@ -36,12 +38,7 @@ def read_yaml(path: Path, limit: int = MAX_YAML) -> Any:
         FileNotFoundError: if there is no such file.
         ValueError: for a file that is too large, nested too deeply, not YAML, or that uses aliases.
     """
-    text = _text(path, limit)
-    try:
-        _check_events(text)
-        return OmegaConf.to_container(OmegaConf.create(text), resolve=False)
-    except INVALID as error:
-        raise ValueError(f"{path}: expected plain YAML, got {_problem(error)}") from error
+    return _read(path, limit)[1]
 
 
 def read_config(path: Path) -> DictConfig:
@@ -53,13 +50,27 @@ def read_config(path: Path) -> DictConfig:
         FileNotFoundError: if there is no such file.
         ValueError: for anything that ``read_yaml`` refuses, for a resolver, or for a file that is not a mapping.
     """
-    content = read_yaml(path)
+    config, content = _read(path, MAX_YAML)
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected keys and values, got {content!r:.80}")
     for text in _texts(content):
         if "${" in text and not REFERENCE.fullmatch(text):
             raise ValueError(f"{path}: expected references to a single key such as ${{robot.height}}, got {text:.80}")
-    return OmegaConf.create(content)
+    return config
+
+
+def _read(path: Path, limit: int) -> tuple[Any, Any]:
+    """Read a YAML file as a config and as plain values."""
+    text = _text(path, limit)
+    try:
+        try:
+            _check_events(text, FAST)
+        except yaml.YAMLError:
+            _check_events(text, yaml.SafeLoader)  # it says more precisely where an error is
+        config = OmegaConf.create(text)
+        return config, OmegaConf.to_container(config, resolve=False)
+    except INVALID as error:
+        raise ValueError(f"{path}: expected plain YAML, got {_problem(error)}") from error
 
 
 def read_json(path: Path, limit: int = MAX_JSON) -> Any:
@@ -116,10 +127,10 @@ def _text(path: Path, limit: int) -> str:
         raise ValueError(f"{path}: expected UTF-8 text, got {error}") from error
 
 
-def _check_events(text: str) -> None:
+def _check_events(text: str, loader: Any) -> None:
     """Refuse aliases and deep nesting in one pass over the parser's events, before any object is built."""
     depth = 0
-    for event in yaml.parse(text, Loader=yaml.SafeLoader):
+    for event in yaml.parse(text, Loader=loader):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > MAX_DEPTH:
             raise ValueError(f"values nested more than {MAX_DEPTH} deep")

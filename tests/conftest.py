@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -105,6 +105,32 @@ def blank_curves(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("splatrl.experiments.report.learning_curves", lambda _, path: path.touch())
 
 
+@pytest.fixture(scope="session", autouse=True)
+def unflushed() -> Iterator[None]:
+    """Leave what is written to the system's cache: waiting for the disk takes milliseconds per file, and guards only
+    against power cuts."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(os, "fsync", lambda _: None)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def quick_videos() -> Iterator[dict[str, str]]:
+    """Encode videos at x264's fastest preset, in a third of the time; the value is the options that users get."""
+    video: Any = sys.modules.get("splatrl.evaluation.video")
+    own = {} if video is None else video.X264
+    with pytest.MonkeyPatch.context() as patched:
+        if video is not None:  # the tests to run may encode no video
+            patched.setattr(video, "X264", own | {"preset": "ultrafast"})
+        yield own
+
+
+@pytest.fixture
+def usual_videos(quick_videos: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Encode videos as users do, for tests of the encoder's options."""
+    monkeypatch.setattr("splatrl.evaluation.video.X264", quick_videos)
+
+
 @pytest.fixture(scope="session")
 def translated_once() -> Iterator[None]:
     """Let PyTorch's ONNX exporter collect its translations of operators once, instead of once per file."""
@@ -149,9 +175,10 @@ def pytest_collection_finish() -> None:
     """Exclude everything imported so far from garbage collection, collect less often, and cache work that would be
     repeated with the same result: parsing YAML, spreading Gaussians over robots, and making the backyard."""
     from tests.gaussians_once import backyard_once, spread_once
-    from tests.yaml_once import parse_once
+    from tests.yaml_once import compose_once, parse_once
 
     parse_once()
+    compose_once()
     spread_once()
     backyard_once()
     gc.collect()

@@ -25,7 +25,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Union
 
-from tests.yaml_once import parse_once
+from tests.yaml_once import compose_once, parse_once
 
 ROOT = Path(__file__).parents[1]
 LIBRARIES = (
@@ -228,6 +228,7 @@ if __name__ == "__main__":
     for name in LIBRARIES:
         importlib.import_module(name)
     parse_once()
+    os.fsync = lambda _: None  # as in the tests themselves
     listener, (bare, asking) = socket.socket(fileno=int(sys.argv[1])), socket.socketpair(type=socket.SOCK_SEQPACKET)
     if os.fork() == 0:
         listener.close()
@@ -237,6 +238,7 @@ if __name__ == "__main__":
         asking.close()
         for name in IMPORTED:
             importlib.import_module(name)
+        compose_once()
         _prepare()
         words = _requested([listener.accept()[0]], listener, bare)
     if words:

@@ -165,3 +165,19 @@ def _merge_once() -> None:
 
     ConfigLoaderImpl._load_single_config = loaded
     ConfigLoaderImpl._compose_config_from_defaults_list = merged
+
+
+def compose_once() -> None:
+    """Share the configs that choices from groups make with all processes and runs; a process caches only its own."""
+    from splatrl.configuration import search_path
+
+    compose = search_path._chosen
+
+    @functools.cache
+    def chosen(name: str, *choices: str) -> bytes:
+        with search_path.config_loader() as loader:
+            if not (places := _shipped(loader.repository)):
+                return compose(name, *choices)
+        return pickle.loads(_shared(repr((places, name, choices)), lambda: compose(name, *choices)))
+
+    search_path._chosen = chosen

@@ -10,13 +10,12 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from splatrl.configuration.grammar import readable
+from splatrl.configuration.grammar import overrides_parser, readable
 from splatrl.configuration.key_help import help_page, key_help
 from splatrl.configuration.kinds import check_kind, value_of
 from splatrl.configuration.known_keys import check_key
@@ -191,7 +190,7 @@ def _is_ours(key: str, name: str) -> bool:
 def _parsed(word: str, sweeps: bool) -> Override:
     key = word.partition("=")[0]
     try:
-        override: Override = OverridesParser.create().parse_override(word)
+        override: Override = overrides_parser().parse_override(word)
     except HydraException as error:
         raise UserError(f"{word}: expected {key}=value with balanced brackets and special characters quoted") from error
     if override.is_sweep_override() and not sweeps:

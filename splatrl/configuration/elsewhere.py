@@ -5,12 +5,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
 
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
 from splatrl.configuration.checking import check_constructors
-from splatrl.configuration.grammar import quoted, written
+from splatrl.configuration.grammar import overrides_parser, quoted, written
 from splatrl.configuration.places import place_configs
 from splatrl.configuration.run_configs import run_config
 from splatrl.configuration.run_files import (
@@ -106,7 +105,7 @@ def _with_files(own: DictConfig, words: Sequence[str]) -> tuple[DictConfig, list
         if within or word.startswith("~") or not may_name_file(own, key):
             others.append(word)
         else:
-            set_value(own, key, OverridesParser.create().parse_override(word).value())
+            set_value(own, key, overrides_parser().parse_override(word).value())
     return with_absolute_paths(own), others
 
 

@@ -1,5 +1,6 @@
 """Writing, reading and nesting values and overrides in Hydra's override grammar."""
 
+import functools
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,6 +16,12 @@ HOME = re.compile(r"(?<=[=\[,:'\"])~(?=/|$)")
 """The tilde at the beginning of a path in an override."""
 
 
+@functools.cache
+def overrides_parser() -> OverridesParser:
+    """Return Hydra's parser of overrides, made once: making it takes longer than parsing a short word."""
+    return OverridesParser.create()
+
+
 def readable(word: str) -> str:
     """Return an override in Hydra's grammar, with ``~`` at the beginning of paths replaced by the home directory.
 
@@ -26,7 +33,7 @@ def readable(word: str) -> str:
     word = HOME.sub(lambda _: str(expanded("~")), word)
     key, equals, value = word.partition("=")
     try:
-        OverridesParser.create().parse_override(word)
+        overrides_parser().parse_override(word)
     except HydraException:
         if equals and (Path(value).exists() or not set("[]{}'\",").intersection(value)):
             return f"{key}={quoted(value)}"
@@ -73,7 +80,7 @@ def last_typed(overrides: Sequence[str], key: str, usual: object) -> Any:
     given = [override for override in overrides if override.startswith(f"{key}=")]
     if not given:
         return usual
-    parsed = OverridesParser.create().parse_override(given[-1])
+    parsed = overrides_parser().parse_override(given[-1])
     if parsed.is_sweep_override():
         typed = given[-1].partition("=")[2]
         raise ValueError(

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import NoReturn
 
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from splatrl.configuration.checking import check_constructors
+from splatrl.configuration.grammar import overrides_parser
 from splatrl.configuration.run_files import set_value, with_absolute_paths
 from splatrl.configuration.scene_choice import has_key, load_config
 from splatrl.configuration.search_path import is_group
@@ -179,7 +179,7 @@ def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
         ValueError: for an override that chooses a config group, which would make it a different run, that deletes a
             key, whose key the run does not have, or for ``scene.paths`` other than those of the run's own scenes.
     """
-    typed = OverridesParser.create().parse_overrides(list(overrides))
+    typed = overrides_parser().parse_overrides(list(overrides))
     changes = [one for one in typed if one.key_or_group not in WHERE]
     cfg = run_config(folder, typed_targets(changes))
     groups = [str(one.input_line) for one in changes if is_group(one.key_or_group)]

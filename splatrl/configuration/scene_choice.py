@@ -13,11 +13,10 @@ from typing import Any
 from hydra import compose
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
-from splatrl.configuration.grammar import bare, last_typed, nested, quoted, readable, unquoted
+from splatrl.configuration.grammar import bare, last_typed, nested, overrides_parser, quoted, readable, unquoted
 from splatrl.configuration.scene_overrides import scene_overrides
 from splatrl.configuration.search_path import composed, group_choices, group_node, is_group, options
 from splatrl.files import expanded
@@ -206,7 +205,7 @@ def _places(overrides: Sequence[str], name: str) -> list[str]:
         chosen = _chosen(text)
         place = dict(flat(group_node("scene", chosen[0].partition("=")[2])))
         for override in [*chosen[1:], *_proposals([*others, *chosen], name)]:
-            parsed = OverridesParser.create().parse_override(override)
+            parsed = overrides_parser().parse_override(override)
             place[parsed.key_or_group] = unquoted(parsed.value())
         places.append({key: value for key, value in place.items() if key not in typed})
     return [f"scene.places=[{','.join(nested(place) for place in places)}]"] if places else []
@@ -325,7 +324,7 @@ def _choices(overrides: Sequence[str], name: str) -> list[DictConfig]:
     """Compose the configs that the overrides of groups select, one per combination of a sweep."""
     plain = [one for one in overrides if "=" in one and not one.startswith(("-", "+", "~", "hydra"))]
     groups = []
-    for text, parsed in zip(plain, OverridesParser.create().parse_overrides(plain), strict=True):
+    for text, parsed in zip(plain, overrides_parser().parse_overrides(plain), strict=True):
         key = text.partition("=")[0]
         if is_group(key):
             swept = parsed.is_sweep_override()

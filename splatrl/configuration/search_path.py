@@ -10,11 +10,12 @@ from typing import Any
 from hydra import compose, initialize_config_dir
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.global_hydra import GlobalHydra
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+
+from splatrl.configuration.grammar import overrides_parser
 
 
 def conf_dir() -> Path:
@@ -45,7 +46,7 @@ def composed(overrides: Sequence[str], name: str) -> DictConfig:
     Raises:
         HydraException: for overrides that do not fit the configs.
     """
-    parsed = OverridesParser.create().parse_overrides(list(overrides))
+    parsed = overrides_parser().parse_overrides(list(overrides))
     if all(map(_is_change, parsed)):
         cfg: DictConfig = pickle.loads(_chosen(name, *(str(one.input_line) for one in parsed if _is_choice(one))))
         try:

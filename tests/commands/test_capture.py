@@ -406,7 +406,11 @@ def test_a_film_that_seems_torn_and_shows_no_floor_is_refused_before_the_fit(
 
 @pytest.fixture
 def movers(stages: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make much of all images but the first move."""
+    """Make much of all images but the first move, and look for no depths, which do not matter then."""
+
+    def find_depths(found: Reconstruction, *_: object, **__: object) -> Depths:
+        unknown = torch.zeros(len(found.paths), found.height, found.width)
+        return Depths(unknown, unknown)
 
     def find_moving(found: Reconstruction, depths: Depths, *_: object) -> torch.Tensor:
         stages.append("moving")
@@ -414,6 +418,7 @@ def movers(stages: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
         moving[1:, :, :9] = True
         return moving
 
+    monkeypatch.setattr(pipeline, "find_depths", find_depths)
     monkeypatch.setattr(pipeline, "find_moving", find_moving)
 
 

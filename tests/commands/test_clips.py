@@ -26,6 +26,16 @@ def clips(runs: Path) -> Path:
     return runs / "clips"
 
 
+@pytest.fixture
+def film(clips: Path, tmp_path: Path) -> Path:
+    """The first frames of a clip, without labels."""
+    folder = tmp_path / "walk"
+    folder.mkdir()
+    for path in sorted((clips / "walk-00").glob("*.png"))[:8]:
+        shutil.copy(path, folder)
+    return folder
+
+
 def command(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
     monkeypatch.setattr(sys, "argv", ["splatrl-clips", *arguments])
     main()
@@ -79,11 +89,8 @@ def test_clips_can_be_recorded_and_scored_in_one_command(
 
 
 def test_the_actions_of_policies_are_drawn_beside_a_video_without_labels(
-    runs: Path, clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    runs: Path, film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    film = tmp_path / "walk"
-    shutil.copytree(clips / "walk-00", film)
-    (film / "actions.csv").unlink()
     command(monkeypatch, f"run=[{runs / 'forward'},{runs / 'back'}]", f"film={film}", f"out={tmp_path / 'out'}")
     printed = capsys.readouterr().out
     written = {f"walk-{run}.{kind}" for run in ("forward", "back") for kind in ("mp4", "csv")}
@@ -100,20 +107,23 @@ def test_the_actions_of_policies_are_drawn_beside_a_video_without_labels(
 
 
 def test_a_line_says_what_a_policy_sees_of_a_film_at_its_field_of_view(
-    runs: Path, clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    runs: Path,
+    clips: Path,
+    film: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    walk = clips / "walk-00"
-
     def said(*arguments: str) -> list[str]:
         command(monkeypatch, f"run={runs / 'forward'}", f"out={tmp_path}", *arguments)
         return [line for line in capsys.readouterr().out.splitlines() if "shows" in line]
 
     shown = "shows 60° × 47° of the policy's 90° × 74°; its edges are repeated beyond"
-    assert said(f"film={walk}") == said(f"film={walk}", "fov=110") == []
-    assert said(f"film={walk}", "fov=60") == [f"{walk} {shown}"]
+    assert said(f"film={film}") == said(f"film={film}", "fov=110") == []
+    assert said(f"film={film}", "fov=60") == [f"{film} {shown}"]
     assert said(f"clips={clips}", "fov=60") == [f"{clips / name} {shown}" for name in ("walk-00", "walk-01")]
     with pytest.raises(SystemExit, match="fov: expected a number of degrees from 1 to 179, got 0"):
-        said(f"film={walk}", "fov=0")
+        said(f"film={film}", "fov=0")
 
 
 @pytest.mark.parametrize(

@@ -41,6 +41,7 @@ def test_a_video_keeps_its_frames_and_rate_and_every_frame_has_a_csv_row(tmp_pat
         assert {float(row[name]) for row in rows} == {round(chance, 4)}
 
 
+@pytest.mark.usefixtures("usual_videos")
 def test_the_bars_are_proportional_to_the_action_probabilities(tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir()
     for number, image in enumerate(frames(2)):
@@ -55,6 +56,7 @@ def test_the_bars_are_proportional_to_the_action_probabilities(tmp_path: Path) -
     assert bars == pytest.approx([(PANEL - 20) * chance for chance in PROBABILITIES.tolist()], abs=10)
 
 
+@pytest.mark.usefixtures("usual_videos")
 def test_the_same_video_gives_the_same_bytes(tmp_path: Path) -> None:
     encode(iter(frames(3)), tmp_path / "walk.mp4", 10)
     for name in ("a", "b"):

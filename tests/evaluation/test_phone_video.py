@@ -51,6 +51,7 @@ def test_a_video_shows_what_its_ground_truth_cameras_see(tmp_path: Path) -> None
     assert np.abs(frames - seen(PHONE)).mean() < 4.0  # the loss of H.264 with subsampled chroma
 
 
+@pytest.mark.usefixtures("usual_videos")
 def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
     phone = replace(PHONE, noise=3.0, drift=0.2)
     for number in range(12):
