@@ -78,6 +78,8 @@ def test_a_training_keeps_its_number_of_robots(tmp_path: Path) -> None:
     save_checkpoint(tmp_path / "last.pt", fresh(0, stack=0, memory=6).state_dict())
     other = fresh(1, stack=0, memory=6, robots=8)
     weights = parameters(other)
-    with pytest.raises(ValueError, match=r"env\.num_envs: expected 4, with which the training began, got 8; a"):
+    with pytest.raises(
+        ValueError, match=r"env\.num_envs: expected 4, .* got 8; a training keeps its number of robots$"
+    ):
         other.load_state_dict(load_checkpoint(tmp_path / "last.pt"))
     assert torch.equal(parameters(other), weights)
