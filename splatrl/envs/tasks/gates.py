@@ -8,9 +8,9 @@ from torch import Tensor
 
 from splatrl.envs.tasks.base import Memory
 from splatrl.envs.tasks.course import Course, CourseRewards
+from splatrl.envs.teachers.pilot import Flying, fly_through
 from splatrl.geometry import axis_rotations, rigid, yaw_quat
 from splatrl.motions.physics import PhysicsMotion
-from splatrl.physics.pilot import Flying, fly_through
 from splatrl.physics.tracks import TrackSettings
 from splatrl.renderers.parts import Parts
 from splatrl.scenes.gaussians import Gaussians

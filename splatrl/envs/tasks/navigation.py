@@ -15,8 +15,8 @@ from splatrl.curriculum.geodesics import Geodesics, ground
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdict
 from splatrl.envs.tasks.fitting import require_part
 from splatrl.envs.tasks.module import TaskModule
-from splatrl.envs.tasks.navigation_teacher import lead
 from splatrl.envs.tasks.rewards import FiniteRewards
+from splatrl.envs.teachers.pathfinder import lead
 from splatrl.geometry import azimuths, wrapped
 from splatrl.motions.planar import StoppingMotion
 from splatrl.motions.site import Fits, Site, narrowed

@@ -12,8 +12,8 @@ from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdi
 from splatrl.envs.tasks.fitting import require_part
 from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.tasks.push_places import PushPlaces, Ranges
-from splatrl.envs.tasks.push_teacher import pushing
 from splatrl.envs.tasks.rewards import FiniteRewards
+from splatrl.envs.teachers.pusher import pushing
 from splatrl.geometry import planar_of, rigid
 from splatrl.motions.physics import PhysicsMotion
 from splatrl.motions.site import Fits, Site, narrowed
@@ -207,7 +207,7 @@ class Push(TaskModule):
     def teach(self, state: Tensor, memory: Memory) -> Tensor | None:
         """Return the actions of a teacher that knows where everything is; None for a robot not driven by velocities.
 
-        See ``push_teacher``.
+        See ``pushing``.
         """
         if not self.motion.driven:
             return None
