@@ -220,9 +220,7 @@ class Push(TaskModule):
         """Place the scene, the robot, the ball and the mark; see ``Task.parts``."""
         moving = self.motion.parts(state)
         mark = memory["mark"]
-        normal = self.motion.terrain.plane[:3].to(mark.device)
-        half = torch.sqrt(0.5 * (1.0 + normal[2]))
-        tilt = matrices(torch.stack([half, -normal[1] / (2 * half), normal[0] / (2 * half), torch.zeros_like(half)]))
+        tilt = matrices(self.motion.terrain.upright.to(mark.device))
         pose = rigid(tilt.float().expand(len(mark), 3, 3), mark).unsqueeze(1)
         number = torch.full_like(moving.model[:, :1], len(self.motion.models) + 1)
         return Parts(torch.cat([moving.model, number], 1), torch.cat([moving.model_to_world, pose], 1))
