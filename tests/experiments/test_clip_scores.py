@@ -15,7 +15,7 @@ from splatrl.experiments import clip_scores
 from splatrl.experiments.clip_scores import altered, record_clips, score_experiment, score_run
 from splatrl.motions import DriveMotion
 from splatrl.runs import load_policy
-from tests.experiments.trained import BEST, NAMES, config, three_runs
+from tests.experiments.trained import BEST, NAMES, config, three_runs, two_clips
 from tests.tiny import HEIGHT
 
 
@@ -26,9 +26,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def clips(runs: Path) -> Path:
-    """Two recorded clips."""
-    record_clips(build_world(altered(config(runs), 0)), runs / "clips", count=2, height=18)
-    return runs / "clips"
+    return two_clips(runs)
 
 
 def test_a_run_is_scored_with_the_requested_checkpoint(runs: Path, clips: Path) -> None:
