@@ -266,7 +266,7 @@ class PhysicsMotion(TwinMotion):
         return self._once.step(self.of_physics(state), self._rest(state)).sensed.squeeze(1)
 
     def of_physics(self, state: Tensor) -> Tensor:
-        """Return the columns of states that the physics steps; subclasses may append further columns."""
+        """Return the columns that the physics steps, to which subclasses may append others: [B, n] -> [B, size]."""
         return state[:, : self.physics.size]
 
     @property

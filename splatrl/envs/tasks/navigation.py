@@ -268,7 +268,7 @@ class NavigationTask(TaskModule):
         return turn, (far < self.success_distance) & (arrived | (far < 0.5 * self.success_distance))
 
     def beeline(self, state: Tensor, memory: Memory) -> Tensor:
-        """Return the actions of an agent that knows only the goal's distance and direction; compare ``teach``."""
+        """Return the actions [B, ...] of an agent that knows the goal's distance and direction alone; see ``teach``."""
         away = memory["goal"][:, :2] - self._place(state)
         turn = wrapped(azimuths(away) - self.motion.planar(state)[:, 2].float())
         return self.motion.toward(turn, away.norm(dim=1) < self.success_distance)
