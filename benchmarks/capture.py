@@ -36,7 +36,8 @@ from splatrl.cameras import Cameras
 from splatrl.capture.check import colour_corrected, psnr, ssim
 from splatrl.capture.fit import FitSettings, held_out
 from splatrl.capture.jerks import camera_leaps, jerks
-from splatrl.capture.pipeline import CaptureSettings, build_scene, reconstruct
+from splatrl.capture.pipeline import build_scene, reconstruct
+from splatrl.capture.settings import CaptureSettings
 from splatrl.capture.truth import Deviation, Truth, deviation, read_truth, true_poses
 from splatrl.capture.world import Placed
 from splatrl.collision import Occupancy

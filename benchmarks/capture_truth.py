@@ -34,7 +34,8 @@ from torch import Tensor
 from splatrl.bodies import Box
 from splatrl.cameras import Cameras, depths_at
 from splatrl.capture.base import Reconstruction
-from splatrl.capture.pipeline import CaptureSettings, reconstruct
+from splatrl.capture.pipeline import reconstruct
+from splatrl.capture.settings import CaptureSettings
 from splatrl.capture.truth import closest_similarity, read_truth, true_poses
 from splatrl.capture.world import Placed, moved
 from splatrl.collision import DensitySettings, NativeChecker, Occupancy

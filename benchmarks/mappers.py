@@ -30,8 +30,8 @@ from splatrl.capture.frames import read_photos
 from splatrl.capture.jerks import jerks, leaps
 from splatrl.capture.job import Job
 from splatrl.capture.mapping import camera_places, find_cameras, least_carried, map_at_once, map_one_by_one
-from splatrl.capture.pipeline import CaptureSettings
 from splatrl.capture.poses import job_of
+from splatrl.capture.settings import CaptureSettings
 from splatrl.capture.structure import match_images
 from splatrl.capture.truth import Truth, closest_similarity, distances, poses_at, read_truth
 

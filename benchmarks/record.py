@@ -1,7 +1,6 @@
 """Records the results of a run together with its commit, machine and date."""
 
 import datetime
-import json
 import shutil
 import subprocess
 from collections.abc import Sequence
@@ -9,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from splatrl.files import replacing
+from splatrl.documents import write_json as write_document
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -57,10 +56,8 @@ def write_json(
         "results": [_described(result) for result in results],
         **({"notes": list(notes)} if notes else {}),
     }
-    finite = json.loads(json.dumps(record), parse_constant=lambda _: None)  # what was not measured is null
     path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as stream:
-        stream.write((json.dumps(finite, indent=2) + "\n").encode())
+    write_document(path, record)  # what was not measured is null
     return path
 
 

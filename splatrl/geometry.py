@@ -9,6 +9,8 @@ Quaternions: wxyz, of unit length from the file readers onwards.
 A transform is named ``<from>_to_<to>`` and maps column vectors: ``p_world = body_to_world @ p_body``.
 """
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -101,6 +103,11 @@ def quats_to_rotations(quats: Tensor) -> Tensor:
         1 - 2 * (x * x + y * y),
     ]
     return torch.stack(rows, -1).unflatten(-1, (3, 3))
+
+
+def yaw_quat(yaw: float) -> tuple[float, float, float, float]:
+    """Return the unit wxyz quaternion of a yaw, radians."""
+    return math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)
 
 
 def multiply_quats(a: Tensor, b: Tensor) -> Tensor:

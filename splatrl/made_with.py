@@ -18,11 +18,12 @@ SPEED_ONLY = {"threads", "renderer.threads", "resume", "collector.cuda_graph", "
 SPEED_ONLY |= {"resume_changed", "allow_targets", "view"}
 """Keys of a config that do not change the results."""
 FREE = (
-    *("device:", "scene.name:", "scene.paths:", "collector.total_frames:"),
+    *("device:", "scene.name:", "scene.paths:", "env.num_envs:", "collector.total_frames:"),
     *("logger.", "checkpoint.", "evaluation."),
 )
-"""Prefixes of the lines of ``differences`` that a resumed run may have; files are identified by their content."""
-ROBOTS, ANYWAY = "env.num_envs", "to resume with them anyway, type resume_changed=true"
+"""Prefixes of the lines of ``differences`` that are accepted here. Files are identified by their content, and another
+number of robots is refused by the training itself, even with ``resume_changed``."""
+ANYWAY = "to resume with them anyway, type resume_changed=true"
 NOT_DIGESTED = ("scene.path", "demos", "evaluation.episodes")
 """Ends of the keys of paths without a digest: scenes have their own, a checkpoint no longer depends on demonstrations,
 and the episodes of evaluations do not concern the training."""
@@ -68,7 +69,7 @@ def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
         then: ``made_with`` from its checkpoint; empty if there is none.
 
     Raises:
-        ValueError: names the differences, and the setting that resumes nevertheless, if there is one.
+        ValueError: names the differences, and the setting that resumes nevertheless.
     """
     if not then:
         return
@@ -76,11 +77,9 @@ def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
     changed = [line for line in differences(asked, then["settings"]) if not line.startswith(FREE)]
     changed += changed_content(now, then)
     if changed:
-        robots = any(line.startswith(f"{ROBOTS}:") for line in changed)
-        way_out = "a training keeps its number of robots" if robots else ANYWAY
         raise ValueError(
             "resume: expected the scene, settings and files with which the run began, got different ones: "
-            + "; ".join([*changed, way_out])
+            + "; ".join([*changed, ANYWAY])
         )
     other = [f"{key} {now[key]} instead of {then[key]}" for key in ("isa", "threads") if now[key] != then[key]]
     if other:

@@ -41,7 +41,7 @@ def require_number(
     else:
         limit = f" from {low} to {high}"
     kind = ("whole number" if whole else "number") + (f" of {unit}" if unit else "")
-    raise ValueError(f"{name}: expected a {kind}{limit}, got {value!r}")
+    raise ValueError(f"{name}: expected a {kind}{limit}, got {value!r:.80}")
 
 
 def are_numbers(values: Any, count: int) -> bool:

@@ -19,6 +19,7 @@ from splatrl.geometry import (
     rigid,
     rotations_to_quats,
     wrapped,
+    yaw_quat,
 )
 
 seeds = st.integers(0, 2**31)
@@ -56,6 +57,12 @@ def test_a_quaternion_about_z_turns_x_towards_y() -> None:
     quat = torch.tensor([math.cos(math.pi / 6), 0.0, 0.0, math.sin(math.pi / 6)])  # 60 degrees
     turned = quats_to_rotations(quat) @ torch.tensor([1.0, 0.0, 0.0])
     torch.testing.assert_close(turned, torch.tensor([0.5, math.sqrt(3) / 2, 0.0]))
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.5, 4.0])
+def test_the_quaternion_of_a_yaw_turns_counter_clockwise_about_z(yaw: float) -> None:
+    quat, angle = torch.tensor(yaw_quat(yaw), dtype=torch.float64), torch.tensor(yaw, dtype=torch.float64)
+    torch.testing.assert_close(quats_to_rotations(quat), axis_rotations(2, angle), atol=1e-12, rtol=0)
 
 
 @given(seeds)

@@ -122,10 +122,9 @@ def test_a_run_keeps_saying_what_it_learned_from(typed: str) -> None:
         check_made_with(made_with(load_config(["task=grid", typed]), "scene"), before)
 
 
-def test_no_way_is_offered_to_resume_with_another_number_of_robots() -> None:
+def test_another_number_of_robots_is_left_to_the_training_which_has_no_way_to_resume_with_it() -> None:
     before, now = (made_with(load_config(["task=grid", f"env.num_envs={robots}"]), "scene") for robots in (16, 8))
-    with pytest.raises(ValueError, match=r"env\.num_envs: asked for 8, found 16; a training keeps its number .*s$"):
-        check_made_with(now, before)
+    check_made_with(now, before)
 
 
 def test_a_file_that_was_not_there_is_named_by_the_one_that_refers_to_it() -> None:

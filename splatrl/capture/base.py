@@ -1,5 +1,6 @@
-"""Data that the stages of a capture pass to one another."""
+"""Data that the stages of a capture pass to one another, and how they refuse one that cannot work."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +10,14 @@ from torch import Tensor
 
 class CaptureError(ValueError):
     """Raised where a capture cannot become a scene; the message says what is wrong, with figures, and what to do."""
+
+
+def unless_forced(cause: str, force: bool, stage: str, say: Callable[[str], object]) -> str:
+    """Refuse a capture for this cause, or with ``force`` print the cause and return it for the report."""
+    if not force:
+        raise CaptureError(f"{cause} Pass --force to continue anyway.")
+    say(f"{stage:<11} {cause}")
+    return cause
 
 
 @dataclass(frozen=True)

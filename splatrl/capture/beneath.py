@@ -79,7 +79,7 @@ def stood_on(ground: Ground, centers: Floats, points: Floats) -> Footing:
         return Footing(ground, np.full(len(cameras), ground.height), seen=False)
     if not (beneath == ground.height).any():
         on_floor = flat[np.abs(heights - ground.height) <= NEAR * above]
-        if cKDTree(places).query(on_floor)[0].min() > AROUND * above:
+        if _distances(places, on_floor).min() > AROUND * above:
             low = float(np.quantile(beneath[known], LOWEST))
             level = float(np.median(beneath[np.abs(beneath - low) <= NEAR * above]))
             near = heights - level
@@ -107,10 +107,28 @@ def much_below(ground: Ground, centers: Floats, points: Floats, above: float) ->
         above: height of the cameras above that floor.
     """
     heights = points @ ground.up - ground.height
-    away = cKDTree(_flattened(centers, ground.up)).query(_flattened(points, ground.up))[0]
-    near = away <= AROUND * above
+    near = from_path(centers, points, ground.up) <= AROUND * above
     below, on_floor = heights < -DEEP * above, np.abs(heights) <= NEAR * above
     return int((below & near).sum()) > MUCH * int((on_floor & near).sum())
+
+
+def from_path(centers: Floats, points: Floats, up: Floats) -> Floats:
+    """Return the distances of points from the nearest camera, seen from above.
+
+    Args:
+        centers: [N, 3] positions of the cameras.
+        points: [P, 3].
+        up: [3] unit vector.
+
+    Returns:
+        [P], in the unit of the positions.
+    """
+    return _distances(_flattened(centers, up), _flattened(points, up))
+
+
+def _distances(places: Floats, points: Floats) -> Floats:
+    """Return the distance of each point from the nearest place: [N, D], [P, D] -> [P]."""
+    return cKDTree(places).query(points)[0]
 
 
 def _flattened(places: Floats, up: Floats) -> Floats:

@@ -3,9 +3,8 @@
 from itertools import pairwise
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from splatrl.capture.beneath import AROUND
+from splatrl.capture.beneath import AROUND, from_path
 from splatrl.capture.carrying import weakest
 from splatrl.capture.ground import lowest_level
 from splatrl.capture.jerks import TORN, camera_leaps, jerks
@@ -92,7 +91,7 @@ def _heights(placed: Placed) -> list[tuple[int, float]]:
     """
     found, above = placed.reconstruction, placed.camera_height
     cameras, points = found.camera_to_world[:, 2, 3].numpy(), found.points[:, 2].numpy()
-    away = cKDTree(found.camera_to_world[:, :2, 3].numpy()).query(found.points[:, :2].numpy())[0]
+    away = from_path(found.camera_to_world[:, :3, 3].numpy(), found.points.numpy(), np.array([0.0, 0.0, 1.0]))
     points = np.where((points < -LOWER * above) & (away > AROUND * above), np.nan, points)
     seen_by, seen_point = found.seen_by.numpy(), found.seen_point.numpy()
     edges = np.linspace(0, len(cameras), PARTS + 1).astype(int).tolist()

@@ -16,7 +16,7 @@ from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.fit_cameras import Learned, turned
 from splatrl.capture.fit_checkpoint import Checkpoint
 from splatrl.capture.fit_cuda import CudaFitter
-from splatrl.capture.fit_model import Model
+from splatrl.capture.fit_model import LOG_SCALE, LOGIT, MEAN, QUAT, SH, Model
 from splatrl.capture.fit_pictures import Frame, Pictures, frame_of, pictures
 from splatrl.capture.fit_start import start
 from splatrl.capture.stereo import Depths, find_depths
@@ -280,17 +280,17 @@ class Fitting:
         )
 
     def rates(self, done: float) -> Tensor:
-        """Return the learning rate of each row of the parameters."""
+        """Return the learning rate of each row of the parameters, once this fraction of the fit is done."""
         rates = torch.full((self.model.values.shape[0],), 2.5e-3 / 20)
-        rates[0:3] = 1.6e-4 * 0.01**done
-        rates[3:6] = 5e-3
-        rates[6:10] = 1e-3
-        rates[10] = 5e-2
-        rates[11:14] = 2.5e-3
+        rates[MEAN] = 1.6e-4 * 0.01**done
+        rates[LOG_SCALE] = 5e-3
+        rates[QUAT] = 1e-3
+        rates[LOGIT] = 5e-2
+        rates[SH : SH + 3] = 2.5e-3
         return rates
 
     def learn_cameras(self, chosen: Tensor, losses: Tensor) -> None:
-        """Improve exposures and poses, keeping their means over the photos fixed, so that nothing drifts."""
+        """Improve exposures and poses of photos [V], by ``losses`` [V, 16]; means are kept, so that nothing drifts."""
         if self.settings.exposure:
             self.exposure.improve(chosen, losses[:, 4:10].view(-1, 3, 2))
             values = self.exposure.values

@@ -25,7 +25,15 @@ class Learned:
         return {"values": self.values, "first": self._first, "second": self._second, "steps": self._steps}
 
     def improve(self, rows: Tensor, slopes: Tensor) -> Tensor:
-        """Take a step for some photos, each listed once; return the changes of their values."""
+        """Take a step for some photos.
+
+        Args:
+            rows: [V] int64, the photos, each listed once.
+            slopes: [V, ...] gradients of their values.
+
+        Returns:
+            [V, ...], the changes of their values.
+        """
         self._steps[rows] += 1
         self._first[rows] = torch.lerp(slopes, self._first[rows], BETAS[0])
         self._second[rows] = torch.lerp(slopes**2, self._second[rows], BETAS[1])

@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from splatrl.capture.base import CaptureError, Reconstruction
-from splatrl.capture.fit_model import LOGIT, SH, Model
+from splatrl.capture.fit_model import LOG_SCALE, LOGIT, MEAN, QUAT, SH, Model
 from splatrl.capture.fit_pictures import Frame, Pictures
 from splatrl.capture.stereo import Depths
 from splatrl.spherical_harmonics import C0
@@ -57,9 +57,9 @@ def start(
         more_points, more_colors = more if more is not None else beside(points, colors, missing, random)
         points, colors = np.concatenate([points, more_points]), np.concatenate([colors, more_colors])
     columns = torch.zeros(model.values.shape[0], len(points))
-    columns[:3] = torch.from_numpy(points.T)
-    columns[3:6] = torch.from_numpy(np.log(spacing(points)))
-    columns[6] = 1.0
+    columns[MEAN] = torch.from_numpy(points.T)
+    columns[LOG_SCALE] = torch.from_numpy(np.log(spacing(points)))
+    columns[QUAT.start] = 1.0
     columns[LOGIT] = float(np.log(OPACITY / (1 - OPACITY)))
     columns[SH : SH + 3] = torch.from_numpy((colors.T - 0.5) / C0)
     model.add(columns)

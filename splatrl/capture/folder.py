@@ -99,7 +99,7 @@ def write_scene(
 
 
 def share_of(moving: Tensor) -> str:
-    """Return the percentage of the photos' pixels that show moving things, as text."""
+    """Return the percentage of photos' pixels, [N, H, W] bool, that show moving things, as text."""
     return f"{100 * float(moving.float().mean()):.2g} %"
 
 

@@ -50,12 +50,12 @@ def leaps(places: Floats, seconds: Floats, cuts: Sequence[float] = ()) -> Floats
 
 
 def camera_leaps(found: Reconstruction) -> Floats:
-    """Return the ``leaps`` of a film's camera; empty where the capture times are unknown."""
+    """Return the ``leaps`` of a film's camera, [N − 2]; empty where the capture times are unknown."""
     if found.seconds is None:
         return np.zeros(0)
     return leaps(found.camera_to_world[:, :3, 3].numpy(), found.seconds.numpy(), found.cuts)
 
 
 def jerks(sudden: Floats) -> float:
-    """Return the 99th percentile of a camera's ``leaps``; 0 for fewer than ``FEWEST``."""
+    """Return the 99th percentile of a camera's ``leaps``, [N − 2]; 0 for fewer than ``FEWEST``."""
     return float(np.quantile(sudden, 0.99)) if len(sudden) >= FEWEST else 0.0

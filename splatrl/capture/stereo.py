@@ -162,7 +162,16 @@ def neighbours_of(seen: Pictures, row: int, rows: Tensor, depth: float) -> Tenso
 
 
 def measured(reconstruction: Reconstruction, frame: Frame, rows: Tensor) -> Depths:
-    """Return the depths of a sensor, at the size at which photos would be compared."""
+    """Return the depths of a sensor, at the size at which photos would be compared.
+
+    Args:
+        reconstruction: photos with poses and depth images.
+        frame: the frame of the fit.
+        rows: [R] int64, the photos whose depths are read; nothing is known of the others.
+
+    Raises:
+        CaptureError: for a depth image that cannot be read.
+    """
     width = min(WIDTH, reconstruction.width)
     height = max(1, round(reconstruction.height * width / reconstruction.width))
     known = torch.zeros(len(reconstruction.paths), height, width)

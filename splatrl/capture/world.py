@@ -172,7 +172,7 @@ def mean_height(heights: Floats, seconds: Tensor | None, missing: float = 0) -> 
 
 
 def moved(reconstruction: Reconstruction, transform: Floats) -> Reconstruction:
-    """Transform a reconstruction to another frame by a 4×4 similarity."""
+    """Transform a reconstruction to another frame by a similarity, [4, 4] float64."""
     scale = float(np.linalg.det(transform[:3, :3]) ** (1 / 3))
     linear, shift = torch.from_numpy(transform[:3, :3]), torch.from_numpy(transform[:3, 3])
     poses = reconstruction.camera_to_world.clone()

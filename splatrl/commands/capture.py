@@ -11,8 +11,9 @@ from tqdm import tqdm
 
 from splatrl.capture.fit import FitSettings
 from splatrl.capture.marker import MARKER_SIDE, write_marker_page
-from splatrl.capture.pipeline import CaptureSettings, capture
+from splatrl.capture.pipeline import capture
 from splatrl.capture.resolution import Resolution
+from splatrl.capture.settings import CaptureSettings
 from splatrl.commands.entries import USERS
 from splatrl.commands.entries import capture as main
 from splatrl.commands.stopping import stoppable

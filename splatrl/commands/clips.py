@@ -12,7 +12,7 @@ from splatrl.commands.entries import clips as main
 from splatrl.commands.faults import in_one_line
 from splatrl.configuration import check_config, conf_dir, config_elsewhere
 from splatrl.evaluation.clips import REPORT, write_report
-from splatrl.experiments.clip_scores import altered, film_run, record_clips, score_run
+from splatrl.experiments.clip_scores import Watcher, altered, record_clips
 from splatrl.values import require_number
 
 FILMS = "films"
@@ -41,7 +41,7 @@ def run(cfg: DictConfig) -> None:
             raise ValueError(f"run: expected folders of different names, which name the films, got {', '.join(runs)}")
         for name, last in zip(runs, names, strict=True):
             output = Path(name, FILMS, film.stem) if cfg.out is None else Path(cfg.out, f"{film.stem}-{last}")
-            for path in film_run(Path(name), film, output, *loading):
+            for path in Watcher.of_run(Path(name), *loading).film(film, output):
                 print(path)
     if cfg.record is not None:
         own = config_elsewhere(Path(runs[0]), cfg.place, cfg.allow_targets)
@@ -52,7 +52,7 @@ def run(cfg: DictConfig) -> None:
         written = record_clips(world, Path(cfg.record), *settings)
         print(f"{len(written)} clips in {cfg.record}")
     if cfg.clips is not None:
-        results = {name: score_run(Path(name), Path(cfg.clips), *loading) for name in runs}
+        results = {name: Watcher.of_run(Path(name), *loading).score(Path(cfg.clips)) for name in runs}
         folder = Path(cfg.out or cfg.clips)
         print(write_report(results, folder))
         print(f"{folder / REPORT}.md, {folder / REPORT}.json")

@@ -31,6 +31,20 @@ splatrl-train task=walk task.motion.gait=gait.npz
 
 def capture(arguments: Sequence[str]) -> argparse.Namespace:
     """Parse the options of ``splatrl-capture``; None stands for an option that was not typed and has a default."""
+    result = _capture_parser()
+    options = result.parse_args(joined(arguments, {"--distance": 7}, _is_click))
+    if options.marker is None and options.source is None:
+        result.error("expected a video or a folder of photos, or --marker")
+    try:
+        for name, limits in CAPTURE.items():
+            if getattr(options, name) is not None:
+                require_number(f"--{name.replace('_', '-')}", getattr(options, name), **limits)
+    except ValueError as error:
+        result.error(str(error))
+    return options
+
+
+def _capture_parser() -> Parser:
     result = Parser(
         prog="splatrl-capture", description="Turn a phone video or a folder of photos into a scene to train in."
     )
@@ -85,16 +99,7 @@ def capture(arguments: Sequence[str]) -> argparse.Namespace:
     )
     result.add_argument("--seed", type=int, default=0)
     result.add_argument("--device", default="auto", help="device for the fit: auto, cpu, cuda or cuda:<number>")
-    options = result.parse_args(joined(arguments, {"--distance": 7}, _is_click))
-    if options.marker is None and options.source is None:
-        result.error("expected a video or a folder of photos, or --marker")
-    try:
-        for name, limits in CAPTURE.items():
-            if getattr(options, name) is not None:
-                require_number(f"--{name.replace('_', '-')}", getattr(options, name), **limits)
-    except ValueError as error:
-        result.error(str(error))
-    return options
+    return result
 
 
 def _folder(text: str) -> Path:

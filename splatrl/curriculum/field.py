@@ -59,7 +59,12 @@ class Moves:
         return last
 
     def each(self, state: Tensor, action: Tensor) -> Iterator[Reach]:
-        """Yield where actions have led after one step, after two, and so on; where an action ends, it stays."""
+        """Yield where actions have led after one step, after two, and so on; where an action ends, it stays.
+
+        Args:
+            state: [N, ...].
+            action: [N, ...].
+        """
         ahead, blocked = self._once(state, action)
         steps = torch.ones(len(state), device=state.device)
         yield Reach(ahead, steps, blocked)

@@ -16,6 +16,7 @@ from torch import Tensor
 from splatrl.datasets.demonstrations import AFTER, Demonstrations
 from splatrl.documents import read_json, write_json
 from splatrl.files import checked_name, require_room
+from splatrl.values import require_number
 
 FACTS, MEMMAP = "demonstrations.json", "memmap"
 VERSION = 2
@@ -72,7 +73,9 @@ def read_demonstrations(folder: Path) -> Demonstrations:
     names = facts.get("action_names")
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise ValueError(f"{path}: expected a list of names under action_names, got {names!r:.80}")
-    fps, repeats = (_number(path, key, facts.get(key)) for key in ("fps", "repeats"))
+    fps, repeats = facts.get("fps"), facts.get("repeats")
+    for key, value in (("fps", fps), ("repeats", repeats)):
+        require_number(f"{path}: {key}", value, 1, 1000, whole=True)
     scene = facts.get("scene")
     if not isinstance(scene, str | None):
         raise ValueError(f"{path}: expected a fingerprint under scene, got {scene!r:.80}")
@@ -93,13 +96,6 @@ def read_demonstrations(folder: Path) -> Demonstrations:
     except ValueError as error:
         raise ValueError(f"{here}: {error}") from error
     return result
-
-
-def _number(path: Path, key: str, value: object) -> int:
-    """Return a number from the JSON file, which must be from 1 to 1000."""
-    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= 1000:
-        raise ValueError(f"{path}: expected a whole number from 1 to 1000 under {key}, got {value!r:.80}")
-    return value
 
 
 def _tensors(folder: Path, needed: set[str]) -> dict[str, Any]:

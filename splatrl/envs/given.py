@@ -87,7 +87,7 @@ def check_seeds(seeds: Sequence[int | None], count: int) -> None:
 
 
 def check_actions(action: Tensor, spec: TensorSpec) -> None:
-    """Refuse the numbers of actions that do not exist, and actions that are not finite, with a ValueError."""
+    """Refuse numbers of actions that do not exist, or actions that are not finite, [B, ...], with a ValueError."""
     if action.is_floating_point() and len(wrong := (~action.isfinite()).nonzero()):
         raise ValueError(f"action: expected finite numbers, got {action[int(wrong[0, 0])].tolist()}")
     if isinstance(spec, Categorical) and len(wrong := action[(action < 0) | (action >= spec.n)]):

@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -61,74 +61,73 @@ def record_clips(
         return record_walks(folder, world, count, seed, height, hand, lens, bar.update)
 
 
-def score_run(
-    folder: Path,
-    clips: Path,
-    checkpoint: str | None = None,
-    device: str | None = None,
-    allow_targets: Sequence[str] = (),
-    fov: float | None = None,
-    place: Sequence[str] = (),
-) -> list[ClipResult]:
-    """Score the policy of a run folder on clips.
+@dataclass(frozen=True)
+class Watcher:
+    """The policy of a run, as it watches films that it cannot influence.
 
-    Args:
-        folder: the run folder.
-        clips: folder of clips.
-        checkpoint: last or best; None takes the run's own setting.
-        device: device of the policy; None takes the run's own setting.
-        allow_targets: your own packages from which the run's config may build objects.
-        fov: horizontal field of view of the clips, degrees; None takes that of the policy's camera. A line says for
-            each clip what the policy does not see of its field of view.
-        place: overrides of the place in which the policy is loaded, such as ``scene.path`` of a scene that has moved.
-
-    Raises:
-        ValueError: for a task whose actions have no names.
+    Attributes:
+        name: name of the run, for progress bars.
+        policy: the policy.
+        names: names of its actions.
+        eye: the camera through which it sees films.
+        known: its other inputs, as at the start of an episode.
     """
-    policy, names, eye, known = _watching(folder, checkpoint, device, allow_targets, fov, place)
-    found = read_clips(clips, names)
-    for clip in found:
-        _tell(eye, clip.source)
-    with tqdm(unit="frame", desc=folder.name, dynamic_ncols=True) as bar:
-        return match(policy, names, found, eye, known, bar.update)
 
+    name: str
+    policy: TensorDictModuleBase
+    names: Sequence[str]
+    eye: Eye
+    known: TensorDictBase
 
-def film_run(
-    folder: Path,
-    film: Path,
-    output: Path,
-    checkpoint: str | None = None,
-    device: str | None = None,
-    allow_targets: Sequence[str] = (),
-    fov: float | None = None,
-    place: Sequence[str] = (),
-) -> list[Path]:
-    """Overlay a film with what the policy of a run folder would do; see ``draw_film`` and ``score_run``."""
-    policy, names, eye, known = _watching(folder, checkpoint, device, allow_targets, fov, place)
-    _tell(eye, film)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    with tqdm(unit="frame", desc=folder.name, dynamic_ncols=True) as bar:
-        return draw_film(policy, names, film, eye, output, known, bar.update)
+    @classmethod
+    def of_run(
+        cls,
+        folder: Path,
+        checkpoint: str | None = None,
+        device: str | None = None,
+        allow_targets: Sequence[str] = (),
+        fov: float | None = None,
+        place: Sequence[str] = (),
+    ) -> "Watcher":
+        """Load the policy of a run folder.
 
+        Args:
+            folder: the run folder.
+            checkpoint: last or best; None takes the run's own setting.
+            device: device of the policy; None takes the run's own setting.
+            allow_targets: your own packages from which the run's config may build objects.
+            fov: horizontal field of view of the films, degrees; None takes that of the policy's camera.
+            place: overrides of the place in which the policy is loaded, such as ``scene.path`` of a scene that has
+                moved.
 
-def _watching(
-    folder: Path,
-    checkpoint: str | None,
-    device: str | None,
-    allow_targets: Sequence[str],
-    fov: float | None,
-    place: Sequence[str],
-) -> tuple[TensorDictModuleBase, Sequence[str], Eye, TensorDictBase]:
-    """Load a run's policy, its action names, its camera and its other inputs at the start of an episode."""
-    cfg = config_elsewhere(folder, place, allow_targets)
-    torch.set_num_threads(cfg.threads)
-    trained = load_policy(folder, checkpoint, device, cfg, place=place)
-    motion, policy, begun = trained.world.task.motion, trained.policy, trained.beginning()
-    if not motion.action_names:
-        raise ValueError(f"task: expected a motion with named actions, got {type(motion).__name__}")
-    known = begun.select(*(key for key in policy.in_keys if key != "pixels"), strict=False)
-    height, width, channels = begun["pixels"].shape[1:]
-    return policy, motion.action_names, Eye(height, width, channels // 3, trained.world.robot.fov_deg, fov), known
+        Raises:
+            ValueError: for a task whose actions have no names.
+        """
+        cfg = config_elsewhere(folder, place, allow_targets)
+        torch.set_num_threads(cfg.threads)
+        trained = load_policy(folder, checkpoint, device, cfg, place=place)
+        motion, policy, begun = trained.world.task.motion, trained.policy, trained.beginning()
+        if not motion.action_names:
+            raise ValueError(f"task: expected a motion with named actions, got {type(motion).__name__}")
+        known = begun.select(*(key for key in policy.in_keys if key != "pixels"), strict=False)
+        height, width, channels = begun["pixels"].shape[1:]
+        eye = Eye(height, width, channels // 3, trained.world.robot.fov_deg, fov)
+        return cls(folder.name, policy, motion.action_names, eye, known)
+
+    def score(self, clips: Path) -> list[ClipResult]:
+        """Score the policy on a folder of clips; a line says for each what it does not see of its field of view."""
+        found = read_clips(clips, self.names)
+        for clip in found:
+            _tell(self.eye, clip.source)
+        with tqdm(unit="frame", desc=self.name, dynamic_ncols=True) as bar:
+            return match(self.policy, self.names, found, self.eye, self.known, bar.update)
+
+    def film(self, film: Path, output: Path) -> list[Path]:
+        """Overlay a film with what the policy would do; see ``draw_film``."""
+        _tell(self.eye, film)
+        output.parent.mkdir(parents=True, exist_ok=True)
+        with tqdm(unit="frame", desc=self.name, dynamic_ncols=True) as bar:
+            return draw_film(self.policy, self.names, film, self.eye, output, self.known, bar.update)
 
 
 def _tell(eye: Eye, film: Path) -> None:
@@ -159,5 +158,5 @@ def score_experiment(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
     return [
         {"run": run.folder.name, "clip": one.name, **asdict(one)}
         for run in runs
-        for one in score_run(run.folder, clips[run.scene])
+        for one in Watcher.of_run(run.folder).score(clips[run.scene])
     ]

@@ -22,9 +22,10 @@ from splatrl.capture.area import SOLID
 from splatrl.capture.base import CaptureError
 from splatrl.capture.check import Quality, colour_corrected, psnr
 from splatrl.capture.folder import FREE, SPLAT
-from splatrl.capture.pipeline import CaptureSettings, build_scene, reconstruct
+from splatrl.capture.pipeline import build_scene, reconstruct
 from splatrl.capture.poses import check_libraries
 from splatrl.capture.progress import Progress
+from splatrl.capture.settings import CaptureSettings
 from splatrl.capture.truth import Deviation, deviation, read_truth
 from splatrl.collision import Occupancy
 from splatrl.collision.point_clouds import read_points, write_points

@@ -118,15 +118,7 @@ class PhysicsMotion(TwinMotion):
         self.path, self.camera, self.pushed = mjcf_path(str(path)), camera, tuple(pushed)
         self.thing_paths = {str(name): mjcf_path(str(place)) for name, place in (things or {}).items()}
         self.looks = {str(name): expanded(place) for name, place in (looks or {}).items()}
-        if taken := [name for name in self.thing_paths if name in RESERVED or "/" in name]:
-            raise ValueError(
-                f"task.motion.things: expected names without / and other than {', '.join(RESERVED)}, got {taken[0]}"
-            )
-        for key, names in (("looks", self.looks), ("pushed", self.pushed)):
-            if unknown := set(names) - set(self.thing_paths):
-                raise ValueError(
-                    f"task.motion.{key}: expected names from task.motion.things, got {', '.join(sorted(unknown))}"
-                )
+        self._check_names()
         self.time_step, self.substep, self.threads = time_step, substep, threads
         self.variation, self.ceiling = variation or Variation(), ceiling
         self.models = Models()
@@ -266,7 +258,7 @@ class PhysicsMotion(TwinMotion):
         return self._once.step(self.of_physics(state), self._rest(state)).sensed.squeeze(1)
 
     def of_physics(self, state: Tensor) -> Tensor:
-        """Return the columns of states that the physics steps; subclasses may append further columns."""
+        """Return the columns that the physics steps, to which subclasses may append others: [B, n] -> [B, size]."""
         return state[:, : self.physics.size]
 
     @property
@@ -351,6 +343,18 @@ class PhysicsMotion(TwinMotion):
         numbers = torch.arange(first, first + moving.shape[1], device=state.device)
         model = torch.cat([torch.zeros_like(numbers[:1]), numbers]).expand(len(state), -1)
         return Parts(model, torch.cat([scene, moving], 1))
+
+    def _check_names(self) -> None:
+        """Refuse names that things cannot have in a model, and names of no thing."""
+        if taken := [name for name in self.thing_paths if name in RESERVED or "/" in name]:
+            raise ValueError(
+                f"task.motion.things: expected names without / and other than {', '.join(RESERVED)}, got {taken[0]}"
+            )
+        for key, names in (("looks", self.looks), ("pushed", self.pushed)):
+            if unknown := set(names) - set(self.thing_paths):
+                raise ValueError(
+                    f"task.motion.{key}: expected names from task.motion.things, got {', '.join(sorted(unknown))}"
+                )
 
     def _check_sound(self) -> None:
         """Refuse a robot whose physics fails within an action with the lowest, highest or alternating controls."""

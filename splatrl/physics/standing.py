@@ -55,10 +55,8 @@ def on_ground(planar: Tensor, home: Tensor, terrain: Terrain) -> Tensor:
         [N, 7] float64, positions and unit quaternions.
     """
     x, y, yaw = planar.unbind(1)
-    normal = terrain.plane[:3].to(home)
-    half, up = 0.5 * yaw, torch.sqrt(0.5 * (1.0 + normal[2]))
-    tilt = torch.stack([up, -normal[1] / (2 * up), normal[0] / (2 * up), torch.zeros_like(up)])
+    half = 0.5 * yaw
     about = torch.stack([half.cos(), torch.zeros_like(half), torch.zeros_like(half), half.sin()], 1)
-    turn = normalised(multiply_quats(multiply_quats(tilt, about), home[3:]))
-    z = terrain.height(torch.stack([x, y], 1)) + home[2] / normal[2]
+    turn = normalised(multiply_quats(multiply_quats(terrain.upright.to(home), about), home[3:]))
+    z = terrain.height(torch.stack([x, y], 1)) + home[2] / terrain.plane[2].to(home)
     return torch.cat([torch.stack([x, y, z], 1), turn], 1)

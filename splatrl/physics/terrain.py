@@ -37,6 +37,13 @@ class Terrain:
         if not (self.boxes[:, 3:] > 0).all():
             raise ValueError("terrain.boxes: expected positive half sizes, got at least one that is not")
 
+    @property
+    def upright(self) -> Tensor:
+        """[4] float64: unit quaternion wxyz of the shortest rotation from z to the ground's normal."""
+        x, y, z = self.plane[:3]
+        w = torch.sqrt(0.5 * (1.0 + z))
+        return torch.stack([w, -y / (2 * w), x / (2 * w), torch.zeros_like(w)])
+
     def height(self, places: Tensor) -> Tensor:
         """Return the height of the ground: [..., 2] float64 x and y -> [...] float64 z, metres."""
         x, y, z, offset = self.plane.to(places)

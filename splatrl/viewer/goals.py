@@ -11,6 +11,7 @@ from splatrl.envs.sensors.goals import ImageGoal
 from splatrl.envs.tasks.base import Mark
 from splatrl.envs.world import World
 from splatrl.evaluation.figure_style import mark_styles
+from splatrl.geometry import yaw_quat
 from splatrl.viewer.robot import FACES, enlarged, rgb, wedge
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ class GoalsShown:
         if math.isnan(yaw):
             node: Any = scene.add_icosphere(name, 0.5 * float(corners.max()), color, position=place)
         else:
-            turned = (math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw))
+            turned = yaw_quat(yaw)
             node = scene.add_mesh_simple(name, corners, FACES, color=color, side="double", wxyz=turned, position=place)
         scene.add_label(f"{name}/name", mark.name)
         return node

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from splatrl.envs.world import World
-from splatrl.geometry import axis_rotations, quats_to_rotations, rigid
+from splatrl.geometry import axis_rotations, quats_to_rotations, rigid, yaw_quat
 from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.editing import edit_description
 from splatrl.viewer.markdown import plain
@@ -93,7 +93,7 @@ class Placing:
             self.status.content = plain(error)
             return
         handle = next(handle for handle in handles(self.values, self.height) if handle.name == name)
-        self.controls[name].position, self.controls[name].wxyz = handle.position, _quat(handle.yaw)
+        self.controls[name].position, self.controls[name].wxyz = handle.position, yaw_quat(handle.yaw)
         self._follow(name)
 
     def save(self) -> bool:
@@ -203,7 +203,7 @@ class Placing:
             active_axes=(True, True, not flat),
             disable_rotations=not turns,
             position=handle.position,
-            wxyz=_quat(handle.yaw),
+            wxyz=yaw_quat(handle.yaw),
             visible=key not in CORNERS,
         )
         self.page.server.scene.add_label(f"{control.name}/label", handle.name)
@@ -219,10 +219,6 @@ class Placing:
             @control.on_update
             def seen(event: Any) -> None:  # in its own thread, so that dragging stays smooth
                 self.look(event.phase == "end")
-
-
-def _quat(yaw: float) -> tuple[float, float, float, float]:
-    return (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
 
 
 def _yaw(wxyz: Any) -> float:

@@ -21,8 +21,9 @@ from splatrl.capture.carrying import weakest
 from splatrl.capture.child import _pass_on, run_child
 from splatrl.capture.job import Job, write_job
 from splatrl.capture.mapping import SHARED, find_cameras
-from splatrl.capture.pipeline import CaptureSettings, reconstruct
+from splatrl.capture.pipeline import reconstruct
 from splatrl.capture.poses import find_poses, job_of, missing_runs
+from splatrl.capture.settings import CaptureSettings
 from splatrl.capture.structure import MODEL, SPARSE, _keep, pairs, run
 from tests.capture import ray_cast
 from tests.capture.ray_cast import HALF, photos_of, walk

@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 import torch
 
-from splatrl.capture.pipeline import CaptureSettings, reconstruct
+from splatrl.capture.pipeline import reconstruct
+from splatrl.capture.settings import CaptureSettings
 from splatrl.capture.truth import deviation, read_truth
 from splatrl.scenes.description import read_description
 

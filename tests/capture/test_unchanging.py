@@ -17,7 +17,8 @@ from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.check import colour_corrected, psnr, ssim
 from splatrl.capture.job import DATABASE
 from splatrl.capture.matches import features
-from splatrl.capture.pipeline import CaptureSettings, reconstruct
+from splatrl.capture.pipeline import reconstruct
+from splatrl.capture.settings import CaptureSettings
 from splatrl.capture.stereo import Depths
 from splatrl.capture.unchanging import FEWEST, MOST, REACH, left_out, left_out_at, said, too_much, unchanging, with_mask
 from tests.capture import ray_cast

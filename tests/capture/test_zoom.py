@@ -12,10 +12,11 @@ import torch
 
 from splatrl.array_files import read_arrays
 from splatrl.cameras import look_at
-from splatrl.capture import pipeline
+from splatrl.capture import pipeline, placing
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
 from splatrl.capture.job import Job
-from splatrl.capture.pipeline import CaptureSettings, reconstruct
+from splatrl.capture.pipeline import reconstruct
+from splatrl.capture.settings import CaptureSettings
 from splatrl.capture.structure import MODEL, _keep
 from splatrl.capture.zoom import PART, REFUSED, _parts, focal_lengths, zoomed
 from tests.capture.walks import ABOVE, walk
@@ -98,9 +99,9 @@ def test_a_slight_zoom_is_noted_and_a_strong_one_refused_unless_forced(
     monkeypatch.setattr(pipeline, "read_photos", lambda *_: photos)
     monkeypatch.setattr(pipeline, "with_mask", lambda photos, *_: photos)
     monkeypatch.setattr(pipeline, "look", lambda *_: SimpleNamespace(cause=lambda: None))
-    monkeypatch.setattr(pipeline, "find_poses", lambda *_, **__: film)
+    monkeypatch.setattr(placing, "find_poses", lambda *_, **__: film)
     monkeypatch.setattr(
-        pipeline,
+        placing,
         "place",
         lambda found, *_, **__: SimpleNamespace(
             up_from="floor", scale_from="camera_height", camera_height=ABOVE, remarks=()

@@ -16,7 +16,17 @@ from splatrl.collision import CudaChecker, NativeChecker, Occupancy, cuda, verif
 from splatrl.collision.cuda import kernel_defines
 from splatrl.faults import Faulty
 from splatrl.geometry import axis_rotations, rigid
-from tests.collision.test_fcl import BODIES, CUBE, at, clutter, random_poses
+from tests.collision.cases import (
+    BODIES,
+    CUBE,
+    EMPTY,
+    assert_empty_answers,
+    assert_nothing_hit,
+    assert_only_a_way_through_hits,
+    at,
+    clutter,
+    random_poses,
+)
 from tests.collision.test_native import moves_in, poses_in, rooms
 from tests.emulator import emulated
 
@@ -199,26 +209,13 @@ def test_the_order_of_threads_does_not_change_the_answers(scenes):
 
 @pytest.mark.parametrize("body", BODIES)
 def test_nothing_is_hit_in_an_empty_grid_or_outside_the_grid(make, body):
-    poses = random_poses(100, (-1, -1, -1), (1, 1, 1))
-    for empty in (Occupancy.empty(), Occupancy(np.zeros((3, 4, 5), bool), (0, 0, 0), 0.1)):
-        there = There(make(empty, body))
-        assert not there.collides(poses).any()
-        assert (there.free_fraction(poses, poses.flip(0)) == 1.0).all()
-        assert not there.sweeps(poses, poses.flip(0)).any()
-        assert there.clearance(poses[:, :3, 3]).isinf().all()
-    far = at((1e6, 0.0, 0.0), (0.0, -1e6, 0.0), (0.0, 0.0, 3e30))
-    there = There(make(CUBE, body))
-    assert not there.collides(far).any()
-    assert not there.sweeps(far, far).any()
-    assert there.sweeps(at((-50.0, 0.05, 0.05)), at((50.0, 0.05, 0.05))).tolist() == [True]
+    for empty in EMPTY:
+        assert_nothing_hit(There(make(empty, body)))
+    assert_only_a_way_through_hits(There(make(CUBE, body)))
 
 
 def test_empty_batches_give_empty_answers(make):
-    there, none = There(make(CUBE, BODIES[0])), torch.empty(0, 4, 4)
-    assert (there.collides(none).shape, there.collides(none).dtype) == ((0,), torch.bool)
-    assert there.sweeps(none, none).shape == (0,)
-    assert there.free_fraction(none, none).dtype == torch.float32
-    assert there.clearance(torch.empty(0, 3)).shape == (0,)
+    assert_empty_answers(There(make(CUBE, BODIES[0])))
 
 
 SPOILT = {

@@ -12,26 +12,17 @@ from hypothesis import strategies as st
 from splatrl.bodies import Box, Capsule, Sphere
 from splatrl.collision import FclChecker, Occupancy
 from splatrl.collision.fcl import _octree, fcl_octrees
-from splatrl.geometry import axis_rotations, quats_to_rotations, rigid
-
-BODIES = [Box((0.4, 0.3, 0.1)), Sphere(0.17), Capsule(0.08, 0.25)]
-CUBE = Occupancy(np.ones((1, 1, 1), bool), (0, 0, 0), 0.1)  # from 0 to 0.1 along each axis
-
-
-def at(*places: tuple[float, float, float], rotation: torch.Tensor | None = None) -> torch.Tensor:
-    turn = torch.eye(3) if rotation is None else rotation
-    return rigid(turn.float(), torch.tensor(places))
-
-
-def random_poses(count: int, lower, upper, seed: int = 0) -> torch.Tensor:
-    generator = torch.Generator().manual_seed(seed)
-    quats = torch.randn(count, 4, generator=generator)
-    lower, upper = torch.as_tensor(lower).float(), torch.as_tensor(upper).float()
-    return rigid(quats_to_rotations(quats), lower + torch.rand(count, 3, generator=generator) * (upper - lower))
-
-
-def clutter(seed: int = 0, share: float = 0.03) -> Occupancy:
-    return Occupancy(np.random.default_rng(seed).random((14, 11, 8)) < share, (-7, 3, -2), 0.1)
+from splatrl.geometry import axis_rotations, rigid
+from tests.collision.cases import (
+    BODIES,
+    CUBE,
+    EMPTY,
+    assert_empty_answers,
+    assert_nothing_hit,
+    at,
+    clutter,
+    random_poses,
+)
 
 
 @pytest.mark.parametrize(
@@ -110,23 +101,14 @@ def test_a_hit_does_not_carry_over_to_later_poses():
     assert checker.clearance(torch.tensor([far])) < checker.body.radius
 
 
-@pytest.mark.parametrize("empty", [Occupancy.empty(), Occupancy(np.zeros((3, 4, 5), bool), (0, 0, 0), 0.1)])
+@pytest.mark.parametrize("empty", EMPTY)
 @pytest.mark.parametrize("body", BODIES)
 def test_nothing_collides_where_nothing_is_solid(empty, body):
-    checker = FclChecker(empty, body)
-    poses = random_poses(7, (-1, -1, -1), (1, 1, 1))
-    assert not checker.collides(poses).any()
-    assert (checker.free_fraction(poses, poses.flip(0)) == 1.0).all()
-    assert not checker.sweeps(poses, poses.flip(0)).any()
-    assert checker.clearance(torch.zeros(3, 3)).isinf().all()
+    assert_nothing_hit(FclChecker(empty, body))
 
 
 def test_empty_batches_give_empty_answers():
-    checker = FclChecker(CUBE, Sphere(0.1))
-    none = torch.zeros(0, 4, 4)
-    assert checker.collides(none).shape == (0,)
-    assert checker.free_fraction(none, none).shape == (0,)
-    assert checker.clearance(torch.zeros(0, 3)).shape == (0,)
+    assert_empty_answers(FclChecker(CUBE, Sphere(0.1)))
 
 
 def test_answers_have_the_promised_dtypes():

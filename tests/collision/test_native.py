@@ -16,7 +16,16 @@ from splatrl.collision.displacement import Displacement
 from splatrl.collision.native import NativeChecker
 from splatrl.geometry import axis_rotations, quats_to_rotations, rigid
 from splatrl.native import _core
-from tests.collision.test_fcl import BODIES, CUBE, at, clutter, random_poses
+from tests.collision.cases import (
+    BODIES,
+    CUBE,
+    EMPTY,
+    assert_nothing_hit,
+    assert_only_a_way_through_hits,
+    at,
+    clutter,
+    random_poses,
+)
 
 SURE = 1e-5
 """Distance from a touch, metres, below which FCL's own rounding decides."""
@@ -279,17 +288,9 @@ def test_the_first_of_several_invalid_poses_is_named(row):
 
 @pytest.mark.parametrize("body", BODIES)
 def test_nothing_is_hit_in_an_empty_grid_or_outside_the_grid(body):
-    poses = random_poses(100, (-1, -1, -1), (1, 1, 1))
-    for empty in (Occupancy.empty(), Occupancy(np.zeros((3, 4, 5), bool), (0, 0, 0), 0.1)):
-        checker = NativeChecker(empty, body)
-        assert not checker.collides(poses).any()
-        assert (checker.free_fraction(poses, poses.flip(0)) == 1.0).all()
-        assert not checker.sweeps(poses, poses.flip(0)).any()
-    far = at((1e6, 0.0, 0.0), (0.0, -1e6, 0.0), (0.0, 0.0, 3e30))
-    checker = NativeChecker(CUBE, body)
-    assert not checker.collides(far).any()
-    assert not checker.sweeps(far, far).any()
-    assert checker.sweeps(at((-50.0, 0.05, 0.05)), at((50.0, 0.05, 0.05))).tolist() == [True]
+    for empty in EMPTY:
+        assert_nothing_hit(NativeChecker(empty, body))
+    assert_only_a_way_through_hits(NativeChecker(CUBE, body))
 
 
 @pytest.mark.parametrize("height", [0, 70, 127, 128, 255])

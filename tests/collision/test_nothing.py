@@ -6,6 +6,7 @@ from splatrl.bodies import Box
 from splatrl.collision import NoChecker, Occupancy
 from splatrl.collision.native import NativeChecker
 from splatrl.geometry import rigid
+from tests.collision.cases import assert_empty_answers
 from tests.tiny import BODY
 
 
@@ -26,5 +27,4 @@ def test_nothing_is_hit_where_another_checker_finds_a_wall() -> None:
 
 
 def test_empty_batches_give_empty_answers() -> None:
-    nothing, none = NoChecker(None, Box((0.1, 0.1, 0.1))), torch.zeros(0, 4, 4)
-    assert nothing.collides(none).shape == nothing.free_fraction(none, none).shape == (0,)
+    assert_empty_answers(NoChecker(None, Box((0.1, 0.1, 0.1))))

@@ -14,7 +14,7 @@ from splatrl.collision import CudaChecker, FclChecker, NativeChecker, NoChecker,
 from splatrl.collision.rays import ranges_by_formula, room_around
 from splatrl.geometry import rigid
 from splatrl.native import _core
-from tests.collision.test_fcl import random_poses
+from tests.collision.cases import random_poses
 from tests.collision.test_native import rooms
 from tests.emulator import emulated
 

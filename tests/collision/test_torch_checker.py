@@ -14,8 +14,17 @@ from splatrl.collision.displacement import Displacement
 from splatrl.collision.native import NativeChecker
 from splatrl.collision.verify import grown
 from splatrl.geometry import axis_rotations, rigid
+from tests.collision.cases import (
+    BODIES,
+    CUBE,
+    EMPTY,
+    assert_empty_answers,
+    assert_nothing_hit,
+    at,
+    clutter,
+    random_poses,
+)
 from tests.collision.oracle import separation
-from tests.collision.test_fcl import BODIES, CUBE, at, clutter, random_poses
 
 
 def moves(count: int, seed: int, turning: bool) -> tuple[torch.Tensor, torch.Tensor]:
@@ -131,18 +140,9 @@ def test_the_chunk_size_does_not_change_the_answers(body, monkeypatch):
 
 @pytest.mark.parametrize("body", BODIES)
 def test_nothing_is_hit_in_an_empty_grid_and_empty_batches_give_empty_answers(body):
-    poses = random_poses(7, (-1, -1, -1), (1, 1, 1))
-    for empty in (Occupancy.empty(), Occupancy(np.zeros((3, 4, 5), bool), (0, 0, 0), 0.1)):
-        checker = TorchChecker(empty, body)
-        assert not checker.collides(poses).any()
-        assert (checker.free_fraction(poses, poses.flip(0)) == 1.0).all()
-        assert not checker.sweeps(poses, poses.flip(0)).any()
-        assert checker.clearance(torch.zeros(3, 3)).isinf().all()
-    none = torch.zeros(0, 4, 4)
-    checker = TorchChecker(CUBE, body)
-    assert checker.collides(none).shape == checker.free_fraction(none, none).shape == (0,)
-    assert checker.sweeps(none, none).dtype == torch.bool
-    assert checker.clearance(torch.zeros(0, 3)).shape == (0,)
+    for empty in EMPTY:
+        assert_nothing_hit(TorchChecker(empty, body))
+    assert_empty_answers(TorchChecker(CUBE, body))
 
 
 def test_clearance_is_at_most_a_voxel_diagonal_above_the_bound_of_the_distance_field():

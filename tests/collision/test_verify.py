@@ -6,7 +6,7 @@ import torch
 from splatrl.bodies import Body, Box, Capsule, Sphere
 from splatrl.collision import FclChecker, Occupancy, TorchChecker, verify, verify_sweeps
 from splatrl.collision.verify import MARGINS, grown
-from tests.collision.test_fcl import BODIES, CUBE, at, clutter, random_poses
+from tests.collision.cases import BODIES, CUBE, at, clutter, random_poses
 
 
 class Swollen(TorchChecker):

@@ -16,13 +16,15 @@ from PIL import Image
 import splatrl
 from splatrl.cameras import Cameras
 from splatrl.capture import folder as write_folder
-from splatrl.capture import pipeline
+from splatrl.capture import kept, pipeline, placing
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
 from splatrl.capture.fit import FitSettings
+from splatrl.capture.fit_checkpoint import Checkpoint
 from splatrl.capture.fit_pictures import Frame
 from splatrl.capture.look import Look
 from splatrl.capture.progress import Progress
 from splatrl.capture.scale import Click, Distance
+from splatrl.capture.settings import CaptureSettings
 from splatrl.capture.stereo import Depths
 from splatrl.capture.world import Placed
 from splatrl.commands import capture
@@ -76,8 +78,7 @@ def stages(
         called.append("poses")
         return found
 
-    real_depths, real_moving, real_fit = pipeline.find_depths, pipeline.find_moving, pipeline.fit
-    real_place = pipeline.place
+    real_depths, real_moving, real_fit, real_place = kept.find_depths, kept.find_moving, kept.fit, placing.place
 
     def once(key: str, find: Callable[[], Any]) -> Any:
         if key not in known:
@@ -85,22 +86,23 @@ def stages(
         return known[key]
 
     def place(found: Reconstruction, *settings: object, progress: Progress) -> Any:
-        return once(f"{pipeline._key(found)} {settings}", lambda: real_place(found, *settings))
+        return once(f"{kept.key_of(found)} {settings}", lambda: real_place(found, *settings))
 
     def find_depths(found: Reconstruction, frame: Frame, rows: torch.Tensor, progress: Progress) -> Any:
-        return once(pipeline._key(found), lambda: real_depths(found, frame, rows, progress=progress))
+        return once(kept.key_of(found), lambda: real_depths(found, frame, rows, progress=progress))
 
     def find_moving(found: Reconstruction, depths: Depths, settings: FitSettings, progress: Progress) -> Any:
-        return once(pipeline._key(found, settings), lambda: real_moving(found, depths, settings, progress))
+        return once(kept.key_of(found, settings), lambda: real_moving(found, depths, settings, progress))
 
     def fit(*arguments: object) -> object:
         called.append("fit")
         return real_fit(*arguments)
 
-    replaced = {"read_photos": read_photos, "find_poses": find_poses, "find_depths": find_depths, "fit": fit}
-    replaced |= {"find_moving": find_moving, "place": place}
-    for name, stage in replaced.items():
-        monkeypatch.setattr(pipeline, name, stage)
+    monkeypatch.setattr(pipeline, "read_photos", read_photos)
+    for found_by in (find_poses, place):
+        monkeypatch.setattr(placing, found_by.__name__, found_by)
+    for kept_of in (find_depths, find_moving, fit):
+        monkeypatch.setattr(kept, kept_of.__name__, kept_of)
     monkeypatch.setattr(pipeline, "look", lambda photos, progress: GOOD)
     return called
 
@@ -108,15 +110,15 @@ def stages(
 @pytest.fixture
 def fitted_once(stages: list[str], known: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """Cache fits too, for tests of what follows the fit."""
-    fitted = pipeline.fit
+    fitted = kept.fit
 
     def fit(found: Reconstruction, settings: FitSettings, *others: Any) -> object:
-        key = f"fit {pipeline._key(found, settings)}"
+        key = f"fit {kept.key_of(found, settings)}"
         if key not in known:
             known[key] = fitted(found, settings, *others)
         return known[key]
 
-    monkeypatch.setattr(pipeline, "fit", fit)
+    monkeypatch.setattr(kept, "fit", fit)
 
 
 @pytest.fixture
@@ -180,7 +182,7 @@ def test_the_fitted_width_follows_the_robots_and_the_photos_unless_it_is_given(
         fitted.append((settings.width, settings.cap, settings.views))
         raise CaptureError("far enough")
 
-    monkeypatch.setattr(pipeline, "fit", fit)
+    monkeypatch.setattr(kept, "fit", fit)
     for options in ([], ["--robot-width", "999"], ["--width", "50", "--gaussians", "9"]):
         with pytest.raises(SystemExit, match="far enough"):
             capture.main(["a.mp4", "--out", str(tmp_path / "a"), *QUICK[:2], "--views", "7", "--still", *options])
@@ -205,7 +207,7 @@ def test_an_out_path_that_ends_in_spz_makes_a_compressed_splat(
 def test_a_stopped_fit_continues_with_the_same_bytes(
     tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(pipeline.Checkpoint, "due", lambda self: True)
+    monkeypatch.setattr(Checkpoint, "due", lambda self: True)
     shown, heard = capture.Bars.__call__, []
 
     def show(self: capture.Bars, what: str, done: int, total: int) -> None:
@@ -258,7 +260,7 @@ def test_moving_things_are_left_out_unless_still_is_passed(
         moving[1] = True
         return moving
 
-    monkeypatch.setattr(pipeline, "find_moving", find_moving)
+    monkeypatch.setattr(kept, "find_moving", find_moving)
     words, written = ["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK, "--force"], []
     for more in (["--still"], [], []):
         capture.main([*words, *more])
@@ -280,7 +282,7 @@ def test_a_full_disk_is_reported_in_one_line_that_names_the_file(
         renamed(old, new)
 
     monkeypatch.setattr(os, "replace", fails)
-    monkeypatch.setattr(pipeline.Checkpoint, "due", lambda self: True)
+    monkeypatch.setattr(Checkpoint, "due", lambda self: True)
     with pytest.raises(SystemExit, match=rf"^splatrl-capture: .*cannot write: No space left on device: '.*{name}'$"):
         capture.main(["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK])
     assert not list(tmp_path.rglob("*.tmp")) and not (tmp_path / "garden" / "scene.yaml").exists()
@@ -382,19 +384,19 @@ def test_poses_of_other_images_are_refused_as_such(
     few = replace(found, points=found.points[:3], seen_point=found.seen_point[:0], seen_by=found.seen_by[:0])
     monkeypatch.setattr(pipeline, "is_recording", lambda _: True)
     monkeypatch.setattr(pipeline, "read_recording", lambda *_: replace(photos, camera_to_world=found.camera_to_world))
-    monkeypatch.setattr(pipeline, "find_poses", lambda *_, **settings: few)
+    monkeypatch.setattr(placing, "find_poses", lambda *_, **settings: few)
     with pytest.raises(CaptureError, match=r"^only 3 points agree with the recorded poses.* belong to these images"):
-        pipeline.reconstruct(Path("model"), tmp_path / "model", pipeline.CaptureSettings())
+        pipeline.reconstruct(Path("model"), tmp_path / "model", CaptureSettings())
 
 
 @pytest.mark.parametrize("up_from", ["floor", "cameras"])
 def test_a_film_that_seems_torn_and_shows_no_floor_is_refused_before_the_fit(
     up_from: str, tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    placed, said = pipeline.place, []
-    monkeypatch.setattr(pipeline, "place", lambda *given, **told: replace(placed(*given, **told), up_from=up_from))
+    placed, said = placing.place, []
+    monkeypatch.setattr(placing, "place", lambda *given, **told: replace(placed(*given, **told), up_from=up_from))
     monkeypatch.setattr(pipeline, "leap", lambda _: "The camera seems to jump at 3 s.")
-    folder, settings = tmp_path / "garden", pipeline.CaptureSettings(still=True)
+    folder, settings = tmp_path / "garden", CaptureSettings(still=True)
     if up_from == "floor":
         pipeline.reconstruct(Path("garden.mp4"), folder, settings)
         return
@@ -418,8 +420,8 @@ def movers(stages: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
         moving[1:, :, :9] = True
         return moving
 
-    monkeypatch.setattr(pipeline, "find_depths", find_depths)
-    monkeypatch.setattr(pipeline, "find_moving", find_moving)
+    monkeypatch.setattr(kept, "find_depths", find_depths)
+    monkeypatch.setattr(kept, "find_moving", find_moving)
 
 
 @pytest.mark.parametrize("again", ["all", "few", "none"])
@@ -441,13 +443,13 @@ def test_poses_are_found_again_without_people_who_walk_along_unless_fewer_images
             raise CaptureError("tracking lost")
         return found if photos.moving is None or again == "all" else replace(found, **few, **seen)
 
-    monkeypatch.setattr(pipeline, "find_poses", find_poses)
-    place, remark = pipeline.place, "The floor seems to slope by 8° or more."
-    monkeypatch.setattr(pipeline, "place", lambda *given, **told: replace(place(*given, **told), remarks=(remark,)))
+    monkeypatch.setattr(placing, "find_poses", find_poses)
+    place, remark = placing.place, "The floor seems to slope by 8° or more."
+    monkeypatch.setattr(placing, "place", lambda *given, **told: replace(place(*given, **told), remarks=(remark,)))
     for times in (1, 2):
         said: list[str] = []
         placed, notes = pipeline.reconstruct(
-            Path("garden.mp4"), tmp_path / "garden", pipeline.CaptureSettings(), say=said.append
+            Path("garden.mp4"), tmp_path / "garden", CaptureSettings(), say=said.append
         )
         assert masks == [None, [f"{name.name}.png" for name in found.paths[:2]]] * times
         seen_in = f"{100 * (len(found.paths) - 1) / len(found.paths):.0f} % of the images"
@@ -456,7 +458,7 @@ def test_poses_are_found_again_without_people_who_walk_along_unless_fewer_images
         assert any("The poses before are kept" in line for line in said) == (again != "all")
         assert notes[-2] == remark and f"in view in {seen_in}, which may be why" in notes[-1]
         assert stages.count("moving") == 1, "the masks are kept"
-    still = replace(pipeline.CaptureSettings(), still=True)
+    still = replace(CaptureSettings(), still=True)
     pipeline.reconstruct(Path("garden.mp4"), tmp_path / "garden", still)
     assert masks[-2:] == [[f"{name.name}.png" for name in found.paths[:2]], None] and len(masks) == 5
 
@@ -472,7 +474,7 @@ def walked_along(
         stages.append("poses" if photos.moving is None else f"poses without {photos.moving.name}")
         return given[photos.moving is not None]
 
-    monkeypatch.setattr(pipeline, "find_poses", find_poses)
+    monkeypatch.setattr(placing, "find_poses", find_poses)
     return given
 
 
@@ -483,7 +485,7 @@ def test_poses_found_again_are_not_used_where_they_seem_torn_and_those_before_le
     walked_along: list[Reconstruction],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    place, said = pipeline.place, []
+    place, said = placing.place, []
 
     def doubted(found: Reconstruction, *given: Any, **told: Any) -> Placed:
         doubt = doubts[found is walked_along[1]]
@@ -491,9 +493,12 @@ def test_poses_found_again_are_not_used_where_they_seem_torn_and_those_before_le
             place(found, *given, **told), up_from="cameras" if "floor" in doubt else "floor", remarks=(doubt,)
         )
 
-    monkeypatch.setattr(pipeline, "place", doubted)
-    monkeypatch.setattr(pipeline, "leap", lambda placed: "It jumps." if "leap" in placed.remarks[0] else None)
-    placed, _ = pipeline.reconstruct(Path("a.mp4"), tmp_path / "a", pipeline.CaptureSettings(), say=said.append)
+    monkeypatch.setattr(placing, "place", doubted)
+    for by in ("again", "pipeline"):
+        monkeypatch.setattr(
+            f"splatrl.capture.{by}.leap", lambda placed: "It jumps." if "leap" in placed.remarks[0] else None
+        )
+    placed, _ = pipeline.reconstruct(Path("a.mp4"), tmp_path / "a", CaptureSettings(), say=said.append)
     better = "floor" in doubts[0]
     assert placed.remarks[0] == doubts[better]
     assert any("It jumps.\n            The poses before are kept." in line for line in said) == (not better)
@@ -502,7 +507,7 @@ def test_poses_found_again_are_not_used_where_they_seem_torn_and_those_before_le
 def test_poses_found_again_are_not_used_where_moving_things_cannot_be_sought_with_them(
     tmp_path: Path, walked_along: list[Reconstruction], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    find_moving, counts, said = pipeline.find_moving, [], []
+    find_moving, counts, said = kept.find_moving, [], []
 
     def fails(found: Reconstruction, *given: Any) -> torch.Tensor:
         counts.append(found.points)
@@ -510,8 +515,8 @@ def test_poses_found_again_are_not_used_where_moving_things_cannot_be_sought_wit
             raise CaptureError("expected points, got none")
         return find_moving(found, *given)
 
-    monkeypatch.setattr(pipeline, "find_moving", fails)
-    placed, _ = pipeline.reconstruct(Path("a.mp4"), tmp_path / "a", pipeline.CaptureSettings(), say=said.append)
+    monkeypatch.setattr(kept, "find_moving", fails)
+    placed, _ = pipeline.reconstruct(Path("a.mp4"), tmp_path / "a", CaptureSettings(), say=said.append)
     assert torch.equal(placed.reconstruction.points, counts[0]) and not torch.equal(counts[0], counts[1])
     assert any("expected points, got none\n            The poses before are kept." in line for line in said)
 
@@ -530,7 +535,7 @@ def test_a_distance_is_measured_in_the_images_of_the_poses_that_are_used(
         seen_by=found.seen_by[few],
     )
     clicks = Click("039.png", 40.0, 30.0), Click("000.png", 30.0, 30.0)
-    stated = replace(pipeline.CaptureSettings(), distance=Distance.between(*clicks, 2.5))
+    stated = replace(CaptureSettings(), distance=Distance.between(*clicks, 2.5))
     for number, poses in enumerate([(less, found), (found, less)]):
         walked_along[:] = poses
         placed, _ = pipeline.reconstruct(Path("a.mp4"), tmp_path / str(number), stated)
@@ -543,7 +548,7 @@ def test_a_distance_is_measured_in_the_images_of_the_poses_that_are_used(
 def test_poses_are_kept_where_only_the_size_of_the_fit_changes(
     tmp_path: Path, stages: list[str], walked_along: list[Reconstruction]
 ) -> None:
-    settings = pipeline.CaptureSettings()
+    settings = CaptureSettings()
     pipeline.reconstruct(Path("a.mp4"), tmp_path / "a", settings)
     sought = stages.count("moving")
     finer = replace(settings, fit=replace(settings.fit, width=400, cap=90_000, sh_degree=2, device="cuda"))
@@ -559,7 +564,7 @@ def test_what_was_left_out_of_a_source_is_said_and_noted_for_the_report(
     read, said = pipeline.read_photos, []
     remark = "1 of 40 frames of garden.mp4 are damaged, and are not used."
     monkeypatch.setattr(pipeline, "read_photos", lambda *given: replace(read(*given), remarks=(remark,)))
-    settings = pipeline.CaptureSettings(still=True)
+    settings = CaptureSettings(still=True)
     _, notes = pipeline.reconstruct(Path("garden.mp4"), tmp_path / "garden", settings, say=said.append)
     assert notes == [remark] and said[0].split("\n")[1] == f"            {remark}"
 
@@ -629,7 +634,7 @@ def test_each_point_of_a_distance_may_be_in_its_own_image(
 ) -> None:
     given: list[object] = []
 
-    def stop(source: Path, folder: Path, settings: pipeline.CaptureSettings, *_: object) -> None:
+    def stop(source: Path, folder: Path, settings: CaptureSettings, *_: object) -> None:
         given.extend([source, settings.distance])
         raise CaptureError("far enough")
 

@@ -7,11 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from splatrl.building import build_world
 from splatrl.commands.clips import main
 from splatrl.evaluation.clip_files import read_clips
-from splatrl.experiments.clip_scores import altered, record_clips
-from tests.experiments.trained import BEST, NAMES, config, three_runs
+from tests.experiments.trained import BEST, NAMES, three_runs, two_clips
 
 
 @pytest.fixture(scope="module")
@@ -21,9 +19,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def clips(runs: Path) -> Path:
-    """Two recorded clips."""
-    record_clips(build_world(altered(config(runs), 0)), runs / "clips", count=2, height=18)
-    return runs / "clips"
+    return two_clips(runs)
 
 
 @pytest.fixture

@@ -12,10 +12,10 @@ from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.evaluation.clip_files import read_clips
 from splatrl.experiments import clip_scores
-from splatrl.experiments.clip_scores import altered, record_clips, score_experiment, score_run
+from splatrl.experiments.clip_scores import Watcher, altered, record_clips, score_experiment
 from splatrl.motions import DriveMotion
 from splatrl.runs import load_policy
-from tests.experiments.trained import BEST, NAMES, config, three_runs
+from tests.experiments.trained import BEST, NAMES, config, three_runs, two_clips
 from tests.tiny import HEIGHT
 
 
@@ -26,15 +26,13 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def clips(runs: Path) -> Path:
-    """Two recorded clips."""
-    record_clips(build_world(altered(config(runs), 0)), runs / "clips", count=2, height=18)
-    return runs / "clips"
+    return two_clips(runs)
 
 
 def test_a_run_is_scored_with_the_requested_checkpoint(runs: Path, clips: Path) -> None:
     labels = [list(clip.labels.values()) for clip in read_clips(clips, NAMES)]
     for checkpoint, action in ((None, 0), ("best", BEST)):
-        found = score_run(runs / "forward", clips, checkpoint)
+        found = Watcher.of_run(runs / "forward", checkpoint).score(clips)
         assert [one.frames for one in found] == [len(one) for one in labels]
         assert [one.matches for one in found] == [sum(action in label for label in one) for one in labels]
 
@@ -95,10 +93,10 @@ def test_an_altered_scene_is_another_yard_and_is_rendered_in_another_way() -> No
     assert "clutter" not in reference.scene
 
 
-def test_a_task_without_named_actions_is_refused(runs: Path, clips: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_task_without_named_actions_is_refused(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     trained = load_policy(runs / "forward")
     driven = replace(trained, world=replace(trained.world, task=SimpleNamespace(motion=DriveMotion(HEIGHT))))
     monkeypatch.setattr(type(trained), "beginning", lambda self: trained.world.env(1).reset())
     monkeypatch.setattr(clip_scores, "load_policy", lambda *given, **more: driven)
     with pytest.raises(ValueError, match="expected a motion with named actions, got DriveMotion"):
-        score_run(runs / "forward", clips)
+        Watcher.of_run(runs / "forward")

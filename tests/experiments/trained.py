@@ -7,6 +7,7 @@ from omegaconf import DictConfig
 
 from splatrl.building import build_model, build_world
 from splatrl.configuration import load_config, save_config
+from splatrl.experiments.clip_scores import altered, record_clips
 from splatrl.scenes import write_gaussians
 from splatrl.training import save_checkpoint
 from tests.tiny import HEIGHT, tiny_gaussians
@@ -62,3 +63,9 @@ def three_runs(folder: Path) -> Path:
         save_run(folder / name, config(folder), action)
     save_run(folder / "stacked", config(folder, "memory=stack"), 2)
     return folder
+
+
+def two_clips(folder: Path) -> Path:
+    """Record two labelled clips beside the runs of a folder."""
+    record_clips(build_world(altered(config(folder), 0)), folder / "clips", count=2, height=18)
+    return folder / "clips"

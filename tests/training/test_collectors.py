@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from contextlib import nullcontext
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
@@ -14,7 +15,7 @@ from torchrl.modules import ActorValueOperator
 
 from splatrl.envs.restart import restart
 from splatrl.faults import FaultFlag
-from splatrl.training import PPO, actor_critic, load_checkpoint, save_checkpoint
+from splatrl.training import PPO, actor_critic
 from splatrl.training.collectors import CHOSEN, ENDS, DeviceCollector, HostCollector, device_collector
 from splatrl.training.cuda_graph import CudaGraph
 from splatrl.training.memory import STATE, Memory
@@ -23,7 +24,7 @@ from tests.envs.devices import NoHostReads, NoTransfers, Painter, pretend_device
 from tests.envs.test_device import NAMES, made, whole_overlay
 from tests.tiny import tiny_env
 from tests.training.tape import Taped
-from tests.training.test_ppo import LOSS, OPTIM, parameters
+from tests.training.test_ppo import LOSS, OPTIM, assert_resumes
 
 __all__ = ["whole_overlay"]
 
@@ -175,17 +176,8 @@ def test_a_gradient_step_reads_nothing_on_the_host() -> None:
             ppo.learner.step(frames)
 
 
-def test_a_resumed_training_is_byte_for_byte_the_same(tmp_path: object) -> None:
-    whole = settled()
-    for _ in range(2):
-        whole.iterate()
-    save_checkpoint(tmp_path / "last.pt", whole.state_dict())
-    reports = [whole.iterate() for _ in range(2)]
-    resumed = settled(seed=1)
-    resumed.iterate()
-    resumed.load_state_dict(load_checkpoint(tmp_path / "last.pt"))
-    assert str([resumed.iterate() for _ in range(2)]) == str(reports)
-    assert torch.equal(parameters(resumed), parameters(whole))
+def test_a_resumed_training_is_byte_for_byte_the_same(tmp_path: Path) -> None:
+    assert_resumes(settled(), settled(seed=1), tmp_path / "last.pt")
 
 
 def test_a_checkpoint_from_another_device_is_refused() -> None:

@@ -2,6 +2,7 @@
 
 import copy
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,7 +13,7 @@ from torchrl.envs import EnvBase
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from splatrl.training import PPO, LossSettings, OptimSettings, actor_critic
+from splatrl.training import PPO, LossSettings, OptimSettings, actor_critic, load_checkpoint, save_checkpoint
 from tests.tiny import tiny_env
 from tests.training.toys import Match
 
@@ -48,6 +49,18 @@ def learner(
 
 def parameters(ppo: PPO) -> torch.Tensor:
     return torch.cat([p.detach().flatten() for p in ppo.model.parameters()])
+
+
+def assert_resumes(whole: PPO, resumed: PPO, path: Path) -> None:
+    """Check that a training resumed from a checkpoint, after another beginning, goes on with the same bytes."""
+    for _ in range(2):
+        whole.iterate()
+    save_checkpoint(path, whole.state_dict())
+    reports = [whole.iterate() for _ in range(2)]
+    resumed.iterate()
+    resumed.load_state_dict(load_checkpoint(path))
+    assert str([resumed.iterate() for _ in range(2)]) == str(reports)  # as text, NaN equals NaN
+    assert torch.equal(parameters(resumed), parameters(whole))
 
 
 def minibatch(ppo: PPO) -> tuple[TensorDictBase, dict[str, torch.Tensor]]:

@@ -8,7 +8,7 @@ from torchrl.envs import CatFrames, Compose, EnvBase, TransformedEnv
 
 from splatrl.training import PPO, load_checkpoint, memory_transforms, save_checkpoint
 from tests.tiny import tiny_env
-from tests.training.test_ppo import learner, parameters
+from tests.training.test_ppo import assert_resumes, learner, parameters
 
 
 def fresh(seed: int, stack: int, memory: int, nested: bool = False, robots: int = 4) -> PPO:
@@ -32,18 +32,9 @@ def fresh(seed: int, stack: int, memory: int, nested: bool = False, robots: int 
     ],
 )
 def test_a_resumed_training_is_byte_for_byte_the_same(tmp_path: Path, stack: int, memory: int, nested: bool) -> None:
-    whole = fresh(0, stack, memory, nested)
-    for _ in range(2):
-        whole.iterate()
-    save_checkpoint(tmp_path / "last.pt", whole.state_dict())
-    reports = [whole.iterate() for _ in range(2)]
-    resumed = fresh(1, stack, memory, nested)
-    resumed.iterate()
-    resumed.load_state_dict(load_checkpoint(tmp_path / "last.pt"))
+    whole, resumed = (fresh(seed, stack, memory, nested) for seed in (0, 1))
+    assert_resumes(whole, resumed, tmp_path / "last.pt")
     assert resumed.env.curriculum.level > 0
-    again = [resumed.iterate() for _ in range(2)]
-    assert str(again) == str(reports)  # as text, NaN equals NaN
-    assert torch.equal(parameters(resumed), parameters(whole))
     rng = torch.get_rng_state()
     resumed_next = resumed.collect()
     torch.set_rng_state(rng)
@@ -78,6 +69,8 @@ def test_a_training_keeps_its_number_of_robots(tmp_path: Path) -> None:
     save_checkpoint(tmp_path / "last.pt", fresh(0, stack=0, memory=6).state_dict())
     other = fresh(1, stack=0, memory=6, robots=8)
     weights = parameters(other)
-    with pytest.raises(ValueError, match=r"env\.num_envs: expected 4, with which the training began, got 8; a"):
+    with pytest.raises(
+        ValueError, match=r"env\.num_envs: expected 4, .* got 8; a training keeps its number of robots$"
+    ):
         other.load_state_dict(load_checkpoint(tmp_path / "last.pt"))
     assert torch.equal(parameters(other), weights)

@@ -8,9 +8,9 @@ from torch import Tensor
 
 from splatrl.envs.tasks.base import Memory
 from splatrl.envs.tasks.course import Course, CourseRewards
-from splatrl.geometry import axis_rotations, rigid
+from splatrl.envs.teachers.pilot import Flying, fly_through
+from splatrl.geometry import axis_rotations, rigid, yaw_quat
 from splatrl.motions.physics import PhysicsMotion
-from splatrl.physics.pilot import Flying, fly_through
 from splatrl.physics.tracks import TrackSettings
 from splatrl.renderers.parts import Parts
 from splatrl.scenes.gaussians import Gaussians
@@ -109,7 +109,7 @@ class Gates(Course):
         for name, (x, y, z, yaw) in zip(self.motion.thing_paths, places.tolist(), strict=True):
             body = model.body(self.motion.world.things[name]).id
             model.body_pos[body] = x, y, z
-            model.body_quat[body] = math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)
+            model.body_quat[body] = yaw_quat(yaw)
 
     def _height(self, state: Tensor) -> Tensor:
         """Return the height of the quadrotor's centre above the ground, metres: [B, n] -> [B]."""

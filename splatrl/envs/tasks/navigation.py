@@ -15,8 +15,8 @@ from splatrl.curriculum.geodesics import Geodesics, ground
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdict
 from splatrl.envs.tasks.fitting import require_part
 from splatrl.envs.tasks.module import TaskModule
-from splatrl.envs.tasks.navigation_teacher import lead
 from splatrl.envs.tasks.rewards import FiniteRewards
+from splatrl.envs.teachers.pathfinder import lead
 from splatrl.geometry import azimuths, wrapped
 from splatrl.motions.planar import StoppingMotion
 from splatrl.motions.site import Fits, Site, narrowed
@@ -268,7 +268,7 @@ class NavigationTask(TaskModule):
         return turn, (far < self.success_distance) & (arrived | (far < 0.5 * self.success_distance))
 
     def beeline(self, state: Tensor, memory: Memory) -> Tensor:
-        """Return the actions of an agent that knows only the goal's distance and direction; compare ``teach``."""
+        """Return the actions [B, ...] of an agent that knows the goal's distance and direction alone; see ``teach``."""
         away = memory["goal"][:, :2] - self._place(state)
         turn = wrapped(azimuths(away) - self.motion.planar(state)[:, 2].float())
         return self.motion.toward(turn, away.norm(dim=1) < self.success_distance)

@@ -12,8 +12,8 @@ from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdi
 from splatrl.envs.tasks.fitting import require_part
 from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.tasks.push_places import PushPlaces, Ranges
-from splatrl.envs.tasks.push_teacher import pushing
 from splatrl.envs.tasks.rewards import FiniteRewards
+from splatrl.envs.teachers.pusher import pushing
 from splatrl.geometry import planar_of, rigid
 from splatrl.motions.physics import PhysicsMotion
 from splatrl.motions.site import Fits, Site, narrowed
@@ -207,7 +207,7 @@ class Push(TaskModule):
     def teach(self, state: Tensor, memory: Memory) -> Tensor | None:
         """Return the actions of a teacher that knows where everything is; None for a robot not driven by velocities.
 
-        See ``push_teacher``.
+        See ``pushing``.
         """
         if not self.motion.driven:
             return None
@@ -220,9 +220,7 @@ class Push(TaskModule):
         """Place the scene, the robot, the ball and the mark; see ``Task.parts``."""
         moving = self.motion.parts(state)
         mark = memory["mark"]
-        normal = self.motion.terrain.plane[:3].to(mark.device)
-        half = torch.sqrt(0.5 * (1.0 + normal[2]))
-        tilt = matrices(torch.stack([half, -normal[1] / (2 * half), normal[0] / (2 * half), torch.zeros_like(half)]))
+        tilt = matrices(self.motion.terrain.upright.to(mark.device))
         pose = rigid(tilt.float().expand(len(mark), 3, 3), mark).unsqueeze(1)
         number = torch.full_like(moving.model[:, :1], len(self.motion.models) + 1)
         return Parts(torch.cat([moving.model, number], 1), torch.cat([moving.model_to_world, pose], 1))

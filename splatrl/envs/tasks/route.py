@@ -7,9 +7,9 @@ from torch import Tensor
 
 from splatrl.envs.tasks.base import Memory
 from splatrl.envs.tasks.course import Course, CourseRewards
+from splatrl.envs.teachers.chauffeur import drive_to
 from splatrl.geometry import rigid
 from splatrl.motions.physics import PhysicsMotion
-from splatrl.physics.chauffeur import drive_to
 from splatrl.physics.gaussians import Models
 from splatrl.physics.marks import ball
 from splatrl.physics.routes import RouteSettings

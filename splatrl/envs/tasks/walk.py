@@ -10,17 +10,10 @@ from splatrl.envs.tasks.base import Memory
 from splatrl.envs.tasks.course import CourseRewards
 from splatrl.envs.tasks.fitting import require_part
 from splatrl.envs.tasks.route import Route
-from splatrl.geometry import azimuths, wrapped
+from splatrl.envs.teachers.walker import walk_to
 from splatrl.motions.legs import WalkMotion
 from splatrl.physics.routes import RouteSettings
 from splatrl.values import require_number
-
-SEEN = math.radians(40.0)
-"""Angle between heading and mark within which the teacher assumes that it is seen; beyond, it turns left, radians."""
-SPEED = 0.75
-"""Fraction of the top speed at which the teacher walks straight ahead."""
-BEND = 2.0
-"""Gain of the teacher's steering: radians per second of turning per radian of heading error."""
 
 
 class Walk(Route):
@@ -87,14 +80,9 @@ class Walk(Route):
         self.ahead = math.radians(ahead_deg)
 
     def teach(self, state: Tensor, memory: Memory) -> Tensor:
-        """Return a teacher's actions: go to the mark, or turn left while it is out of view: [B, n] -> [B, 2]."""
-        robot, place = self.motion.planar(state), self._place(state, memory["passed"].squeeze(1))
-        away = place[:, :2] - robot[:, :2]
-        off = wrapped(azimuths(away) - robot[:, 2])
-        seen, high = off.abs() < SEEN, self.motion.limits[1].to(state)
-        speed = torch.where(seen, SPEED * high[0] * off.cos() ** 4, 0.0)
-        turn = torch.where(seen, (BEND * off).clamp(-high[1], high[1]), high[1])
-        return torch.stack([speed, turn], 1).float()
+        """Return the actions of a walker that knows the state: [B, n] -> [B, 2]; see ``walk_to``."""
+        mark = self._place(state, memory["passed"].squeeze(1))[:, :2]
+        return walk_to(self.motion.planar(state), mark, self.motion.limits)
 
     def _crashed(self, state: Tensor) -> Tensor:
         return self.motion.fallen(state)

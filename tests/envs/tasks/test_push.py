@@ -13,7 +13,7 @@ from splatrl.configuration import load_config
 from splatrl.envs.drawing import Shot
 from splatrl.envs.tasks import Outcome, Push, PushRewards, Step, Verdict
 from splatrl.envs.tasks.base import Anywhere
-from splatrl.envs.tasks.push_teacher import pushing
+from splatrl.envs.teachers.pusher import pushing
 from splatrl.geometry import planar_of
 from splatrl.motions import DriveMotion, Move, PhysicsMotion
 from splatrl.physics import Terrain

@@ -9,10 +9,10 @@ import torch
 from splatrl.building import build_one_world
 from splatrl.configuration import load_config
 from splatrl.envs.tasks import Outcome, Route
+from splatrl.envs.teachers.chauffeur import drive_to
 from splatrl.misfits import check_height
 from splatrl.motions import PhysicsMotion
 from splatrl.physics import RouteSettings, Terrain
-from splatrl.physics.chauffeur import drive_to
 from tests.envs.tasks.courses import NOTHING, PLANE, CourseContract, cache, judged, wander
 from tests.envs.test_configured_tasks import ConfiguredContract
 from tests.tiny import bare_site, tiny_overrides

@@ -1,4 +1,4 @@
-"""A teacher for the navigation tasks, which descends the field of geodesic distances to the goal.
+"""A scripted pathfinder for the navigation tasks, which descends the field of geodesic distances to the goal.
 
 It is modelled on Habitat's ``ShortestPathFollower``. Among candidate directions around the robot it chooses the one
 that ends at the smallest geodesic distance to the goal, with a small penalty for turning, which avoids needless turns,

@@ -1,8 +1,8 @@
-"""A scripted teacher for the push task, which knows the positions of robot, ball and mark.
+"""A scripted pusher that knows the positions of robot, ball and mark, and so demonstrates the push task.
 
 It drives to the side of the ball away from the mark along the cheapest of several paths of two straight legs; legs cost
 more where they pass close to the ball or to obstacles. From there it drives at the ball until the ball rests in the
-bumper, and steers it to the mark. The teacher is queried in states that a policy visits (DAgger), so it has no memory.
+bumper, and steers it to the mark. It is queried in states that a policy visits (DAgger), so it has no memory.
 If the camera shows neither ball nor mark and a turn is needed, it turns left even where a right turn is shorter, since
 a policy that relies on the camera could not learn which way is shorter.
 """
