@@ -392,3 +392,25 @@ def test_a_capsule_that_glides_past_an_edge_without_touching_it_is_free(length: 
         assert [bool(one.sweeps(start, end)) for one in answers] == [sign < 0] * 2
         native, oracle = (float(one.free_fraction(start, end)) for one in answers)
         assert native == pytest.approx(oracle, abs=1e-5) if sign < 0 else native == 1.0
+
+
+@pytest.mark.parametrize("aside", [1.0, 1e-3, 1e-5, 1e-7])
+def test_a_capsule_hits_a_voxel_up_to_the_distance_at_which_the_torch_checker_does(aside: float) -> None:
+    voxel, body = Occupancy.from_boxes([[0.0, 0.0, 0.0]], [[0.2, 0.2, 0.2]], 0.2), Capsule(0.1, 0.4)
+    start = random_poses(300, np.full(3, -1.0), np.full(3, 1.0), seed=3).double()
+    generator = torch.Generator().manual_seed(4)
+    way = 0.3 * start[:, :3, 2] + aside * (torch.rand(300, 3, generator=generator).double() - 0.5)
+    towards = torch.nn.functional.normalize(torch.randn(300, 3, generator=generator).double(), dim=1)
+
+    def hits(checker: type[NativeChecker] | type[TorchChecker], away: torch.Tensor) -> torch.Tensor:
+        middle = 0.1 + away[:, None] * towards
+        moves = (rigid(start[:, :3, :3], middle + share * way).float() for share in (-0.5, 0.5))
+        return checker(voxel, body).sweeps(*moves)
+
+    low, high = torch.zeros(300).double(), torch.full((300,), 2.0).double()
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        hit = hits(TorchChecker, middle)
+        low, high = torch.where(hit, middle, low), torch.where(hit, high, middle)
+    assert hits(NativeChecker, low - SURE).all()
+    assert not hits(NativeChecker, high + SURE).any()
