@@ -29,6 +29,7 @@ from splatrl.capture.masks import in_view, masks_of, write_masks
 from splatrl.capture.moving import find_moving, small_fit
 from splatrl.capture.poses import check_libraries, find_poses
 from splatrl.capture.progress import Progress, silent
+from splatrl.capture.quarters import how_turned
 from splatrl.capture.recordings import is_recording, read_recording
 from splatrl.capture.resolution import Resolution
 from splatrl.capture.scale import Distance
@@ -307,6 +308,8 @@ def _placed(
         )
     if photos.up is None and (rotated := why_not_upright(found, photos)) is not None:
         remarks.append(_unless_forced(rotated, settings.force, "poses", say))
+    if photos.up is None and (turned := how_turned(found)) is not None:
+        remarks.append(_unless_forced(turned, True, "poses", say))
     if (changed := zoomed(found)) is not None:
         slightly = zoomed(found, REFUSED) is None
         remarks.append(_unless_forced(changed, settings.force or slightly, "poses", say))
