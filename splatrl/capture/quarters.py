@@ -27,7 +27,7 @@ turns are undone, and the ratio from which no doubt remains. Without a turn it i
 sways by 45°."""
 DOWNWARDS = 4.0
 """Ratio of the height of the images' own up axes to that tilt, below which a camera that was not turned would have
-looked straight down. Cameras that look down by 75° have 25 or more."""
+looked straight down or been held askew. Cameras that look down by 75° have 25 or more."""
 
 
 class Quarters(NamedTuple):
