@@ -16,7 +16,6 @@ from tests.capture.walks import ABOVE, CAMERAS, strewn, walk
 
 ROWS = np.arange(CAMERAS)
 ROLLS = {
-    "the last fifth": 90.0 * (ROWS >= 32),
     "the last half": -90.0 * (ROWS >= 20),
     "all but the first": 90.0 * (ROWS >= 4),
     "in between": 90.0 * ((ROWS >= 10) & (ROWS < 32)),
