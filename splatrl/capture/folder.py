@@ -112,8 +112,8 @@ def problems(placed: Placed, found: Suggestions, quality: Quality, moving: Tenso
     checks = {
         "It is not metric: its scale is unknown. Film a printed marker, or state a distance or the camera's height; "
         "until then, lengths assume that the camera was 1.5 m above the floor.": not placed.metric,
-        "The up direction comes from how the camera was held, because too little of the floor was seen: it may be off "
-        f"by {tilt}, and the floor may be lower.": placed.up_from == "cameras",
+        "The up direction comes from how the camera was held, because neither floor nor walls tell it clearly: "
+        f"it may be off by {tilt}, and the floor may be lower.": placed.up_from == "cameras",
         "Its scale may be far off: it rests on a floor that was hardly seen, or on parts that may be joined wrongly. "
         "Film a printed marker, or measure a distance in the scene.": placed.metric
         and placed.scale_error is None

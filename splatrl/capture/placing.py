@@ -7,6 +7,7 @@ from splatrl.capture.base import CaptureError, Photos, unless_forced
 from splatrl.capture.depth_points import with_measured_points
 from splatrl.capture.poses import find_poses
 from splatrl.capture.progress import Progress, Say
+from splatrl.capture.quarters import how_turned
 from splatrl.capture.scale import Distance
 from splatrl.capture.settings import CaptureSettings
 from splatrl.capture.upright_check import why_not_upright
@@ -61,6 +62,8 @@ def place_photos(
         )
     if photos.up is None and (rotated := why_not_upright(found, photos)) is not None:
         remarks.append(unless_forced(rotated, settings.force, "poses", say))
+    if photos.up is None and (turned := how_turned(found)) is not None:
+        remarks.append(unless_forced(turned, True, "poses", say))
     if (changed := zoomed(found)) is not None:
         slightly = zoomed(found, REFUSED) is None
         remarks.append(unless_forced(changed, settings.force or slightly, "poses", say))

@@ -1,24 +1,8 @@
 """Check that images are upright: those that lie on their side or are upside down can be captured only by force."""
 
-import math
-
-import numpy as np
-from numpy.typing import NDArray
-
 from splatrl.capture.base import Photos, Reconstruction
-from splatrl.capture.cuts import takes
-from splatrl.capture.ground import cameras_up, on_its_side, upside_down
-from splatrl.capture.upright import ONE_WAY
-from splatrl.capture.world import held_poses
-
-Floats = NDArray[np.float64]
-
-ROLLED, FEWEST = math.radians(60.0), 3
-"""Roll of a take against the first one from which it counts as rotated, and the minimum number of its images."""
-TAKE = (
-    "the images of the take from {:.0f} s to {:.0f} s are rotated by {} turn against those of the first take: expected "
-    "takes that are all upright. Rotate that film before you join them, or leave it out."
-)
+from splatrl.capture.ground import on_its_side, upside_down
+from splatrl.capture.quarters import held_poses
 
 LIES = "images lie on their side: expected upright ones, got images rotated by a quarter turn. {}"
 UPSIDE_DOWN = (
@@ -53,34 +37,9 @@ def why_not_upright(found: Reconstruction, photos: Photos) -> str | None:
         photos: the images that it was made from.
     """
     held = held_poses(found)
-    if (rotated := _rotated_take(found, held)) is not None:
-        return rotated
     if on_its_side(held):
         return LIES.format(_advice(photos)[0])
     return UPSIDE_DOWN.format(_advice(photos)[1]) if upside_down(held, found.points.numpy()) else None
-
-
-def _rotated_take(found: Reconstruction, held: Floats) -> str | None:
-    """Return which take of a film is rotated against its first one; None if none is.
-
-    Where the first take looks one way, up may be off by its pitch, which looks like a roll of takes that look to other
-    sides.
-    """
-    if found.seconds is None or not found.cuts:
-        return None
-    seconds = found.seconds.numpy()
-    take = takes(seconds, found.cuts)
-    up, _, lean = cameras_up(held[take == take[0]])
-    if lean >= ONE_WAY:
-        return None
-    for number in np.unique(take)[1:]:
-        rows = take == number
-        right, own = held[rows, :3, 0] @ up, -held[rows, :3, 1] @ up
-        roll = abs(math.atan2(float(right.mean()), float(own.mean())))
-        if rows.sum() >= FEWEST and roll > ROLLED:
-            by = "half a" if roll > math.pi - ROLLED else "a quarter"
-            return TAKE.format(seconds[rows][0], seconds[rows][-1], by)
-    return None
 
 
 def _advice(photos: Photos) -> tuple[str, str]:

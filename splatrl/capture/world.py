@@ -15,6 +15,7 @@ from splatrl.capture.ground import ERROR_DEG, MIN_INLIERS, NEAR, Ground, UpFrom,
 from splatrl.capture.jerks import TORN, camera_leaps, jerks
 from splatrl.capture.marker import MARKER_SIDE, scale_by_marker
 from splatrl.capture.progress import Progress, silent
+from splatrl.capture.quarters import quarters
 from splatrl.capture.scale import Distance, ScaleFrom, contradiction, scale_by_distance, scale_by_gps
 from splatrl.capture.upright import entropy
 from splatrl.values import require_number
@@ -49,11 +50,11 @@ class Placed:
         world_from_capture: [4, 4] float64 similarity that brought it there.
         scale_from: source of the scale.
         scale_error: possible relative error of the scale; None where it is unknown, as without a scale, with the
-            camera's height above a floor that was hardly seen or has much below it near the path, or where parts may be
-            joined wrongly or something else that was stated contradicts it.
+            camera's height above a floor that was hardly seen or has much below it near the path, or where up is
+            unknown, parts may be joined wrongly or something else that was stated contradicts it.
         up_from: source of the upward direction.
-        up_error_deg: possible error of the upward direction, degrees; larger where parts may be joined wrongly, and
-            None where the camera leaps and up comes from how it was held.
+        up_error_deg: possible error of the upward direction, degrees; larger where parts may differ in scale, and None
+            where the camera leaps, or where it may have been turned by a quarter.
         camera_height: mean height of the cameras above the ground beneath them, as defined by ``mean_height``, metres.
         floor_points: number of points of the reconstruction that lie on the floor.
         contradicted: how a stated height or distance contradicts the source of the scale, in sentences; None where
@@ -114,7 +115,9 @@ def place(
         raise CaptureError(
             f"expected at least 2 cameras and {FEWEST} points to find the floor, got {len(poses)} and {len(points)}"
         )
-    lowest = find_ground(held_poses(reconstruction), points, None if up is None else up.double().numpy())
+    turned = quarters(reconstruction)
+    sure = up is not None or turned.sure
+    lowest = find_ground(turned.undone(poses), points, None if up is None else up.double().numpy())
     footing = stood_on(lowest, poses[:, :3, 3], points)
     ground = footing.ground
     missing = len(poses) * reconstruction.missing / (1.0 - reconstruction.missing)
@@ -124,14 +127,14 @@ def place(
     above += ground.below
     scale, scale_from, error = _scale(reconstruction, footing, above, metric, marker, distance, camera_height, progress)
     deep = much_below(ground, poses[:, :3, 3], points, above)
-    floor = ground.up_from != "cameras" and ground.inliers >= MIN_INLIERS and not deep
+    floor = ground.up_from != "cameras" and ground.inliers >= MIN_INLIERS and not deep and sure
     if scale_from == "camera_height" and not floor:
         error = None
     up_error_deg: float | None = ground.error_deg
     torn = not metric and jerks(camera_leaps(reconstruction)) >= TORN
     if torn or (not metric and weakest(reconstruction) is not None):  # parts may be joined wrongly
         error, up_error_deg = None, max(ground.error_deg, ERROR_DEG["cameras"])
-    if torn and ground.up_from == "cameras":  # which parts that are turned against each other contradict
+    if torn or not sure:  # parts that are turned against each other contradict each other in what is up
         up_error_deg = None
     compared = camera_height if floor else None  # otherwise the height above what may be no floor
     contradicted = contradiction(reconstruction, scale, scale_from, scale * above, distance, compared)
@@ -180,15 +183,6 @@ def moved(reconstruction: Reconstruction, transform: Floats) -> Reconstruction:
     poses[:, :3, 3] = poses[:, :3, 3] @ linear.T + shift
     points = reconstruction.points @ linear.T + shift
     return replace(reconstruction, camera_to_world=poses, points=points, depth_unit=scale * reconstruction.depth_unit)
-
-
-def held_poses(reconstruction: Reconstruction) -> Floats:
-    """Return the poses [N, 4, 4] of the cameras as they were held, without the turns of ``Photos.turned``."""
-    poses: Floats = reconstruction.camera_to_world.numpy().copy()
-    if reconstruction.turned is not None:
-        lies = reconstruction.turned.numpy()
-        poses[lies, :3, :2] = poses[lies][:, :3, [1, 0]] * [1.0, -1.0]
-    return poses
 
 
 def _scale(

@@ -114,7 +114,7 @@ def test_a_scale_and_an_upward_direction_of_unknown_error_are_reported(tmp_path:
     placed = replace(placed, up_from="cameras", up_error_deg=None)
     quality = write_scene(tmp_path / "garden", tiny_gaussians(), placed, HELD_OUT)
     assert any(problem.startswith("Its scale may be far off") for problem in quality.problems)
-    assert any("held, because too little of the floor was seen: it may be off by any" in p for p in quality.problems)
+    assert any("because neither floor nor walls tell it clearly: it may be off by any" in p for p in quality.problems)
     stated = read_description(tmp_path / "garden")["quality"]
     assert stated["scale_error"] is None and stated["up_error_deg"] is None
     page = (tmp_path / "garden" / "report.html").read_text(encoding="utf-8")

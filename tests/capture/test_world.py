@@ -218,34 +218,12 @@ def test_the_advice_on_images_that_are_not_upright_depends_on_their_source(
         assert said is not None and what in said and advice in said
 
 
-@pytest.mark.parametrize(("quarters", "by"), [(0, None), (1, "a quarter"), (-1, "a quarter"), (2, "half a")])
-def test_a_take_that_is_rotated_against_the_first_is_named(quarters: int, by: str | None) -> None:
-    poses, roll = walk().camera_to_world.clone(), 0.5 * math.pi * quarters
-    turn = torch.tensor([[math.cos(roll), -math.sin(roll)], [math.sin(roll), math.cos(roll)]]).double()
-    poses[26:, :3, :2] = poses[26:, :3, :2] @ turn
-    film = replace(walk(), camera_to_world=poses, seconds=torch.arange(CAMERAS).double(), cuts=(25.5,))
-    said = why_not_upright(film, Photos([], 320, 180, torch.zeros(0)))
-    assert said is None if by is None else f"the take from 26 s to 39 s are rotated by {by} turn" in str(said)
-
-
 def one_way(pitch_deg: float, seed: int) -> np.ndarray:
     """Return poses [40, 4, 4] of a camera that walks along the yard's far fence and looks at it, pitched up or down."""
     rng, yaw = np.random.default_rng(seed), 0.5 * math.pi
     turned = np.radians(rng.normal(0.0, 1.0, (40, 3))) + np.array([yaw, math.radians(pitch_deg), 0.0])
     eyes = np.stack([np.linspace(-2.0, 2.0, 40), np.full(40, -1.5), np.full(40, ABOVE)], 1)
     return camera_poses(torch.from_numpy(np.concatenate([eyes, turned], 1))).numpy()
-
-
-def test_upright_takes_that_look_far_down_to_different_sides_are_not_refused() -> None:
-    first, quarter_turn = torch.from_numpy(one_way(-55.0, 0)), torch.eye(4).double()[[1, 0, 2, 3]]
-    quarter_turn[1] *= -1.0
-    film = replace(
-        walk(),
-        camera_to_world=torch.cat([first, quarter_turn @ first]),
-        seconds=torch.arange(80).double(),
-        cuts=(39.5,),
-    )
-    assert why_not_upright(film, Photos([], 320, 180, torch.zeros(0))) is None
 
 
 @pytest.mark.parametrize("pitch_deg", [-10.0, 0.0, 15.0, 30.0])

@@ -377,6 +377,16 @@ def test_a_video_that_is_not_upright_is_refused_before_the_fit(
     assert stages == ["frames", "poses"]
 
 
+def test_that_the_camera_was_turned_while_it_filmed_is_said_and_reported(
+    tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(placing, "how_turned", lambda _: "The camera was turned.")
+    said: list[str] = []
+    settings = CaptureSettings(still=True)
+    notes = pipeline.reconstruct(Path("garden.mp4"), tmp_path / "garden", settings, say=said.append)[1]
+    assert "The camera was turned." in notes and any("The camera was turned." in line for line in said)
+
+
 def test_poses_of_other_images_are_refused_as_such(
     tmp_path: Path, stages: list[str], photographed: tuple[Photos, Reconstruction], monkeypatch: pytest.MonkeyPatch
 ) -> None:
