@@ -85,7 +85,14 @@ def capture(arguments: Sequence[str]) -> argparse.Namespace:
     )
     result.add_argument("--seed", type=int, default=0)
     result.add_argument("--device", default="auto", help="device for the fit: auto, cpu, cuda or cuda:<number>")
-    options = result.parse_args(joined(arguments, {"--distance": 7}, _is_click))
+    options, more = result.parse_known_args(joined(arguments, {"--distance": 7}, _is_click))
+    if any(word.startswith("-") for word in more):
+        result.error(f"unrecognized arguments: {' '.join(more)}")
+    if more:
+        result.error(
+            f"expected one video or one folder, got {', '.join(map(str, (options.source, *more)))}; name the folder of "
+            "photos, and first join takes of one place (ffmpeg -f concat)"
+        )
     if options.marker is None and options.source is None:
         result.error("expected a video or a folder of photos, or --marker")
     try:
