@@ -24,7 +24,8 @@ PART = 3
 """Number of consecutive images that share a focal length, and minimum number of a take for one of its own."""
 LESS = 0.1
 """Minimum relative decrease of a part's mean reprojection error by which a focal length of its own is better than the
-common one. Where a camera walks straight towards a wall, hardly any error tells a longer lens from a nearer camera."""
+common one: it decreases by at most 2 % in films of one lens, by 4 % where a map is torn, and by 15 to 50 % in zooms.
+Where a camera walks straight towards a wall, hardly any error tells a longer lens from a nearer camera."""
 FAR = 4.0
 """Maximum reprojection error that counts, pixels; COLMAP leaves out what is farther off. The adjustment may move single
 points behind a camera, where they have none at all."""
