@@ -45,14 +45,16 @@ def test_mirrored_frames_are_shown_as_players_show_them(
 
 def test_the_video_track_with_the_most_pixels_is_used_unless_it_is_the_cover_picture(tmp_path: Path) -> None:
     with av.open(str(tmp_path / "a.mp4"), "w") as container:
-        tracks = []
-        for codec, height, width in (("h264", 48, 64), ("h264", 96, 128), ("mjpeg", 192, 256)):
-            track = container.add_stream(codec, rate=10)
+        small, large, cover = (
+            container.add_stream("h264", rate=10),
+            container.add_stream("h264", rate=10),
+            container.add_stream("mjpeg", rate=10),
+        )
+        for track, height, width in ((small, 48, 64), (large, 96, 128), (cover, 192, 256)):
             track.height, track.width, track.pix_fmt = height, width, "yuvj420p"
-            tracks.append(track)
-        tracks[2].disposition = Disposition.attached_pic
-        for track in tracks:
-            for number in range(1 if track is tracks[2] else 4):
+        cover.disposition = Disposition.attached_pic
+        for track in (small, large, cover):
+            for number in range(1 if track is cover else 4):
                 frame = av.VideoFrame.from_ndarray(
                     np.full((track.height, track.width, 3), 90, np.uint8), format="rgb24"
                 )
