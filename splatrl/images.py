@@ -14,6 +14,7 @@ from splatrl.files import refusing
 if TYPE_CHECKING:
     from av import VideoFrame
     from av.container import InputContainer
+    from av.video.stream import VideoStream
 
 PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
 PHOTO_FORMATS = ("PNG", "JPEG", "WEBP")
@@ -147,9 +148,9 @@ def open_video(path: Path) -> Iterator["InputContainer"]:
     with refusing(path, whole), av.open(str(path.resolve()), container_options=options) as container:
         if not set(container.format.name.split(",")) & set(CONTAINERS):
             raise ValueError(f"{path}: expected a video, got the format {container.format.name}")
-        if not container.streams.video:
+        if not _moving(container):
             raise ValueError(f"{path}: expected a video, found no video stream")
-        track = container.streams.video[0]
+        track = video_track(container)
         aspect = pixel_aspect(container)
         if not 1.0 / MOST_OBLONG <= aspect <= MOST_OBLONG:
             raise ValueError(
@@ -160,9 +161,21 @@ def open_video(path: Path) -> Iterator["InputContainer"]:
         yield container
 
 
+def video_track(container: "InputContainer") -> "VideoStream":
+    """Return the video track with the most pixels, the first of equals: files may hold a small copy for previews."""
+    return max(_moving(container), key=lambda track: track.width * track.height)
+
+
+def _moving(container: "InputContainer") -> list["VideoStream"]:
+    """Return the video tracks that are not the file's cover picture."""
+    from av.stream import Disposition
+
+    return [track for track in container.streams.video if not track.disposition & Disposition.attached_pic]
+
+
 def pixel_aspect(container: "InputContainer") -> float:
     """Return the width-to-height ratio at which a video's pixels are meant to be shown: 1 unless it is anamorphic."""
-    return float(container.streams.video[0].sample_aspect_ratio or 1)
+    return float(video_track(container).sample_aspect_ratio or 1)
 
 
 def square_size(width: int, height: int, aspect: float) -> tuple[int, int]:

@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from numbers import Real
 from pathlib import Path
 from statistics import median_low
 from typing import Any, BinaryIO
@@ -19,11 +20,11 @@ from splatrl.images import PHOTO_FORMATS, PHOTO_SUFFIXES
 UNREAD = (".heic", ".heif", ".avif", ".dng", ".tif", ".tiff", ".jxl")
 FILMS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mts", ".mpg", ".3gp")
 """Suffixes of files that are named where a folder holds no photos."""
-EXIF_IFD, FOCAL_35MM, GPS_IFD, TAKEN, SUBSECOND = 0x8769, 0xA405, 0x8825, 0x9003, 0x9291
+EXIF_IFD, FOCAL_35MM, DIGITAL_ZOOM, GPS_IFD, TAKEN, SUBSECOND = 0x8769, 0xA405, 0xA404, 0x8825, 0x9003, 0x9291
 NAMED = 5
 """Maximum number of photos that a message names."""
 ONE_LENS = 0.1
-"""Maximum relative difference between focal lengths of one lens, which vary with rounding and focus."""
+"""Maximum relative difference between focal lengths of one lens, which vary with rounding and focus, and of zooms."""
 DIAGONAL_35MM = math.hypot(36, 24)
 
 
@@ -53,6 +54,9 @@ def photos_of(folder: Path) -> list[Path]:
         films = sorted(path for path in files if path.suffix.lower() in FILMS)
         hint = f"; there are some in {deeper[0]}, so name that folder" if deeper else ""
         hint = f"; there is a film, {films[0]}, so name that" if films else hint
+        if len(films) > 1:
+            several = f"{len(films)} films, {_named([str(film) for film in films])}"
+            hint = f"; there are {several}, so name one, or first join takes of one place (ffmpeg -f concat)"
         raise CaptureError(f"{folder}: expected photos ({kinds}), found none{hint}")
     times = [_time(path) for path in found]
     if all(times):
@@ -131,23 +135,17 @@ def focal_length(folder: Path, size: tuple[int, int]) -> float | None:
     Raises:
         CaptureError: where photos were taken with several lenses, or zoomed.
     """
-    told: dict[str, float] = {}
+    lengths: dict[str, float] = {}
+    zooms: dict[str, float] = {}
     for path in photos_of(folder):
         with suppress(OSError, ValueError):
-            millimetres = _exif(path, EXIF_IFD).get(FOCAL_35MM)
-            if isinstance(millimetres, int | float) and millimetres > 0:
-                told[path.name] = float(millimetres)
-    if not told:
-        return None
-    usual = median_low(told.values())
-    other = {name: millimetres for name, millimetres in told.items() if abs(millimetres / usual - 1) > ONE_LENS}
-    if other:
-        raise CaptureError(
-            f"{folder}: expected photos taken with one lens without zooming, got focal lengths of {usual:g} mm (EXIF, "
-            f"35 mm equivalent) and {next(iter(other.values())):g} mm in {len(other)} photos; remove "
-            f"{_named(list(other))}"
-        )
-    return usual / DIAGONAL_35MM * math.hypot(*size)
+            told = _exif(path, EXIF_IFD)
+            zooms[path.name] = _number(told.get(DIGITAL_ZOOM)) or 1.0  # 0 stands for none
+            if (millimetres := _number(told.get(FOCAL_35MM))) > 0:
+                lengths[path.name] = millimetres
+    _usual(folder, zooms, "digital zooms of {:g} (EXIF) and {:g}")  # only some phones multiply the focal length by it
+    usual = _usual(folder, lengths, "focal lengths of {:g} mm (EXIF, 35 mm equivalent) and {:g} mm")
+    return None if usual is None else usual / DIAGONAL_35MM * math.hypot(*size)
 
 
 def gps_place(path: Path) -> tuple[float, float] | None:
@@ -177,6 +175,35 @@ def _refusing() -> Iterator[None]:
 
 def _named(names: list[str]) -> str:
     return ", ".join(names[:NAMED]) + (" …" if len(names) > NAMED else "")
+
+
+def _usual(folder: Path, told: dict[str, float], two: str) -> float | None:
+    """Return the median of what photos state, by their names; None where none does.
+
+    Args:
+        folder: the folder of the photos.
+        told: the value of each photo that states one, positive.
+        two: words for two values that differ.
+
+    Raises:
+        CaptureError: where the values of some photos differ too much for one lens.
+    """
+    if not told:
+        return None
+    usual = median_low(told.values())
+    other = {name: value for name, value in told.items() if abs(value / usual - 1) > ONE_LENS}
+    if other:
+        raise CaptureError(
+            f"{folder}: expected photos taken with one lens without zooming, got "
+            f"{two.format(usual, next(iter(other.values())))} in {len(other)} photos; remove {_named(list(other))}"
+        )
+    return usual
+
+
+def _number(told: Any) -> float:
+    """Return a number that EXIF states; 0 for anything else."""
+    number = float(told) if isinstance(told, Real) else 0.0
+    return number if math.isfinite(number) else 0.0
 
 
 def _exif(path: Path, directory: int) -> dict[int, Any]:

@@ -41,6 +41,9 @@ REACH = 16
 deck ends, and only edges tell them apart."""
 GROWN = 3
 """Pixels, at ``LONGEST``, by which parts are grown: features next to them would show both."""
+LINE, BESIDE = 24, 28
+"""Maximum height of a part that may be a line or two of writing, and what is left out to either side of it, pixels at
+``LONGEST``: the digits of a clock change."""
 
 
 def with_mask(photos: Photos, folder: Path, progress: Progress = silent) -> Photos:
@@ -60,10 +63,11 @@ def with_mask(photos: Photos, folder: Path, progress: Progress = silent) -> Phot
         found = unchanging(_greys(photos.paths, progress))
         if found.mean() < LEAST:
             found[:] = False
+        found = with_lines(found)
         size = photos.width, photos.height
         Image.fromarray(np.uint8(255) * ~found).resize(size, Image.Resampling.NEAREST).save(made / MASK)
 
-    kept = Stages(folder).folder("unchanging", fingerprint([LONGEST], files=photos.paths), write) / MASK
+    kept = Stages(folder).folder("unchanging", fingerprint([LONGEST, LINE, BESIDE], files=photos.paths), write) / MASK
     return replace(photos, mask=kept if left_out(kept).any() else None)
 
 
@@ -88,6 +92,15 @@ def unchanging(greys: Floats) -> Mask:
     each = np.arange(1, count + 1)
     found: Mask = np.isin(parts, each[ndimage.mean(stays, parts, each) >= EDGES])
     return ndimage.binary_dilation(found, iterations=GROWN) if found.any() else found
+
+
+def with_lines(found: Mask) -> Mask:
+    """Return what never changes, [H, W], with what is beside low parts of it: the rest of a line of writing."""
+    lines = found.copy()
+    for rows, columns in ndimage.find_objects(ndimage.label(found)[0]):
+        if rows.stop - rows.start <= LINE:
+            lines[rows, max(0, columns.start - BESIDE) : columns.stop + BESIDE] = True
+    return lines
 
 
 def left_out(mask: Path) -> Mask:

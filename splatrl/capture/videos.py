@@ -57,7 +57,8 @@ def size(path: Path) -> tuple[int, int]:
         CaptureError: as ``open_video`` does.
     """
     with open_video(path) as container:
-        return container.streams.video[0].width, container.streams.video[0].height
+        track = images.video_track(container)
+        return track.width, track.height
 
 
 class Encoding(NamedTuple):
@@ -82,7 +83,7 @@ def encoding_of(path: Path) -> Encoding:
         CaptureError: as ``open_video`` does.
     """
     with open_video(path) as container:
-        transfer = int(container.streams.video[0].codec_context.color_trc)
+        transfer = int(images.video_track(container).codec_context.color_trc)
         return Encoding(transfer, images.pixel_aspect(container))
 
 
@@ -101,7 +102,7 @@ def packet_times(path: Path) -> np.ndarray:
         CaptureError: as ``open_video`` does, or where the file holds no frames or no times.
     """
     with open_video(path) as container:
-        stream = container.streams.video[0]
+        stream = images.video_track(container)
         base, interval = float(stream.time_base or 0), _interval(stream)
         parts: list[list[int]] = [[]]
         last = -math.inf
@@ -135,7 +136,7 @@ def frames(path: Path, remark: Callable[[str], object] = lambda _: None) -> Iter
             of the frames are damaged, or missing at the end.
     """
     with open_video(path) as container:
-        interval, last = _interval(container.streams.video[0]), -math.inf
+        interval, last = _interval(images.video_track(container)), -math.inf
         for frame in _decoded(path, container, remark):
             if frame.time is not None:
                 last = _after(last, frame.time, interval)
@@ -145,7 +146,7 @@ def frames(path: Path, remark: Callable[[str], object] = lambda _: None) -> Iter
 def _decoded(path: Path, container: "InputContainer", remark: Callable[[str], object]) -> Iterator["VideoFrame"]:
     import av
 
-    stream = container.streams.video[0]
+    stream = images.video_track(container)
     stream.thread_type = "AUTO"
     size, aspect, count, damaged = None, images.pixel_aspect(container), 0, 0
     end = stream.start_time or 0

@@ -32,7 +32,14 @@ splatrl-train task=walk task.motion.gait=gait.npz
 def capture(arguments: Sequence[str]) -> argparse.Namespace:
     """Parse the options of ``splatrl-capture``; None stands for an option that was not typed and has a default."""
     result = _capture_parser()
-    options = result.parse_args(joined(arguments, {"--distance": 7}, _is_click))
+    options, more = result.parse_known_args(joined(arguments, {"--distance": 7}, _is_click))
+    if any(word.startswith("-") for word in more):
+        result.error(f"unrecognized arguments: {' '.join(more)}")
+    if more:
+        result.error(
+            f"expected one video or one folder, got {', '.join(map(str, (options.source, *more)))}; name the folder of "
+            "photos, and first join takes of one place (ffmpeg -f concat)"
+        )
     if options.marker is None and options.source is None:
         result.error("expected a video or a folder of photos, or --marker")
     try:

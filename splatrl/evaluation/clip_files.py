@@ -26,6 +26,7 @@ from splatrl.images import (
     read_photo,
     require_small,
     square_size,
+    video_track,
 )
 
 VIDEOS = (".mp4", ".mov")
@@ -181,7 +182,7 @@ def _listed(folder: Path) -> list[Path]:
 def _video(path: Path) -> Iterator[Image.Image]:
     with open_video(path) as container:
         aspect = pixel_aspect(container)
-        for frame in container.decode(container.streams.video[0]):
+        for frame in container.decode(video_track(container)):
             require_small(path, *square_size(frame.width, frame.height, aspect))  # the size may change within a stream
             yield displayed(frame, aspect)
 

@@ -18,7 +18,7 @@ from splatrl.evaluation.eye import Eye
 from splatrl.evaluation.rollouts import acting
 from splatrl.evaluation.video import encode
 from splatrl.files import replacing
-from splatrl.images import open_video
+from splatrl.images import open_video, video_track
 
 HEIGHT = 360
 """Height of the film's frame on the page and of the panel beside it, pixels."""
@@ -86,7 +86,7 @@ def _speed(film: Path) -> int:
     if film.is_dir():
         return PHOTOS_A_SECOND
     with open_video(film) as container:
-        rate = container.streams.video[0].average_rate
+        rate = video_track(container).average_rate
     return min(max(1, round(float(rate or PHOTOS_A_SECOND))), FASTEST)
 
 

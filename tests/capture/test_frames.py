@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image, ImageFilter
+from PIL.TiffImagePlugin import IFDRational
 
 from splatrl.capture.base import CaptureError
 from splatrl.capture.frames import buckets, read_photos, sharpness
@@ -236,6 +237,27 @@ def test_photos_taken_through_several_lenses_are_refused_by_name(tmp_path: Path)
     assert K is not None and K[0, 0].item() == pytest.approx(26 / np.hypot(36, 24) * 100)
 
 
+def test_photos_zoomed_digitally_are_refused_even_if_their_focal_length_says_nothing_of_it(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+
+    def write(zooms: tuple[float | None, ...]) -> None:
+        for number, zoom in enumerate(zooms):
+            exif = Image.Exif()
+            exif.get_ifd(0x8769).update(
+                {0xA405: 26} | ({} if zoom is None else {0xA404: IFDRational(round(10 * zoom), 10)})
+            )
+            Image.new("RGB", (80, 60)).save(tmp_path / "in" / f"{number}.jpg", exif=exif)
+
+    write((1.0, 0.0, None, 2.0))
+    with pytest.raises(
+        CaptureError, match=r"one lens .* digital zooms of 1 \(EXIF\) and 2 in 1 photos; remove 3\.jpg$"
+    ):
+        read_photos(tmp_path / "in", tmp_path / "out")
+    write((2.0, 2.0, 2.0, 2.0))
+    K = read_photos(tmp_path / "in", tmp_path / "out").K
+    assert K is not None and K[0, 0].item() == pytest.approx(26 / np.hypot(36, 24) * 100)
+
+
 def test_photos_take_their_gps_positions_from_exif(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     image = Image.new("RGB", (80, 60))
@@ -310,6 +332,9 @@ def test_a_folder_that_holds_a_film_instead_of_photos_is_refused_with_the_name_o
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "walk.MP4").write_bytes(b"x")
     with pytest.raises(CaptureError, match=r"found none; there is a film, .*walk\.MP4, so name that$"):
+        read_photos(tmp_path / "in", tmp_path / "out")
+    (tmp_path / "in" / "back.mov").write_bytes(b"x")
+    with pytest.raises(CaptureError, match=r"there are 2 films, .*back\.mov, .*walk\.MP4, so name one, or first join"):
         read_photos(tmp_path / "in", tmp_path / "out")
 
 

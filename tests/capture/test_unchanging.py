@@ -85,6 +85,7 @@ def test_the_mask_is_as_large_as_the_photos_and_the_remark_says_where_it_is(tmp_
     assert found.mask is not None
     dark = left_out(found.mask)
     assert dark.shape == (photos.height, photos.width) and dark[150:, 60:240].all() and not dark[:120].any()
+    assert not dark[:, :32].any(), "what is beside a deck is kept"
     assert said(found.mask).startswith(f"{100 * dark.mean():.0f} % of the image, mostly at the bottom, never changes")
     assert too_much(found.mask) is None
     Image.fromarray(np.uint8(255) * (np.indices((10, 100)).sum(0) == 0)).save(tmp_path / "nearly.png")
@@ -93,6 +94,18 @@ def test_the_mask_is_as_large_as_the_photos_and_the_remark_says_where_it_is(tmp_
     for other in (few, replace(photos, camera_to_world=torch.eye(4).expand(COUNT, 4, 4))):
         assert with_mask(other, tmp_path).mask is None
     assert with_mask(_photos(tmp_path / "other", _film(deck=0.0)), tmp_path / "b").mask is None
+
+
+def test_the_digits_of_a_clock_that_change_are_left_out_with_the_rest_of_the_line(tmp_path: Path) -> None:
+    images, random = _film(deck=0.0), np.random.default_rng(1)
+    letters, digits = (slice(8, 14), slice(10, 70)), (slice(8, 14), slice(72, 84))
+    images[:, *letters] = random.choice([0.0, 255.0], (6, 30)).repeat(2, 1)
+    images[:, *digits] = random.choice([0.0, 255.0], (COUNT, 6, 6)).repeat(2, 2)
+    found = with_mask(_photos(tmp_path / "in", images.repeat(2, 1).repeat(2, 2)), tmp_path)
+    assert found.mask is not None
+    dark = left_out(found.mask)[::2, ::2]
+    assert dark[letters].all() and dark[digits].all()
+    assert not dark[20:].any() and not dark[:, 110:].any()
 
 
 def _looks(monkeypatch: pytest.MonkeyPatch, cause: str | None, masks: list[Path | None]) -> None:

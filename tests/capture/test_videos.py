@@ -7,6 +7,7 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
+from av.stream import Disposition
 from PIL import Image
 
 from splatrl.capture.base import CaptureError
@@ -40,6 +41,30 @@ def test_mirrored_frames_are_shown_as_players_show_them(
     red = _read(read_photos(tmp_path / "a.mov", tmp_path / "out", count=(2, 2)).paths[0])[10:-10, 10:-10, 0]
     assert red.shape[0] == (300 if shown[0] == 0 else 220)
     assert [place for place in ((0, 0), (0, -1), (-1, 0), (-1, -1)) if red[place] > 200] == [corner]
+
+
+def test_the_video_track_with_the_most_pixels_is_used_unless_it_is_the_cover_picture(tmp_path: Path) -> None:
+    with av.open(str(tmp_path / "a.mp4"), "w") as container:
+        small, large, cover = (
+            container.add_stream("h264", rate=10),
+            container.add_stream("h264", rate=10),
+            container.add_stream("mjpeg", rate=10),
+        )
+        for track, height, width in ((small, 48, 64), (large, 96, 128), (cover, 192, 256)):
+            track.height, track.width, track.pix_fmt = height, width, "yuvj420p"
+        cover.disposition = Disposition.attached_pic
+        for track in (small, large, cover):
+            for number in range(1 if track is cover else 4):
+                frame = av.VideoFrame.from_ndarray(
+                    np.full((track.height, track.width, 3), 90, np.uint8), format="rgb24"
+                )
+                frame.pts, frame.time_base = number, Fraction(1, 10)
+                container.mux(track.encode(frame))
+            container.mux(track.encode())
+    with av.open(str(tmp_path / "a.mp4")) as container:
+        assert sorted(track.width for track in container.streams.video) == [64, 128, 256]
+    photos = read_photos(tmp_path / "a.mp4", tmp_path / "out")
+    assert (photos.width, photos.height, len(photos.paths)) == (128, 96, 4)
 
 
 def test_a_few_damaged_frames_of_a_film_are_left_out_and_mentioned(tmp_path: Path) -> None:

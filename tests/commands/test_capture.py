@@ -751,3 +751,14 @@ def test_a_missing_source_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -
     with pytest.raises(SystemExit):
         capture.main([])
     assert "expected a video or a folder of photos, or --marker" in capsys.readouterr().err
+
+
+def test_several_sources_are_refused_by_name_with_the_advice_to_join_takes(capsys: pytest.CaptureFixture[str]) -> None:
+    for typed in (["a.mp4", "b.mp4"], ["a.mp4", "--still", "b.mp4"]):
+        with pytest.raises(SystemExit):
+            capture.main(typed)
+        said = capsys.readouterr().err
+        assert "expected one video or one folder, got a.mp4, b.mp4; name the folder of photos, and first join" in said
+    with pytest.raises(SystemExit):
+        capture.main(["a.mp4", "--stil1"])
+    assert "unrecognized arguments: --stil1" in capsys.readouterr().err
