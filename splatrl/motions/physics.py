@@ -14,7 +14,7 @@ from torchrl.data import Bounded
 from splatrl.collision.base import Checker
 from splatrl.collision.occupancy import Occupancy
 from splatrl.files import expanded
-from splatrl.geometry import planar_of, quat_yaws
+from splatrl.geometry import invert_rigid, planar_of, quat_yaws
 from splatrl.motions.base import Move
 from splatrl.motions.drive import DriveMotion
 from splatrl.motions.site import Fits, Site, narrowed
@@ -170,7 +170,7 @@ class PhysicsMotion(TwinMotion):
             reach = max(site.body.radius, self.world.reach) + beyond
             found = survey_terrain(site.scene, site.occupancy, lower, upper, reach, self.top, site.antialiased)
             self.stand_on(found.terrain)
-        return narrowed(fits, lambda poses: self.clear(self.nearest(planar_of(poses))))
+        return narrowed(fits, lambda poses: self.clear(self.nearest(planar_of(poses @ self._first_to_carrier()))))
 
     def stand_on(self, terrain: Terrain) -> None:
         """Put the robot and its things on a terrain."""
@@ -297,6 +297,12 @@ class PhysicsMotion(TwinMotion):
         """Return the poses of the body that carries the camera: [B, n] -> [B, 4, 4] float32."""
         place, turn = self.kinematics(state)
         return self.kinematics.as_poses(place[:, :1], turn[:, :1]).squeeze(1)
+
+    def _first_to_carrier(self) -> Tensor:
+        """Return where the first body is in the frame of the one that carries the camera, at home: [4, 4] float32."""
+        home = self.home.unsqueeze(0)
+        first = self.kinematics.as_poses(home[:, self.layout.position], home[:, self.layout.orientation])
+        return (invert_rigid(self.body_to_world(home)) @ first).squeeze(0)
 
     def placed(self, planar: Tensor) -> Tensor:
         """Return states in which robots stand at rest on the ground, and things on it where their files place them.

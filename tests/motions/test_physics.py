@@ -120,6 +120,26 @@ def test_the_same_robot_turned_in_its_file_has_the_same_plan(tmp_path: Path) -> 
         torch.testing.assert_close(cost_field(Moves(motion, checker, reached)).cost_to_go, costs, atol=1e-3, rtol=1e-4)
 
 
+DRIVEN = '<{0} name="forward" site="s" gear="1 0 0 0 0 0" {1} ctrlrange="-0.2 0.4"/>'
+DRIVEN += '<{0} name="turn" site="s" gear="0 0 0 0 0 1" {1} ctrlrange="-1 1"/>'
+FORCES = DRIVEN.format("motor", "")
+BOOM = '<body pos="0.4 0 0.1" euler="0 0 90"><geom size="0.02"/><camera name="boom"/></body>'
+
+
+@pytest.mark.parametrize("text", [CART.format(wheels=BOOM, motors=FORCES), KEYED.replace("</body>", f"{BOOM}</body>")])
+def test_a_robot_with_a_camera_on_a_boom_begins_where_all_of_it_is_clear(
+    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, tried = tmp_path / "robot.xml", list[torch.Tensor]()
+    path.write_text(text)
+    motion = PhysicsMotion(path, "boom", ground="level", **SPEEDS)
+    monkeypatch.setattr(motion, "clear", lambda state: tried.append(state) or torch.ones(len(state)).bool())
+    fits = motion.settle(bare_site(), lambda poses: torch.ones(len(poses)).bool())
+    states = motion.placed(torch.tensor([[0.3, -0.2, 1.0], [0.0, 0.1, 3.0]]))
+    assert fits(motion.body_to_world(states)).all()
+    torch.testing.assert_close(tried[0], states, atol=1e-6, rtol=0)
+
+
 @pytest.mark.parametrize(("pitch", "way"), [(-90, "up"), (88, "down")])
 def test_a_robot_that_points_up_or_down_is_refused(tmp_path: Path, pitch: float, way: str) -> None:
     with pytest.raises(ValueError, match=rf"robot\.xml: expected a first body whose x axis .* points {way}; put"):
@@ -318,16 +338,12 @@ def test_a_robot_that_turns_before_it_goes_forward_is_refused(tmp_path: Path) ->
         PhysicsMotion(tmp_path / "swapped.xml", "eye", threads=1)
 
 
-DRIVEN = '<{0} name="forward" site="s" gear="1 0 0 0 0 0" {1} ctrlrange="-0.2 0.4"/>'
-DRIVEN += '<{0} name="turn" site="s" gear="0 0 0 0 0 1" {1} ctrlrange="-1 1"/>'
-
-
 @pytest.mark.parametrize(
     ("motors", "driven"),
     [
         (DRIVEN.format("velocity", 'kv="2"'), True),
         (DRIVEN.format("general", 'biastype="affine" gainprm="3" biasprm="0 0 -3"'), True),
-        (DRIVEN.format("motor", ""), False),  # newtons
+        (FORCES, False),  # newtons
         (DRIVEN.format("position", 'kp="2" kv="2"'), False),  # metres
         (DRIVEN.format("velocity", 'kv="2"') + '<motor site="s" ctrlrange="-1 1"/>', False),
     ],
