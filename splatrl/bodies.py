@@ -1,6 +1,7 @@
 """Shapes of robot bodies, in the body frame, centred at its origin."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from splatrl.values import require_number
@@ -24,11 +25,12 @@ class Box:
     size: tuple[float, float, float]
 
     def __post_init__(self) -> None:
-        if len(self.size) != 3:
-            raise ValueError(f"Box.size: expected 3 full extents, got {len(self.size)}")
-        object.__setattr__(self, "size", tuple(float(extent) for extent in self.size))
-        for axis, extent in zip("xyz", self.size, strict=True):
+        extents = tuple(self.size) if isinstance(self.size, Iterable) else ()
+        if len(extents) != 3:
+            raise ValueError(f"Box.size: expected 3 full extents along x, y and z in metres, got {self.size}")
+        for axis, extent in zip("xyz", extents, strict=True):
             _check_length(f"Box.size.{axis}", extent)
+        object.__setattr__(self, "size", tuple(float(extent) for extent in extents))
 
     @property
     def radius(self) -> float:

@@ -176,6 +176,12 @@ def planar_of(body_to_world: Tensor) -> Tensor:
     return torch.cat([place, azimuths(x_axis).unsqueeze(1)], 1).double()
 
 
+def quat_yaws(quats: Tensor) -> Tensor:
+    """Return the yaws of the x axes that unit wxyz quaternions turn: [..., 4] -> [...] radians in [-π, π]."""
+    w, x, y, z = quats.unbind(-1)
+    return torch.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+
+
 def wrapped(angles: Tensor) -> Tensor:
     """Wrap angles, radians, to [-π, π]: [...] -> [...]."""
     return torch.atan2(angles.sin(), angles.cos())

@@ -51,7 +51,7 @@ def made_with(cfg: DictConfig, scene_digest: str) -> dict[str, Any]:
     return {
         "settings": settings,
         "scene": scene_digest,
-        "files": _digests(cfg),
+        "files": digests_of(cfg),
         "isa": _core.isa(),
         "threads": cfg.threads,
     }
@@ -111,8 +111,8 @@ def _settings(config: Mapping[str, Any]) -> dict[str, Any]:
     return dict(flat({str(key): value for key, value in cfg.items()}))
 
 
-def _digests(cfg: DictConfig) -> dict[str, str]:
-    """Return digests of the files that a training depends on besides its scene, without built-in ones.
+def digests_of(cfg: DictConfig) -> dict[str, str]:
+    """Return digests of the files of a config that results depend on besides the scene, without built-in ones.
 
     They are named by the key of their path, and those that belong to them by their name beside it: where they are does
     not matter.

@@ -1,4 +1,5 @@
 import math
+from typing import Any
 
 import pytest
 
@@ -30,6 +31,9 @@ def test_extents_that_are_not_positive_are_refused_by_name(bad: float) -> None:
         Capsule(1.0, bad)
 
 
-def test_a_box_without_three_extents_is_refused() -> None:
-    with pytest.raises(ValueError, match="expected 3 full extents, got 2"):
-        Box((1.0, 2.0))
+@pytest.mark.parametrize("bad", [(1.0, 2.0), 3, None, "abcd"])
+def test_a_box_without_three_extents_is_refused(bad: Any) -> None:
+    with pytest.raises(ValueError, match=r"Box\.size: expected 3 full extents along x, y and z in metres, got "):
+        Box(bad)
+    with pytest.raises(ValueError, match=r"Box\.size\.x: expected a number of metres"):
+        Box(("a", 1.0, 1.0))

@@ -2,6 +2,8 @@
 
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,9 +12,12 @@ import torch
 import splatrl
 import splatrl.cost_cache
 from splatrl.building import build_one_world
+from splatrl.collision import Occupancy
 from splatrl.configuration import load_config
+from splatrl.cost_cache import remembering
 from splatrl.files import cache_dir
-from tests.tiny import tiny_overrides
+from splatrl.physics.robots import mjcf_path
+from tests.tiny import tiny_gaussians, tiny_overrides
 
 
 @pytest.fixture
@@ -53,6 +58,21 @@ def test_another_goal_body_collision_map_or_repetition_has_costs_of_its_own(
     assert len(found) == 2
 
 
+def test_a_changed_robot_has_costs_of_its_own(
+    found: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, wheels = tmp_path / "robot.xml", mjcf_path("wheels").read_text()
+    own = ["robot=mjcf", f"robot.path={path}", "motion@task.motion=physics"]
+    moves: Any = SimpleNamespace(repeats=1, motion=SimpleNamespace(nodes=lambda: torch.zeros(3)))
+    costs = SimpleNamespace(cost_to_go=torch.zeros(3))
+    monkeypatch.setattr(splatrl.cost_cache, "cost_field", lambda moves: found.append(0) or costs)
+    for limits, count in (("-0.25 0.5", 1), ("-0.25 0.4", 2), ("-0.25 0.4", 2)):
+        path.write_text(wheels.replace("-0.25 0.5", limits))
+        cfg = load_config([*tiny_overrides(tmp_path, "drive"), *own])
+        remembering(cfg, Occupancy.from_gaussians(tiny_gaussians()))(moves)
+        assert len(found) == count
+
+
 def test_costs_in_a_damaged_cache_are_computed_again(found: list[int], tmp_path: Path) -> None:
     cfg = load_config(tiny_overrides(tmp_path))
     first = build_one_world(cfg).plan
@@ -89,9 +109,9 @@ def test_a_change_of_the_python_code_or_the_compiled_core_computes_costs_again(
     copy = shutil.copytree(Path(splatrl.__file__).parent, tmp_path / "splatrl", ignore=shutil.ignore_patterns("conf"))
     monkeypatch.setattr(splatrl.cost_cache, "__file__", str(copy / "cost_cache.py"))
     assert splatrl.cost_cache._code.__wrapped__() == before
-    for name in ("geometry.py", "collision/several.py", "envs/tasks/grid.py"):
+    for name in ("geometry.py", "collision/several.py", "envs/tasks/grid.py", "physics/robots/wheels.xml"):
         source = copy / name
-        source.write_text(source.read_text() + "# changed\n")
+        source.write_text(source.read_text() + "\n")
         now = splatrl.cost_cache._code.__wrapped__()
         assert now != before, name
         before = now

@@ -15,6 +15,7 @@ from splatrl.geometry import (
     azimuths,
     invert_rigid,
     multiply_quats,
+    quat_yaws,
     quats_to_rotations,
     rigid,
     rotations_to_quats,
@@ -51,6 +52,12 @@ def test_a_quaternion_of_any_length_gives_a_rotation(seed: int) -> None:
     identity = torch.eye(3, dtype=torch.float64).expand(4, 3, 3)
     torch.testing.assert_close(rotations @ rotations.mT, identity, atol=1e-12, rtol=0)
     torch.testing.assert_close(rotations.det(), torch.ones(4, dtype=torch.float64))
+
+
+@given(seeds)
+def test_the_yaw_of_a_quaternion_is_that_of_its_x_axis(seed: int) -> None:
+    quats = random_quats(seed, 3, 5)
+    torch.testing.assert_close(quat_yaws(quats), azimuths(quats_to_rotations(quats)[..., 0]))
 
 
 def test_a_quaternion_about_z_turns_x_towards_y() -> None:

@@ -2,11 +2,12 @@
 
 import gc
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager, nullcontext
 from pathlib import Path
 
 import hydra
 import torch
+from hydra.conf import HydraConf
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
@@ -43,6 +44,12 @@ from splatrl.viewer.training import TrainingView
 def run(cfg: DictConfig) -> float:
     """Train and evaluate the policy that a config describes, or resume a run; return the success rate, for sweepers."""
     job = HydraConfig.get()
+    with chdir(job.runtime.cwd) if job.job.chdir else nullcontext():  # relative paths begin where they were typed
+        return trained(cfg, job)
+
+
+def trained(cfg: DictConfig, job: HydraConf) -> float:
+    """Train as a job of Hydra's, alone in its run folder; see ``run``."""
     if job.mode == RunMode.MULTIRUN:
         cfg = job_config(cfg, job.overrides.task)
     folder = Path(cfg.resume or job.runtime.output_dir)

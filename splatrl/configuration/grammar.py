@@ -12,7 +12,7 @@ from hydra.errors import HydraException
 
 from splatrl.files import expanded
 
-HOME = re.compile(r"(?<=[=\[,:'\"])~(?=/|$)")
+HOME = re.compile(r"(?:(?<=[=\[,:'\"])|(?<=[\[,:] ))~(?=/|$)")
 """The tilde at the beginning of a path in an override."""
 
 

@@ -44,8 +44,8 @@ def mjcf_robot(
         FileNotFoundError: if the MJCF does not exist.
         ImportError: if the extra ``physics`` is not installed.
         ValueError: for MJCF that is refused; a camera that it does not have, or one that is not fixed to its body, not
-            a perspective one, or without square pixels and a centred principal point; or a body that reaches into the
-            ground.
+            a perspective one, or without square pixels and a centred principal point; or a robot or its body that reach
+            into the ground.
     """
     place = mjcf_path(str(path))
     model = read_mjcf(place).compile()
@@ -59,6 +59,11 @@ def mjcf_robot(
     turn = quats_to_rotations(torch.from_numpy(model.cam_quat[number].copy())) @ TO_OPENCV
     mount = rigid(turn, torch.from_numpy(model.cam_pos[number].copy()))
     stands = float(at_home(model).xpos[int(model.cam_bodyid[number]), 2])
+    if not stands > 0.0:
+        raise ValueError(
+            f"{place}: expected a robot that stands above z = 0, the ground, got one with the camera's body at "
+            f"z = {stands:.3g} m; raise the pos of its first body, or that in its first keyframe"
+        )
     if not stands > body.half_height:
         raise ValueError(
             f"robot.body: expected a height below {2 * stands:.3g} m, so that the shape around the camera's body in "

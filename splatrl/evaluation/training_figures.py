@@ -19,7 +19,7 @@ def learning_curve(history: Sequence[Mapping[str, float]], path: Path) -> None:
     """Plot success, curriculum level and return over the frames of a training, those that have values.
 
     Args:
-        history: one row per iteration with ``frames`` and any of ``success``, ``test_success``, ``level`` (from 0),
+        history: one row per iteration with ``frames`` and any of ``success``, ``test_success``, ``level``,
             ``return`` and ``episodes``; missing values and NaN leave a gap.
         path: file of the figure; its suffix sets the format.
     """
@@ -45,7 +45,7 @@ def learning_curve(history: Sequence[Mapping[str, float]], path: Path) -> None:
         above.set_yticks([])
         above.text(0.5, 0.5, "no episode has ended yet", transform=above.transAxes, ha="center", va="center", color=INK)
     if "level" in known:
-        _levels(above, frames, known["level"] + 1)
+        _levels(above, frames, known["level"])
         handles += [Line2D([], [], color=PURPLE, linewidth=1.2, label="curriculum level")]
     if handles:
         figure.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False)
@@ -64,7 +64,7 @@ def learning_curve(history: Sequence[Mapping[str, float]], path: Path) -> None:
 
 
 def _levels(axes: Axes, frames: NDArray[np.float64], level: NDArray[np.float64]) -> None:
-    """Plot the curriculum's levels [rows], counted from 1, behind a panel and on a scale of their own."""
+    """Plot the curriculum's levels [rows] behind a panel and on a scale of their own."""
     behind = axes.twinx()
     begun, held = np.append(0.0, frames), np.append(level[:1], level)  # a row's level applies to the frames before it
     behind.fill_between(begun, 0, held, step="pre", color=PURPLE, alpha=0.12, linewidth=0)

@@ -75,13 +75,11 @@ def _band(axes: Axes, entry: Entry, key: str, color: str, marker: str = "") -> N
 
 
 def _values(rows: Sequence[dict[str, float]], key: str) -> NDArray[np.float64]:
-    """Return a column as plotted: levels count from 1, training success is a running mean over 1/12 of the rows.
+    """Return a column as plotted: training success is a running mean over 1/12 of the rows.
 
     Each row of the running mean is weighted by its number of episodes.
     """
     values = column(rows, key)
-    if key == "level":
-        return values + 1
     if key != "success":
         return values
     weights = np.where(np.isnan(values), 0.0, np.nan_to_num(column(rows, "episodes"), nan=1.0))

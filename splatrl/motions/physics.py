@@ -14,7 +14,7 @@ from torchrl.data import Bounded
 from splatrl.collision.base import Checker
 from splatrl.collision.occupancy import Occupancy
 from splatrl.files import expanded
-from splatrl.geometry import planar_of
+from splatrl.geometry import invert_rigid, planar_of, quat_yaws
 from splatrl.motions.base import Move
 from splatrl.motions.drive import DriveMotion
 from splatrl.motions.site import Fits, Site, narrowed
@@ -33,8 +33,11 @@ from splatrl.scenes.scene import Scene
 from splatrl.values import require_number
 
 FORWARD, TURN = "forward", "turn"
-"""Names of actuators that take metres and radians per second; with both, a robot can follow shortest paths."""
+"""Names of velocity servos in metres and radians per second; with these two alone, a robot can follow shortest
+paths."""
 GROUNDS = ("scene", "level")
+LEAST_AHEAD = 0.1
+"""Smallest horizontal part of the unit vector that points ahead, for which a standing robot has a heading."""
 BEYOND = 1.0
 """Minimum margin, metres, around the robots' region in which physics knows the solid voxels if things are pushed, which
 can roll away."""
@@ -51,9 +54,9 @@ class PhysicsMotion(TwinMotion):
     fraction of substeps before the robot first touches a box or a thing that it must not push, according to contact
     sensors at the beginning of each substep.
 
-    Shortest paths are those of a kinematic twin, a ``DriveMotion`` with the robot's speeds, so that starts and
-    distances work as for other motions. If the robot has the actuators forward and turn, in this order, which take its
-    velocities, it takes the same actions as the twin.
+    Ahead is the x axis of the robot's first body as its file writes it. Shortest paths are those of a kinematic twin, a
+    ``DriveMotion`` with the robot's speeds, so that starts and distances work as for other motions. If the robot's only
+    actuators are velocity servos called forward and turn, in this order, it takes the same actions as the twin.
 
     ``settle`` puts the robot into a scene, where episodes begin only if it touches nothing; until then, it stands on
     level ground.
@@ -66,8 +69,8 @@ class PhysicsMotion(TwinMotion):
         pushed: names of the things that the robot may touch.
         time_step: duration of an action, seconds.
         substep: duration of a substep of the physics, seconds; None takes the robot's own.
-        linear: lowest and highest speed of the twin, metres per second; None takes the limits of the actuator forward.
-        angular_deg: the twin's highest angular velocity, degrees per second; None takes that of the actuator turn.
+        linear: lowest and highest speed of the twin, metres per second; None takes the limits of the servo forward.
+        angular_deg: the twin's highest angular velocity, degrees per second; None takes that of the servo turn.
         lower, upper, spacing, headings: bounds and starts of robots; see ``DriveMotion``.
         ceiling: height above the ground up to which robots can meet solid voxels, metres, for robots that fly; None
             takes the highest point of the robot and the things where they stand.
@@ -82,7 +85,8 @@ class PhysicsMotion(TwinMotion):
         FileNotFoundError: for MJCF files that do not exist.
         ImportError: without the extra ``physics``.
         ValueError: for MJCF that is refused or lacks a free joint, the camera or the range of an actuator, or has turn
-            before forward; for a number out of range; or for a robot whose physics fails within one action.
+            before forward; for speeds that neither are given nor follow from actuators; for a number out of range; or
+            for a robot that points up or down, or whose physics fails within one action.
     """
 
     action_names: tuple[str, ...] = ()
@@ -131,15 +135,16 @@ class PhysicsMotion(TwinMotion):
         self.register_buffer("limits", torch.zeros(2, 0), persistent=False)
         self.register_buffer("home", torch.zeros(0, dtype=torch.float64), persistent=False)
         self.stand_on(level_ground())
+        self._check_ahead()
         self._check_sound()
-        forward, turn = self.world.control_range(FORWARD), self.world.control_range(TURN)
-        if linear is None:
-            linear = self._told(forward, FORWARD, "linear")
-        if angular_deg is None:
-            angular_deg = math.degrees(self._told(turn, TURN, "angular_deg")[1])
-        self.driven = forward is not None and turn is not None and len(self.limits[0]) == 2
-        if self.driven and self.world.control(FORWARD) != 0:
+        servos = self.world.velocity_servos()
+        self.driven = servos == [FORWARD, TURN]
+        if servos == [TURN, FORWARD]:
             raise ValueError(f"{self.path}: expected the actuator {FORWARD!r} before {TURN!r}, got it after")
+        if linear is None:
+            linear = self._told("linear", 0)
+        if angular_deg is None:
+            angular_deg = math.degrees(self._told("angular_deg", 1)[1])
         height = float(self.home[self.layout.position][2])
         self.twin = DriveMotion(height, time_step, linear, angular_deg, lower, upper, spacing, headings)
         self.step, self.angle_step, self.height = self.twin.step, self.twin.angle_step, None
@@ -165,7 +170,7 @@ class PhysicsMotion(TwinMotion):
             reach = max(site.body.radius, self.world.reach) + beyond
             found = survey_terrain(site.scene, site.occupancy, lower, upper, reach, self.top, site.antialiased)
             self.stand_on(found.terrain)
-        return narrowed(fits, lambda poses: self.clear(self.nearest(planar_of(poses))))
+        return narrowed(fits, lambda poses: self.clear(self.nearest(planar_of(poses @ self._first_to_carrier()))))
 
     def stand_on(self, terrain: Terrain) -> None:
         """Put the robot and its things on a terrain."""
@@ -281,15 +286,23 @@ class PhysicsMotion(TwinMotion):
         return torch.cat([ahead, state[:, self.layout.angular_velocity]], 1)
 
     def planar(self, state: Tensor) -> Tensor:
-        """Return x, y and yaw of the robot's first body: [B, n] -> [B, 3] float64, metres, and radians in [0, τ)."""
-        x, y, _, qw, qx, qy, qz = state[:, self.layout.pose].unbind(1)
-        yaw = torch.atan2(2 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz)
-        return torch.stack([x, y, yaw % math.tau], 1)
+        """Return x, y and yaw of the robot's first body: [B, n] -> [B, 3] float64, metres, and radians in [0, τ).
+
+        The yaw is that of the body's x axis, which points ahead.
+        """
+        x, y, _ = state[:, self.layout.position].unbind(1)
+        return torch.stack([x, y, quat_yaws(state[:, self.layout.orientation]) % math.tau], 1)
 
     def body_to_world(self, state: Tensor) -> Tensor:
         """Return the poses of the body that carries the camera: [B, n] -> [B, 4, 4] float32."""
         place, turn = self.kinematics(state)
         return self.kinematics.as_poses(place[:, :1], turn[:, :1]).squeeze(1)
+
+    def _first_to_carrier(self) -> Tensor:
+        """Return where the first body is in the frame of the one that carries the camera, at home: [4, 4] float32."""
+        home = self.home.unsqueeze(0)
+        first = self.kinematics.as_poses(home[:, self.layout.position], home[:, self.layout.orientation])
+        return (invert_rigid(self.body_to_world(home)) @ first).squeeze(0)
 
     def placed(self, planar: Tensor) -> Tensor:
         """Return states in which robots stand at rest on the ground, and things on it where their files place them.
@@ -356,6 +369,16 @@ class PhysicsMotion(TwinMotion):
                     f"task.motion.{key}: expected names from task.motion.things, got {', '.join(sorted(unknown))}"
                 )
 
+    def _check_ahead(self) -> None:
+        """Refuse a robot whose first body's x axis points up or down where it stands, so that it has no heading."""
+        _, w, x, y, z = self.home[self.layout.pose][2:].tolist()
+        up = 2.0 * (x * z - w * y)
+        if math.sqrt(max(0.0, 1.0 - up * up)) < LEAST_AHEAD:
+            raise ValueError(
+                f"{self.path}: expected a first body whose x axis points ahead, got one that points "
+                f"{'up' if up > 0 else 'down'}; put the turned parts into a body within it"
+            )
+
     def _check_sound(self) -> None:
         """Refuse a robot whose physics fails within an action with the lowest, highest or alternating controls."""
         low, high = self.world.control_limits()
@@ -369,9 +392,11 @@ class PhysicsMotion(TwinMotion):
                 "lower the timestep or the actuators' gains (kv, kp), or add armature to their joints"
             )
 
-    def _told(self, found: list[float] | None, actuator: str, key: str) -> list[float]:
-        if found is None:
+    def _told(self, key: str, actuator: int) -> list[float]:
+        """Return the speeds of a servo that takes the robot's own velocity, or refuse that a key gives none."""
+        if not self.driven:
             raise ValueError(
-                f"task.motion.{key}: expected a value, got none, and {self.path} has no actuator called {actuator!r}"
+                f"task.motion.{key}: expected a value, got none, which needs a robot whose only actuators are "
+                f"<velocity> servos called {FORWARD!r} and {TURN!r}; {self.path} has others"
             )
-        return found
+        return [float(limit) for limit in self.world.model.actuator_ctrlrange[actuator]]

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import torch
 
 from splatrl.physics.kinematics import rotated
-from splatrl.physics.optional import needed
+from splatrl.physics.optional import needed, without_warnings
 from splatrl.physics.standing import on_ground
 from splatrl.physics.terrain import Terrain
 
@@ -38,6 +38,7 @@ class Composed(NamedTuple):
     things: dict[str, str]
 
 
+@without_warnings()
 def compose(robot: Any, terrain: Terrain, things: Mapping[str, Any] | None = None) -> Composed:
     """Put a robot and things into a scene.
 

@@ -1,4 +1,7 @@
-"""Fits the plane that bodies stand on to rendered depth of a scene's floor."""
+"""Fits the plane that bodies stand on to rendered depth of a scene's floor.
+
+Sums are NumPy's own, without matrix products: BLAS rounds those differently with another number of threads.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -70,7 +73,7 @@ class Ground:
     def height(self, xy: Floats) -> Floats:
         """Return z of the plane at places: [..., 2] -> [...], metres."""
         normal, offset = self.plane[:3], self.plane[3]
-        return (offset - xy @ normal[:2]) / normal[2]
+        return (offset - _along(xy, normal[:2])) / normal[2]
 
     @property
     def trouble(self) -> str | None:
@@ -134,10 +137,10 @@ def fit_ground(renderer: Renderer, voxels: Voxels, lower: Sequence[float], upper
             f"{list(lower)} to {list(upper)}, got {len(medians)}; bodies need ground to stand on"
         )
     plane = _levelled(points, medians, _refined(points, _rough(medians)))
-    off, seen = medians @ plane[:3] - plane[3], points @ plane[:3] - plane[3]
+    off, seen = (_along(each, plane[:3]) - plane[3] for each in (medians, points))
     near = seen[np.abs(seen) <= THICKNESS]
     stands = ~np.isnan(heights)
-    above = np.append(centers[stands], heights[stands, None], 1) @ plane[:3] - plane[3]
+    above = _along(np.append(centers[stands], heights[stands, None], 1), plane[:3]) - plane[3]
     low, high = np.quantile(off, [0.01, 0.99]).tolist()
     return Ground(
         plane=plane,
@@ -175,7 +178,7 @@ def _looked_down(renderer: Renderer, eyes: Floats, spacing: float) -> tuple[Floa
     right, down = ((pixel - K[axis, 2].double()) / K[axis, axis].double() for axis in range(2))
     rays = torch.stack([right.expand(SIDE, SIDE), down[:, None].expand(SIDE, SIDE), torch.ones(SIDE, SIDE)], -1)
     local = rays.double() * depth.double().unsqueeze(-1)
-    turned = torch.einsum("bij,bhwj->bhwi", camera_to_world[:, :3, :3].double(), local)
+    turned = (camera_to_world[:, None, None, :3, :3].double() * local.unsqueeze(-2)).sum(-1)
     points = turned + torch.from_numpy(eyes)[:, None, None]
     seen = (alpha >= OPAQUE) & (depth > 0)
     return points[seen].numpy(), seen.nonzero()[:, 0].numpy()
@@ -196,7 +199,7 @@ def _rough(places: Floats) -> Floats:
     normals = np.concatenate([normals[upright], np.repeat(level, count, 0)])
     through = np.concatenate([a[kept][upright], places[np.linspace(0, len(places) - 1, count).astype(int)]])
     offsets = (normals * through).sum(1)
-    away = np.abs(normals @ places.T - offsets[:, None])
+    away = np.abs(_along(normals[:, None], places) - offsets[:, None])
     near = (1.0 - np.minimum(away / THICKNESS, 1.0) ** 2).sum(1)
     best = int(near.argmax())
     return np.append(normals[best], offsets[best])
@@ -204,13 +207,18 @@ def _rough(places: Floats) -> Floats:
 
 def _levelled(points: Floats, places: Floats, plane: Floats) -> Floats:
     """Return a level plane [4] for the points if it is within ``LEVEL`` of ``plane`` at the places, else ``plane``."""
-    z = (plane[3] - places[:, :2] @ plane[:2]) / plane[2]
+    z = (plane[3] - _along(places[:, :2], plane[:2])) / plane[2]
     height = float(np.median(z))
     for _ in range(12):
         weight = _biweight(points[:, 2] - height, THICKNESS)
-        height = float(weight @ points[:, 2] / weight.sum()) if weight.any() else height
+        height = float((weight * points[:, 2]).sum() / weight.sum()) if weight.any() else height
     level = np.sqrt(((z - height) ** 2).mean()) <= LEVEL
     return np.array([0.0, 0.0, 1.0, height]) if level else plane
+
+
+def _along(points: Floats, direction: Floats) -> Floats:
+    """Return how far points lie along directions: the scalar products of [..., k] and [..., k]."""
+    return (points * direction).sum(-1)
 
 
 def _biweight(distance: Floats, width: float) -> Floats:
@@ -221,14 +229,14 @@ def _biweight(distance: Floats, width: float) -> Floats:
 def _refined(points: Floats, plane: Floats) -> Floats:
     """Refine a rough plane by iteratively reweighted least squares: [4]."""
     for width in (*[2 * THICKNESS] * 3, *[THICKNESS] * 12):
-        weight = _biweight(points @ plane[:3] - plane[3], width)
+        weight = _biweight(_along(points, plane[:3]) - plane[3], width)
         if (weight > 0).sum() < 3:
             return plane
-        center = weight @ points / weight.sum()
-        moved = points - center
-        normal = np.linalg.eigh((moved * weight[:, None]).T @ moved)[1][:, 0]
+        center = (weight * points.T).sum(1) / weight.sum()
+        moved = (points - center).T
+        normal = np.linalg.eigh((weight * moved[:, None] * moved).sum(2))[1][:, 0]
         normal = normal if normal[2] >= 0 else -normal
         if normal[2] < math.cos(LARGEST_TILT):
             return plane
-        plane = np.append(normal, center @ normal)
+        plane = np.append(normal, _along(center, normal))
     return plane

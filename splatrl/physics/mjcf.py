@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from splatrl.physics.optional import needed
+from splatrl.physics.optional import needed, without_warnings
 
 MOST_TEXT = 4 * 2**20
 """Maximum bytes of a file's text."""
@@ -44,11 +44,13 @@ class _Reading:
     size: int = 0
 
 
+@without_warnings()
 def read_mjcf(path: Path | str) -> Any:
     """Read an MJCF file as an ``MjSpec``.
 
     Settings of ``<compiler>`` that MuJoCo applies to whole models are resolved, so that they hold in a world of which
-    this model is only a part: the total mass becomes the bodies' own inertia, and static bodies are not fused.
+    this model is only a part: the total mass becomes the bodies' own inertia, and static bodies are not fused. Bodies
+    keep the frames that the file gives them, even if their free joint asks for those of their inertia (``align``).
 
     Args:
         path: the MJCF file. Meshes and textures lie in its folder or below.
@@ -56,14 +58,16 @@ def read_mjcf(path: Path | str) -> Any:
     Raises:
         FileNotFoundError: if there is no such file.
         ImportError: without the extra ``physics``.
-        ValueError: for a file that is not MJCF, is too large, references files outside its folder, or uses elements
-            that expand one element into many or load code, in one line that names the file and the element.
+        ValueError: for a file that is not MJCF, is too large, references files outside its folder, uses elements that
+            expand one element into many or load code, or has keyframes and a body with another frame than written, in
+            one line that names the file and the element.
     """
     mujoco, path = needed(), Path(path)
     text, reading = _read(path)
     try:
         spec = mujoco.MjSpec.from_string(text.decode(), include=reading.included, assets=reading.assets)
         spec.compiler.fusestatic = False
+        _keep_frames(spec)
         alone = spec.copy()
         model = alone.compile()
     except (ValueError, UnicodeDecodeError) as error:
@@ -94,6 +98,22 @@ def _read(path: Path) -> tuple[bytes, _Reading]:
         for node in tree.iter():
             _read_files(path, node, places, reading)
     return text, reading
+
+
+def _keep_frames(spec: Any) -> None:
+    """Keep MuJoCo from replacing the frames of bodies with a free joint and no children by those of their inertia."""
+    mujoco = needed()
+    aligned = {mujoco.mjtAlignFree.mjALIGNFREE_TRUE}
+    if spec.compiler.alignfree:
+        aligned.add(mujoco.mjtAlignFree.mjALIGNFREE_AUTO)
+    for joint in spec.joints:
+        if joint.type == mujoco.mjtJoint.mjJNT_FREE and joint.align in aligned and not joint.parent.bodies:
+            if spec.keys:
+                raise ValueError(
+                    f"<key>: keyframes beside the free joint of body {joint.parent.name!r}, whose poses are those of "
+                    'its inertia; write align="false" and the poses of the body'
+                )
+            joint.align = mujoco.mjtAlignFree.mjALIGNFREE_FALSE
 
 
 def _fix_inertia(spec: Any, alone: Any, model: Any) -> None:

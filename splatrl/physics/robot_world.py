@@ -99,16 +99,17 @@ class RobotWorld:
             raise ValueError(f"{self.path}: expected at least one <actuator>, found none")
         return torch.from_numpy(self.model.actuator_ctrlrange.T.copy()).float()
 
-    def control_range(self, actuator: str) -> list[float] | None:
-        """Return the limits of one of the robot's actuators; None if it has no such actuator."""
-        number = self.control(actuator)
-        return None if number is None else [float(value) for value in self.model.actuator_ctrlrange[number]]
+    def velocity_servos(self) -> list[str]:
+        """Return the names of the robot's actuators if all are servos whose controls are velocities, else nothing.
 
-    def control(self, actuator: str) -> int | None:
-        """Return which control sets one of the robot's actuators; None if it has no such actuator."""
-        mujoco = needed()
-        number = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"{ROBOT}{actuator}")
-        return None if number < 0 else int(number)
+        Such a servo's force is in proportion to how much its velocity falls short of its control.
+        """
+        mujoco, model = needed(), self.model
+        offset, position, velocity = model.actuator_biasprm[:, :3].T
+        servo = (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE) & (velocity < 0.0)
+        servo &= (model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED) & (offset == 0.0) & (position == 0.0)
+        servo &= np.isclose(model.actuator_gainprm[:, 0], -velocity, atol=0.0)
+        return [model.actuator(number).name.removeprefix(ROBOT) for number in range(model.nu)] if servo.all() else []
 
     def free_joint(self, thing: str) -> int | None:
         """Return where the free joint of a thing begins in ``qpos``; None if there is no such thing or joint."""

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from splatrl.geometry import multiply_quats
+from splatrl.geometry import multiply_quats, quat_yaws
 from splatrl.physics.kinematics import normalised
 from splatrl.physics.optional import needed
 from splatrl.physics.terrain import Terrain
@@ -47,15 +47,16 @@ def on_ground(planar: Tensor, home: Tensor, terrain: Terrain) -> Tensor:
     """Return the poses of a robot's first body that stands on the ground, upright with respect to it.
 
     Args:
-        planar: [N, 3] float64 positions and headings: x and y in metres, yaw in radians.
-        home: [7] float64, its pose at the origin of level ground at height 0: position, and quaternion wxyz.
+        planar: [N, 3] float64 positions and headings: x and y in metres, and the yaw of its x axis in radians.
+        home: [7] float64, its pose on level ground at height 0, anywhere and with any heading: position, and quaternion
+            wxyz.
         terrain: the ground.
 
     Returns:
         [N, 7] float64, positions and unit quaternions.
     """
     x, y, yaw = planar.unbind(1)
-    half = 0.5 * yaw
+    half = 0.5 * (yaw - quat_yaws(home[3:]))
     about = torch.stack([half.cos(), torch.zeros_like(half), torch.zeros_like(half), half.sin()], 1)
     turn = normalised(multiply_quats(multiply_quats(terrain.upright.to(home), about), home[3:]))
     z = terrain.height(torch.stack([x, y], 1)) + home[2] / terrain.plane[2].to(home)

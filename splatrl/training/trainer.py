@@ -78,6 +78,11 @@ class Trainer:
         (self.folder / "checkpoints").mkdir(parents=True, exist_ok=True)
 
     @property
+    def level(self) -> int:
+        """The curriculum's level, counted from 1."""
+        return int(self.ppo.env.curriculum.level) + 1
+
+    @property
     def levels(self) -> int:
         """Number of levels of the curriculum."""
         return self.ppo.env.curriculum.starts.levels
@@ -141,7 +146,7 @@ class Trainer:
             while not self.ppo.finished:
                 before = self.ppo.frames
                 row = self.ppo.iterate()
-                row["level"] = int(self.ppo.env.curriculum.level)
+                row["level"] = self.level
                 if self.ppo.finished or _crossed(before, self.ppo.frames, self.test_interval):
                     row |= self._tested()
                 self.seconds = row["seconds"] = time.monotonic() - began
@@ -149,7 +154,7 @@ class Trainer:
                 if self.ppo.finished or _crossed(before, self.ppo.frames, self.checkpoint_interval):
                     self.save()
                 bar.update(self.ppo.frames - before)
-                bar.set_postfix(success=f"{self._recent('success'):.2f}", level=f"{row['level'] + 1}/{self.levels}")
+                bar.set_postfix(success=f"{self._recent('success'):.2f}", level=f"{self.level}/{self.levels}")
                 if interrupted:
                     self.save()
                     raise KeyboardInterrupt
@@ -158,7 +163,7 @@ class Trainer:
         """Run ``prepare``, and test the policy as often as in the rest of the training and at the end."""
         tested_at = 0
         for row in prepare():
-            row |= {"frames": self.ppo.frames, "level": int(self.ppo.env.curriculum.level)}
+            row |= {"frames": self.ppo.frames, "level": self.level}
             (lesson,) = (name for name in row if name.startswith("loss_"))
             told = f"trained on {self.ppo.frames:,} frames: {lesson} {row[lesson]:.4f}"
             if tested_at == 0 or _crossed(tested_at, self.ppo.frames, self.test_interval):
@@ -222,6 +227,8 @@ class Trainer:
         """Continue from a ``state_dict()``."""
         self.ppo.load_state_dict(state["ppo"])
         self.history, self.best, self.seconds = unpacked(state["history"]), tuple(state["best"]), state["seconds"]
+        if any(row.get("level") == 0 for row in self.history):  # begun when histories counted levels from 0
+            self.history = [row | {"level": row["level"] + 1} for row in self.history]
 
 
 @contextmanager

@@ -303,6 +303,22 @@ def test_resuming_a_missing_run_is_refused(tmp_path: Path, monkeypatch: pytest.M
         train.main()
 
 
+def test_relative_paths_begin_where_they_are_typed_even_if_hydra_changes_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tiny_overrides(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(train, "build_world", lambda cfg: found.append(Path(cfg.scene.path).is_file()) or sys.exit())
+    found = list[bool]()
+    words = ["scene=tiny.ply", "landmarks.goal=[0.5,1.0,0.0]", "robot.height=0.5", "hydra.run.dir=run"]
+    for chdir in ("true", "false"):
+        monkeypatch.setattr(sys, "argv", ["splatrl-train", *words, f"hydra.job.chdir={chdir}"])
+        with pytest.raises(SystemExit):
+            train.main()
+        shutil.rmtree("run")
+    assert found == [True, True] and Path.cwd() == tmp_path
+
+
 def test_each_job_of_a_sweep_given_in_a_file_has_the_settings_of_its_scene_and_of_the_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -17,6 +17,8 @@ from tests.tiny import tiny_overrides
         ("run=[~/a,~/b]", "run=[/home/me/a,/home/me/b]"),
         ("scene=~/a,~/b", "scene=/home/me/a,/home/me/b"),
         ("+own={a:~/a}", "+own={a:/home/me/a}"),
+        ("+own={a: ~/a}", "+own={a: /home/me/a}"),
+        ("scene.paths=[ ~/a, ~/b]", "scene.paths=[ /home/me/a, /home/me/b]"),
         ("folder=~", "folder=/home/me"),
         ("out=a/~b", "out='a/~b'"),
         ("~task.goal", "~task.goal"),

@@ -57,3 +57,10 @@ def test_a_field_of_view_may_be_given_by_a_focal_length(tmp_path: Path) -> None:
     camera = f'{PLACED} {SENSOR} focal="0.0048 0.0048" principalpixel="0 0"'
     robot = mjcf_robot(written(tmp_path, camera), "eye", BODY, image_width=60, image_height=30)
     assert robot.fov_deg == pytest.approx(90.0, abs=1e-3)  # twice as wide as high, and 0.5 / 1 high
+
+
+def test_a_robot_that_does_not_stand_above_the_ground_is_refused_by_its_height(tmp_path: Path) -> None:
+    path = written(tmp_path, PLACED)
+    path.write_text(path.read_text().replace('pos="0 0 0.3"', 'pos="0 0 -0.12"'))
+    with pytest.raises(ValueError, match=r"robot\.xml: expected a robot that stands above z = 0, .* at z = -0\.02 m;"):
+        mjcf_robot(path, "eye", BODY)

@@ -53,8 +53,8 @@ def labels(figure: Figure) -> list[str]:
     return [text.get_text() for text in figure.legends[0].get_texts()]
 
 
-def test_a_learning_curve_shows_every_known_value_and_counts_levels_from_one(drawn: list[Figure]) -> None:
-    history = [{"frames": 100.0 * i, "success": i / 10, "return": 2.0 * i, "level": i // 4} for i in range(1, 10)]
+def test_a_learning_curve_shows_every_known_value(drawn: list[Figure]) -> None:
+    history = [{"frames": 100.0 * i, "success": i / 10, "return": 2.0 * i, "level": 1 + i // 4} for i in range(1, 10)]
     history[2]["success"] = history[2]["return"] = math.nan
     history[4]["test_success"] = 0.6
     learning_curve(history, Path("unused.png"))
@@ -93,7 +93,7 @@ def test_an_almost_empty_history_is_drawn_without_warnings(history: list[dict[st
 
 
 def test_a_training_of_one_batch_is_a_dot_and_its_level_starts_at_frame_zero(drawn: list[Figure]) -> None:
-    learning_curve([{"frames": 10.0, "success": 0.5, "return": 3.0, "level": 0.0}], Path("unused.png"))
+    learning_curve([{"frames": 10.0, "success": 0.5, "return": 3.0, "level": 1.0}], Path("unused.png"))
     above, below, levels = drawn[0].axes
     for axes in (above, below):
         dot = axes.lines[1]
@@ -102,7 +102,7 @@ def test_a_training_of_one_batch_is_a_dot_and_its_level_starts_at_frame_zero(dra
 
 
 def test_what_has_no_values_is_left_out_of_a_learning_curve(drawn: list[Figure]) -> None:
-    history = [{"frames": 100.0 * i, "success": math.nan, "return": math.nan, "level": 0.0} for i in range(1, 4)]
+    history = [{"frames": 100.0 * i, "success": math.nan, "return": math.nan, "level": 1.0} for i in range(1, 4)]
     learning_curve(history, Path("unused.png"))
     above, levels = drawn[0].axes
     assert not above.lines and len(levels.lines) == 1 and above.get_xlabel() == "frames"

@@ -62,7 +62,7 @@ def begin(run: Run, frames: int, tested: Sequence[float] = ()) -> None:
         writer.writerow(keys)
         for at in range(40, frames + 1, 40):
             success = "" if at == 40 else at / 1000
-            writer.writerow([at, success, 5, at // 200, tests.get(at, ""), 0.3 * at])
+            writer.writerow([at, success, 5, 1 + at // 200, tests.get(at, ""), 0.3 * at])
 
 
 def finish(run: Run, success: float, seconds: float = 5.0, tested: Sequence[float] = (0.5, 0.95)) -> None:

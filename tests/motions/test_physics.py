@@ -1,6 +1,7 @@
 """The motion of a robot with physics."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +13,31 @@ from splatrl.building import build_world, places
 from splatrl.collision import Occupancy
 from splatrl.collision.nothing import NoChecker
 from splatrl.configuration import load_config
-from splatrl.motions import DriveMotion, PhysicsMotion, Site
+from splatrl.curriculum.field import Moves, cost_field
+from splatrl.geometry import wrapped
+from splatrl.motions import DriveMotion, PhysicsMotion, Site, StridesMotion, WalkMotion
+from splatrl.motions.twin import TwinMotion
 from splatrl.physics import Terrain, Variation
 from splatrl.physics.robots import FOLDER, mjcf_path
 from splatrl.scenes import Scene, write_gaussians
-from tests.tiny import bare_site, tiny_gaussians, tiny_overrides
+from tests.tiny import BlockChecker, bare_site, tiny_gaussians, tiny_overrides
 from tests.two_rooms import in_both
 
 WALL = torch.tensor([[0.6, 0.0, 0.2, 0.1, 1.0, 0.2]], dtype=torch.float64)
 LEVEL = torch.tensor([0.0, 0.0, 1.0, 0.02], dtype=torch.float64)
 NOTHING: Any = NoChecker.__new__(NoChecker)
+
+
+CART = """<mujoco><worldbody><body name="cart" pos="0 0 0.06"><freejoint/><camera name="eye"/>
+<geom type="box" size="0.1 0.07 0.03" mass="1"/><site name="s"/>{wheels}</body></worldbody>
+<actuator>{motors}</actuator></mujoco>"""
+
+
+def cart(folder: Path, text: str) -> PhysicsMotion:
+    """Write a robot and make its motion."""
+    path = folder / "robot.xml"
+    path.write_text(text)
+    return PhysicsMotion(path, "eye", **SPEEDS)
 
 
 def wheels(**settings: Any) -> PhysicsMotion:
@@ -61,6 +77,73 @@ def test_a_placed_robot_stands_still_on_the_ground_even_on_a_slope() -> None:
         assert moved.norm(dim=1).max() < 0.02
         up = motion.body_to_world(state)[:, :3, 2]
         torch.testing.assert_close(up, plane[:3].float().expand(3, 3), atol=1e-6, rtol=0)
+
+
+TURNED = CART.format(wheels="", motors='<general site="s" ctrlrange="-1 1"/>').replace(
+    'pos="0 0 0.06"', 'pos="1 2 0.06" euler="{} {} {}"'
+)
+KEYED = TURNED.format(0, 0, 0).replace("</mujoco>", '<keyframe><key qpos="3 4 0.06 0.6 0 0 0.8"/></keyframe></mujoco>')
+SPEEDS: dict[str, Any] = {"linear": (-0.4, 0.4), "angular_deg": 900.0, "threads": 1, "headings": 4, "spacing": 0.5}
+SPEEDS |= {"lower": (-0.5, -0.5), "upper": (0.5, 0.5)}
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda _: wheels(),
+        lambda _: PhysicsMotion("car", "eye", **SPEEDS),
+        lambda _: PhysicsMotion("quadrotor", "eye", **SPEEDS),
+        lambda _: StridesMotion(path="quadruped", camera="eye", threads=1),
+        lambda _: WalkMotion(path="quadruped", camera="eye", threads=1, gait=None),
+        lambda folder: cart(folder, TURNED.format(0, 0, 0)),
+        lambda folder: cart(folder, TURNED.format(0, 0, 90)),
+        lambda folder: cart(folder, TURNED.format(20, -35, 200)),
+        lambda folder: cart(folder, KEYED),
+    ],
+)
+def test_a_placed_robot_has_the_asked_position_and_heading(make: Callable[[Path], TwinMotion], tmp_path: Path) -> None:
+    motion = make(tmp_path)
+    planar = torch.tensor([[0.3, -0.2, 1.0], [0.0, 0.0, 6.0], [-0.5, 0.1, 0.0]], dtype=torch.float64)
+    found = motion.planar(motion.placed(planar))
+    torch.testing.assert_close(found[:, :2], planar[:, :2])
+    torch.testing.assert_close(wrapped(found - planar)[:, 2], torch.zeros(3).double(), atol=1e-12, rtol=0)
+
+
+def test_the_same_robot_turned_in_its_file_has_the_same_plan(tmp_path: Path) -> None:
+    plain, *turned = (cart(tmp_path, text) for text in (TURNED.format(0, 0, 0), TURNED.format(0, 0, 90), KEYED))
+    states, checker = plain.states(), BlockChecker(reach=0.2)
+    reached: Any = lambda state: (plain.planar(state) - torch.tensor([0.4, 0.0, 1.0])).norm(dim=1) < 0.3  # noqa: E731
+    costs = cost_field(Moves(plain, checker, reached)).cost_to_go
+    for motion in turned:
+        poses = motion.body_to_world(motion.states())
+        torch.testing.assert_close(poses, plain.body_to_world(states), atol=1e-6, rtol=0)
+        torch.testing.assert_close(cost_field(Moves(motion, checker, reached)).cost_to_go, costs, atol=1e-3, rtol=1e-4)
+
+
+DRIVEN = '<{0} name="forward" site="s" gear="1 0 0 0 0 0" {1} ctrlrange="-0.2 0.4"/>'
+DRIVEN += '<{0} name="turn" site="s" gear="0 0 0 0 0 1" {1} ctrlrange="-1 1"/>'
+FORCES = DRIVEN.format("motor", "")
+BOOM = '<body pos="0.4 0 0.1" euler="0 0 90"><geom size="0.02"/><camera name="boom"/></body>'
+
+
+@pytest.mark.parametrize("text", [CART.format(wheels=BOOM, motors=FORCES), KEYED.replace("</body>", f"{BOOM}</body>")])
+def test_a_robot_with_a_camera_on_a_boom_begins_where_all_of_it_is_clear(
+    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, tried = tmp_path / "robot.xml", list[torch.Tensor]()
+    path.write_text(text)
+    motion = PhysicsMotion(path, "boom", ground="level", **SPEEDS)
+    monkeypatch.setattr(motion, "clear", lambda state: tried.append(state) or torch.ones(len(state)).bool())
+    fits = motion.settle(bare_site(), lambda poses: torch.ones(len(poses)).bool())
+    states = motion.placed(torch.tensor([[0.3, -0.2, 1.0], [0.0, 0.1, 3.0]]))
+    assert fits(motion.body_to_world(states)).all()
+    torch.testing.assert_close(tried[0], states, atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize(("pitch", "way"), [(-90, "up"), (88, "down")])
+def test_a_robot_that_points_up_or_down_is_refused(tmp_path: Path, pitch: float, way: str) -> None:
+    with pytest.raises(ValueError, match=rf"robot\.xml: expected a first body whose x axis .* points {way}; put"):
+        cart(tmp_path, TURNED.format(0, pitch, 0))
 
 
 def test_the_free_fraction_ends_where_a_wall_is_first_touched() -> None:
@@ -109,11 +192,6 @@ def test_physics_knows_everything_solid_that_robots_and_pushed_things_can_reach(
     motion.settle(Site(scene, occupancy, NOTHING, shape, True, leeway), lambda poses: torch.ones(len(poses)).bool())
     boxes = motion.terrain.boxes
     assert len(boxes) and ((boxes[:, 0] + boxes[:, 3]).max() > 1.4).item() is walls
-
-
-CART = """<mujoco><worldbody><body name="cart" pos="0 0 0.06"><freejoint/><camera name="eye"/>
-<geom type="box" size="0.1 0.07 0.03" mass="1"/><site name="s"/>{wheels}</body></worldbody>
-<actuator>{motors}</actuator></mujoco>"""
 
 
 def test_grass_that_physics_takes_as_ground_does_not_keep_a_low_robot_from_starting(
@@ -261,6 +339,29 @@ def test_a_robot_that_turns_before_it_goes_forward_is_refused(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
+    ("motors", "driven"),
+    [
+        (DRIVEN.format("velocity", 'kv="2"'), True),
+        (DRIVEN.format("general", 'biastype="affine" gainprm="3" biasprm="0 0 -3"'), True),
+        (FORCES, False),  # newtons
+        (DRIVEN.format("position", 'kp="2" kv="2"'), False),  # metres
+        (DRIVEN.format("velocity", 'kv="2"') + '<motor site="s" ctrlrange="-1 1"/>', False),
+    ],
+)
+def test_only_two_velocity_servos_say_how_fast_a_robot_is(tmp_path: Path, motors: str, driven: bool) -> None:
+    motion = cart(tmp_path, CART.format(wheels="", motors=motors))
+    assert motion.driven is driven and motion.step == pytest.approx(0.04)
+    own: dict[str, Any] = {**SPEEDS, "linear": None, "angular_deg": None}
+    if driven:
+        found = PhysicsMotion(motion.path, "eye", **own)
+        torch.testing.assert_close(found.twin.limits, torch.tensor([[-0.2, -1.0], [0.4, 1.0]]))
+        return
+    for key in ("linear", "angular_deg"):
+        with pytest.raises(ValueError, match=rf"^task\.motion\.{key}: expected a value, got none"):
+            PhysicsMotion(motion.path, "eye", **{**SPEEDS, key: None})
+
+
+@pytest.mark.parametrize(
     ("body", "rest", "settings", "message"),
     [
         ('<geom size="0.1"/><camera name="eye"/>', "", {}, "body 'b': expected a <freejoint/>"),
@@ -272,7 +373,7 @@ def test_a_robot_that_turns_before_it_goes_forward_is_refused(tmp_path: Path) ->
             {},
             "actuator 'push': expected a ctrlrange",
         ),
-        (BODY, MOTOR, {}, "task.motion.linear: expected a value, got none, and .* no actuator called 'forward'"),
+        (BODY, MOTOR, {}, "task.motion.linear: expected a value, got none, which needs .* 'forward' and 'turn'; "),
         (
             BODY,
             MOTOR,

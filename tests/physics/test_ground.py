@@ -1,6 +1,9 @@
 """Fitting a plane to the ground, and reporting where the ground is not a plane."""
 
 import math
+import os
+import subprocess
+import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -42,6 +45,21 @@ def test_a_tilt_within_the_error_of_depth_is_made_level() -> None:
     assert ground.plane[:3].tolist() == [0.0, 0.0, 1.0]
     assert ground.plane[3] == pytest.approx(0.02, abs=0.001)
     assert ground.spread == pytest.approx(0.005, abs=0.002)
+
+
+def printed_fits() -> None:
+    """Print every bit of the fits of a level and a sloping ground."""
+    for slope in (0.0, 0.05):
+        ground = found(lambda x, y, slope=slope: 0.1 + slope * x, noise=0.005)
+        print([value.hex() for value in (*ground.plane.tolist(), ground.spread, *ground.range)])
+
+
+def test_the_ground_has_the_same_bytes_with_any_number_of_threads(capsys: pytest.CaptureFixture[str]) -> None:
+    printed_fits()  # with one thread, see conftest.py
+    many = {f"{library}_NUM_THREADS": "3" for library in ("OMP", "OPENBLAS", "MKL")}  # which a new process reads
+    command = [sys.executable, "-c", "from tests.physics.test_ground import printed_fits as fits; fits()"]
+    again = subprocess.run(command, env={**os.environ, **many}, capture_output=True, text=True, check=True)
+    assert again.stdout == capsys.readouterr().out and again.stdout.count("\n") == 2
 
 
 def test_objects_and_grass_do_not_lift_the_plane() -> None:

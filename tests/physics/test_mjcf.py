@@ -193,6 +193,29 @@ def test_the_total_mass_of_a_robot_holds_in_a_world_with_other_things(tmp_path: 
     assert read_mjcf(mjcf_path("ball")).compile().body_mass[1] == pytest.approx(world.body("ball/ball").mass[0])
 
 
+SKEWED = (
+    '<freejoint name="f"{}/><geom type="box" size="0.02 0.1 0.05" euler="0 0 35"/><geom size="0.02" pos="0.1 0 0"/>'
+)
+
+
+@pytest.mark.parametrize(("joint", "head"), [(' align="true"', ""), ("", '<compiler alignfree="true"/>')])
+def test_bodies_keep_the_frames_that_their_file_gives_them(tmp_path: Path, joint: str, head: str) -> None:
+    body = f'<body pos="0 0 0.2">{SKEWED.format(joint)}</body>'
+    assert abs(mujoco.MjModel.from_xml_path(str(written(tmp_path, body, head))).qpos0[3]) < 0.9
+    assert read_mjcf(written(tmp_path, body, head)).compile().qpos0.tolist() == [0.0, 0.0, 0.2, 1.0, 0.0, 0.0, 0.0]
+    keys = '<keyframe><key qpos="0 0 0.2 1 0 0 0"/></keyframe>'
+    with pytest.raises(ValueError, match=r"robot\.xml: expected MJCF, got <key>: keyframes beside .* align=\"false\""):
+        read_mjcf(written(tmp_path, body, head + keys))
+    if joint:
+        read_mjcf(written(tmp_path, body.replace(joint, ""), head + keys))
+
+
+@pytest.mark.filterwarnings("error")
+def test_outdated_settings_of_a_model_as_a_whole_are_read_without_a_warning(tmp_path: Path) -> None:
+    head = '<compiler settotalmass="7"/><size njmax="500" nconmax="100"/><visual><map znear="0.1"/></visual>'
+    assert compose(read_mjcf(written(tmp_path, BALL, head)), level_ground()).model.nbody == 3
+
+
 def test_static_bodies_are_not_fused_with_their_parents(tmp_path: Path) -> None:
     model = read_mjcf(written(tmp_path, ARM, '<compiler fusestatic="true"/>')).compile()
     assert [model.body(number).name for number in range(1, model.nbody)] == ["trunk", "head", "arm"]

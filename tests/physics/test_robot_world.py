@@ -40,7 +40,7 @@ def test_the_robot_starts_in_its_keyframe_and_things_where_their_files_place_the
 
 def test_cameras_actuators_and_free_joints_are_found_by_their_own_names(world: RobotWorld) -> None:
     assert world.body_of_camera("eye") == "robot/torso" and world.body_of_camera("foot") == "robot/body"
-    assert world.control_range("knee") == [-2.0, 3.0] and world.control_range("hip") is None
+    assert world.velocity_servos() == []
     assert torch.equal(world.control_limits(), torch.tensor([[-2.0], [3.0]]))
     assert world.free_joint("ball") == 8 and world.free_joint("egg") is None
     with pytest.raises(ValueError, match=r"robot\.xml: expected a camera called 'tail', got eye, foot"):

@@ -55,6 +55,6 @@ def test_a_moving_target_is_shown_at_its_position_and_a_task_without_memory_show
 ) -> None:
     driving = Driving(page, make_world("snake"))
     (apple,), target = driving.goals.nodes, driving.driver.now["target"][0]
-    assert apple.position[:2] == pytest.approx(target[:2].tolist()) and "apple" in driving.status.content
+    assert apple.position[:2] == pytest.approx(target[:2].tolist()) and "object" in driving.status.content
     plain = Driving(page, world)
     assert plain.goals.nodes == [] and "\n" not in plain.status.content

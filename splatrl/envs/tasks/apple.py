@@ -98,17 +98,26 @@ class Apple(OutcomeTask):
         self.register_buffer("place", torch.tensor(tuple(place), dtype=torch.float32), persistent=False)
 
     def check_picture(self, drawing: Drawing, robot: Robot) -> None:
-        """Refuse an apple that can never fill the required fraction of the view; see ``Task``."""
+        """Refuse an apple that can never fill the required fraction of the view; see ``Task``.
+
+        What the sprite covers is a mean of its opacity, so it never exceeds the opacity of the most opaque texel.
+        """
         if self.sprite_share is not None and COVER not in drawing.specs:
             raise ValueError(f"task.{COVER}: expected a sprite, as transforms/sprite=apple draws, got none")
         if not isinstance(drawing, SpriteDrawing) or self.mean_red is not None:
             return
-        counted, least, part = self._counted(drawing.sprite)
-        if part == 0:
+        counted, least, texels = self._counted(drawing.sprite)
+        part, most = float(texels.mean()), float(texels.max())
+        if most == 0:
             way_out = (
                 f"; task.{COVER}={self.red_share:g} finds a sprite of any colour" if self.sprite_share is None else ""
             )
             raise ValueError(f"drawing.sprite: expected a picture with {counted} in it, got one without{way_out}")
+        if most < least:
+            raise ValueError(
+                f"drawing.sprite: expected a picture that is at least {least:.0%} opaque somewhere, as "
+                f"task.{COVER}={least:g} needs, got one of at most {most:.0%}"
+            )
         across = 2 * NEAREST * self.motion.step * math.tan(math.radians(robot.fov_deg) / 2)  # seen from there, metres
         down = across * robot.image_height / robot.image_width
         needed = math.sqrt(least * across * down / (part * drawing.sprite.aspect))
@@ -119,12 +128,12 @@ class Apple(OutcomeTask):
                 f"got {drawing.size:g}"
             )
 
-    def _counted(self, sprite: Sprite) -> tuple[str, float, float]:
-        """Return what counts in words, the fraction of the view that it must fill, and its fraction of a picture."""
+    def _counted(self, sprite: Sprite) -> tuple[str, float, Tensor]:
+        """Return what counts in words, the fraction of the view that it must fill, and how much each texel counts."""
         texels = sprite.finest
         if self.sprite_share is not None:
-            return "something opaque", self.sprite_share, float(texels[:, 3].mean())
-        return "red", self.red_share, float(_clearly_red(texels[:, :3]).float().mean())
+            return "something opaque", self.sprite_share, texels[:, 3]
+        return "red", self.red_share, _clearly_red(texels[:, :3]).float()
 
     @property
     def memory_spec(self) -> dict[str, TensorSpec]:
@@ -169,7 +178,7 @@ class Apple(OutcomeTask):
     def marks(self, memory: Memory | None = None) -> list[Mark]:
         """Return a mark at the apple's position; see ``Task.marks``."""
         x, y, _ = (self.place if memory is None else memory["target"]).tolist()
-        return [Mark("apple", torch.tensor([x, y, math.nan], dtype=torch.float64))]
+        return [Mark("object", torch.tensor([x, y, math.nan], dtype=torch.float64))]
 
     def _near(self, state: Tensor, target: Tensor) -> Tensor:
         away = self.motion.planar(state)[:, :2] - target[..., :2]

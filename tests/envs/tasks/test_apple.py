@@ -126,6 +126,13 @@ def test_a_picture_without_red_is_refused_unless_the_sprite_counts_whatever_its_
         coarse_apple(sprite_share=0.3).check_picture(SceneDrawing(tiny_renderer()), tiny_robot())
 
 
+def test_a_picture_that_is_nowhere_opaque_enough_is_refused_however_large_it_is() -> None:
+    for size in (1.0, 100.0):
+        coarse_apple(sprite_share=0.3).check_picture(blue(size, alpha=77), tiny_robot())
+        with pytest.raises(ValueError, match=r"drawing\.sprite: .* at least 30% opaque .* one of at most 29%$"):
+            coarse_apple(sprite_share=0.3).check_picture(blue(size, alpha=75), tiny_robot())
+
+
 def test_a_sprite_must_be_so_large_that_what_counts_of_it_can_fill_the_required_fraction() -> None:
     robot = tiny_robot()
     across = 0.25 * math.tan(math.radians(robot.fov_deg) / 2)  # seen from half a step away, metres
@@ -184,7 +191,7 @@ def test_the_apple_has_one_place_and_the_goal_no_heading() -> None:
     assert torch.equal(task.begin(torch.zeros(3, 3), nowhere)["target"], torch.tensor([PLACE] * 3))
     for memory in (None, {"target": torch.tensor(PLACE)}):
         (mark,) = task.marks(memory)
-        assert mark.name == "apple" and mark.planar[:2].tolist() == [X, Y] and mark.planar[2].isnan()
+        assert mark.name == "object" and mark.planar[:2].tolist() == [X, Y] and mark.planar[2].isnan()
 
 
 def test_the_config_is_the_published_one_with_collision_switched_off() -> None:
