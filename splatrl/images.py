@@ -162,8 +162,11 @@ def open_video(path: Path) -> Iterator["InputContainer"]:
 
 
 def video_track(container: "InputContainer") -> "VideoStream":
-    """Return the video track with the most pixels, the first of equals: files may hold a small copy for previews."""
-    return max(_moving(container), key=lambda track: track.width * track.height)
+    """Return the video track with the most pixels, the first of equals: files may hold a small copy for previews.
+
+    A track of a single frame is a still, and taken only where there is no other.
+    """
+    return max(_moving(container), key=lambda track: (track.frames != 1, track.width * track.height))
 
 
 def _moving(container: "InputContainer") -> list["VideoStream"]:

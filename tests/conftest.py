@@ -128,7 +128,8 @@ def quick_videos() -> Iterator[dict[str, str]]:
 @pytest.fixture
 def usual_videos(quick_videos: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Encode videos as users do, for tests of the encoder's options."""
-    monkeypatch.setattr("splatrl.evaluation.video.X264", quick_videos)
+    if quick_videos:  # else they were never changed
+        monkeypatch.setattr("splatrl.evaluation.video.X264", quick_videos)
 
 
 @pytest.fixture(scope="session")

@@ -27,6 +27,7 @@ from omegaconf.errors import OmegaConfBaseException
 from tests.builds import built
 
 CONF = Path(__file__).parents[1] / "conf"
+CODE = Path(__file__).parents[1] / "splatrl" / "configuration"
 SHIPPED = {"pkg://hydra.conf", "structured://", f"file://{CONF}"}
 """Sources of configs that no test changes."""
 
@@ -90,7 +91,7 @@ def _sources() -> bytes:
     """Return a digest of all that a config composed from ``SHIPPED`` depends on, apart from what is chosen in it."""
     libraries = sys.version, hydra.__version__, omegaconf.__version__, ConfigStore.instance().repo
     digest = blake2b(repr(libraries).encode())
-    for path in sorted([Path(__file__), *CONF.rglob("*.yaml")]):
+    for path in sorted([Path(__file__), *CODE.glob("*.py"), *CONF.rglob("*.yaml")]):
         digest.update(path.relative_to(CONF.parent).as_posix().encode() + path.read_bytes())
     return digest.digest()
 

@@ -140,7 +140,8 @@ def focal_length(folder: Path, size: tuple[int, int]) -> float | None:
     for path in photos_of(folder):
         with suppress(OSError, ValueError):
             told = _exif(path, EXIF_IFD)
-            zooms[path.name] = _number(told.get(DIGITAL_ZOOM)) or 1.0  # 0 stands for none
+            if told:
+                zooms[path.name] = _number(told.get(DIGITAL_ZOOM)) or 1.0  # 0 stands for none
             if (millimetres := _number(told.get(FOCAL_35MM))) > 0:
                 lengths[path.name] = millimetres
     _usual(folder, zooms, "digital zooms of {:g} (EXIF) and {:g}")  # only some phones multiply the focal length by it

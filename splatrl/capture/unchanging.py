@@ -42,7 +42,7 @@ deck ends, and only edges tell them apart."""
 GROWN = 3
 """Pixels, at ``LONGEST``, by which parts are grown: features next to them would show both."""
 LINE, BESIDE = 24, 28
-"""Maximum height of a part that may be a line or two of writing, and what is left out to either side of it, pixels at
+"""Maximum height of a part that may be a line or two of writing, if it is no higher than wide, and what is left out to either side of it, pixels at
 ``LONGEST``: the digits of a clock change."""
 
 
@@ -98,7 +98,7 @@ def with_lines(found: Mask) -> Mask:
     """Return what never changes, [H, W], with what is beside low parts of it: the rest of a line of writing."""
     lines = found.copy()
     for rows, columns in ndimage.find_objects(ndimage.label(found)[0]):
-        if rows.stop - rows.start <= LINE:
+        if rows.stop - rows.start <= min(LINE, columns.stop - columns.start):
             lines[rows, max(0, columns.start - BESIDE) : columns.stop + BESIDE] = True
     return lines
 

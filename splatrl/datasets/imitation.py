@@ -7,6 +7,7 @@ from torch import Tensor
 from torch.nn.functional import one_hot
 
 from splatrl.datasets.demonstrations import Demonstrations
+from splatrl.device import with_room
 from splatrl.envs.world import World, Worlds
 from splatrl.training import PPO, Cloner, DaggerSettings, targets, visited
 
@@ -52,9 +53,7 @@ def _together(parts: Sequence[dict[str, Tensor]], device: torch.device) -> dict[
 
     They stay on the CPU unless the device is a GPU half of whose free memory holds them.
     """
-    if device.type == "cuda":
-        size = sum(value.nbytes for part in parts for value in part.values())
-        device = device if size < torch.cuda.mem_get_info(device)[0] // 2 else torch.device("cpu")
+    device = with_room(device, sum(value.nbytes for part in parts for value in part.values()))
     return {key: torch.cat([part[key].to(device) for part in parts]) for key in (parts[0] if parts else ())}
 
 

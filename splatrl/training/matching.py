@@ -14,6 +14,7 @@ from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
 from tqdm import tqdm
 
+from splatrl.device import with_room
 from splatrl.envs.sensors import ImageGoal
 from splatrl.geometry import along_heading
 from splatrl.training.heads import orthogonal
@@ -52,7 +53,7 @@ class Views(NamedTuple):
     """N views of some scenes.
 
     Attributes:
-        image: [N, H, W, 3] uint8, on the env's device, the others on the CPU.
+        image: [N, H, W, 3] uint8, on the env's device if it has room (``with_room``), the others on the CPU.
         planar: [N, 3] float32, x and y in metres and yaw in radians.
         around: [N] int64, rows of the views, sorted by scene and within each scene by heading.
         first: [N] int64, for each position in this order, the position at which its scene begins.
@@ -73,13 +74,14 @@ def views(env: EnvBase, frames: int) -> Views:
         env: batched env of B robots, in which robots observe ``READS``.
         frames: number of episodes, a multiple of B; there are twice as many views.
     """
-    shape = env.observation_spec[ImageGoal.KEY].shape[1:]
-    image = torch.empty(2, frames, *shape, dtype=torch.uint8, device=env.device)
+    shape = (2, frames, *env.observation_spec[ImageGoal.KEY].shape[1:])
+    image = torch.empty(shape, dtype=torch.uint8, device=with_room(env.device, math.prod(shape)))
     planar, scene = torch.empty(2, frames, 3), torch.zeros(2, frames, dtype=torch.int64)
     batches = torch.arange(frames).split(env.numel())
     for rows in tqdm(batches, desc="collect views", unit="batch", leave=False, dynamic_ncols=True):
         begun = env.reset()
-        image[0, rows], image[1, rows] = begun["pixels"], begun[ImageGoal.KEY]
+        for number, key in enumerate(READS):
+            image[number, rows] = begun[key].to(image.device)
         planar[0, rows], planar[1, rows] = env.task.motion.planar(begun["state"]).float().cpu(), begun["goal"].cpu()
         if (own := begun.get("scene", None)) is not None:
             scene[:, rows] = own.squeeze(1).cpu()
