@@ -23,12 +23,12 @@ RISES = 0.6
 0.32 on stairs."""
 FLAT_PATH = 0.1
 """Maximum share of a path along the direction in which it is narrowest, of those perpendicular to the images' right
-axes, for a camera that sweeps up and down. In trials it is 0.03 there, and 0.35 to 0.67 in walks around a place whose
-images lie on their side."""
-ALONG_OWN = (0.2, 0.85)
+axes, if that is up. In trials it is 0.03 for cameras that sweep up and down, and 0.35 to 0.67 in walks around a place
+whose images lie on their side."""
+ALONG_OWN = (0.2, 0.65)
 """Minimum shares of a path along the images' own up axes, of its whole extent and of that perpendicular to their right
-axes, for cameras that look straight down and one way, or look ahead and rise. In walks ahead, the latter is the sine of
-the angle by which cameras look down."""
+axes, for cameras that look steeply down and one way, or rise. On level ground the latter is the sine of the angle by
+which cameras look down, and where they rise its cosine: from 40° on, the former is likelier."""
 STRAIGHT_DOWN = (0.2, 0.7)
 """Maximum cosine between up and the images' own up axes (78°), and minimum cosine between it and the viewing
 directions, for a camera that looks straight down: its own up axes hardly say which of the two ways is up."""
@@ -38,8 +38,8 @@ def cameras_up(camera_to_world: Floats) -> Held:
     """Return the direction perpendicular to the cameras' right axes, on the side of their own up axes.
 
     Where all cameras look the same way, their right axes agree, and only the mean of their own up axes is left to
-    decide. If the path runs along that, cameras looked straight down at it: up is where it extends least. Cameras that
-    look straight down have up behind them.
+    decide. If the path runs along that, cameras looked steeply down: up is where it extends least. Cameras that look
+    straight down have up behind them.
 
     Args:
         camera_to_world: [N, 4, 4], OpenCV camera axes.
@@ -77,9 +77,14 @@ def share_along(centers: Floats, direction: Floats) -> float:
 
 
 def _runs_along(centers: Floats, own: Floats, side: Floats) -> bool:
-    """Return whether a path runs along the images' own up axis, perpendicular to their right axis."""
+    """Return whether a path runs along the images' own up axis, and is flat perpendicular to their right axis."""
     along, across = share_along(centers, own), share_along(centers, side)
-    return along > max(ALONG_OWN[0], ALONG_OWN[1] * math.sqrt(max(0.0, 1.0 - across**2)))
+    return _is_flat(centers, side) and along > max(ALONG_OWN[0], ALONG_OWN[1] * math.sqrt(max(0.0, 1.0 - across**2)))
+
+
+def _is_flat(centers: Floats, side: Floats) -> bool:
+    """Return whether a path is flat in one of the directions perpendicular to ``side``."""
+    return share_along(centers, _narrowest(centers, side)) <= FLAT_PATH
 
 
 def _narrowest(centers: Floats, side: Floats) -> Floats:
@@ -92,15 +97,12 @@ def on_its_side(camera_to_world: Floats) -> bool:
     """Return whether the images lie on their side, as in a film that a phone began while it pointed downwards.
 
     People walk on level ground, with turns. So the path is broad in all directions perpendicular to the right axes of
-    such images, but narrow in one of them where an upright camera ``sweeps`` up and down.
+    such images, but flat in one of them where an upright camera ``sweeps`` up and down.
 
     Args:
         camera_to_world: [N, 4, 4], OpenCV camera axes, in any frame.
     """
-    if not sweeps(camera_to_world):
-        return False
-    centers = camera_to_world[:, :3, 3]
-    return share_along(centers, _narrowest(centers, cameras_up(camera_to_world).side)) > FLAT_PATH
+    return sweeps(camera_to_world) and not _is_flat(camera_to_world[:, :3, 3], cameras_up(camera_to_world).side)
 
 
 def sweeps(camera_to_world: Floats) -> bool:
@@ -119,10 +121,11 @@ def sweeps(camera_to_world: Floats) -> bool:
     return own > max(LYING[0] * right, LYING[1])
 
 
-def looks_straight_down(camera_to_world: Floats) -> bool:
-    """Return whether the cameras seem to look straight down, all turned one way, as in a drone's survey.
+def looks_down_or_rises(camera_to_world: Floats) -> bool:
+    """Return whether cameras that look one way either look steeply down or rise.
 
-    They may instead look ahead and rise, as along the front of a house: their axes and paths are the same.
+    In a drone's survey, a camera that looks straight down and is always turned one way has the axes and the path of one
+    that looks ahead and rises along the front of a house.
 
     Args:
         camera_to_world: [N, 4, 4], OpenCV camera axes, in any frame.

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from splatrl.capture.base import Photos, Reconstruction
 from splatrl.capture.ground import upside_down
-from splatrl.capture.held import RISES, looks_straight_down, looks_up, on_its_side, share_along, sweeps
+from splatrl.capture.held import RISES, looks_down_or_rises, looks_up, on_its_side, share_along, sweeps
 from splatrl.capture.quarters import held_poses
 
 Floats = NDArray[np.float64]
@@ -40,9 +40,9 @@ SWEPT = (
     "Up may be wrong by a quarter turn: either the camera swept up and down, or the film lies on its side. Look around "
     "more while you film."
 )
-STRAIGHT_DOWN = (
-    "Up may be wrong by a quarter turn: the camera seems to have looked straight down, turned one way throughout, but "
-    "may have looked ahead and risen instead. Turn it to several sides while you film."
+LOOKED_DOWN = (
+    "Up may be wrong by a quarter turn: the camera looked one way throughout, and either steeply down, as is assumed, "
+    "or ahead as it rose. Turn it to several sides while you film."
 )
 ROSE = (
     "Up may be wrong by a quarter turn: the camera moved mostly along what seems to be up. Walk to and fro on level "
@@ -80,7 +80,7 @@ def doubt_of_up(camera_to_world: Floats, points: Floats, up: Floats, level: bool
     """
     doubts = {
         SWEPT: sweeps(camera_to_world),
-        STRAIGHT_DOWN: looks_straight_down(camera_to_world) and not level,
+        LOOKED_DOWN: looks_down_or_rises(camera_to_world) and not level,
         ROSE: share_along(camera_to_world[:, :3, 3], up) > RISES,
         TURNED_OVER: looks_up(camera_to_world, points, up, MOSTLY_ABOVE),
     }

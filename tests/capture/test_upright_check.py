@@ -74,10 +74,16 @@ def test_up_is_behind_cameras_that_look_straight_down_however_they_are_turned(se
     assert whole[2, 2] / np.linalg.norm(whole[2, :3]) > math.cos(math.radians(1.5))
 
 
+@pytest.mark.parametrize("pitch_deg", [-45.0, -60.0])
+def test_up_is_across_the_path_of_a_steady_camera_that_looks_steeply_down_ahead_but_uncertain(pitch_deg: float) -> None:
+    placed = place(filmed(3.0 * T - 1.5, 0.02 * np.sin(40 * T), ABOVE, 0.0, pitch_deg), marker=None)
+    assert off_deg(placed) < 1.5 and placed.up_error_deg is None
+
+
 def test_a_survey_that_may_be_a_rise_along_a_wall_has_no_known_errors_unless_gps_shows_that_it_is_level() -> None:
     placed = place(survey(), marker=None, camera_height=2.5)
     assert (placed.up_error_deg, placed.scale_error) == (None, None)
-    assert "may have looked ahead and risen instead" in str(placed.doubt)
+    assert "steeply down, as is assumed, or ahead as it rose" in str(placed.doubt)
     told = torch.tensor([46.0, 7.0]).double() + survey().camera_to_world[:, [1, 0], 3] / torch.tensor(
         [111_195.0, 111_195.0 * math.cos(math.radians(46.0))]
     )
