@@ -117,7 +117,8 @@ def problems(placed: Placed, found: Suggestions, quality: Quality, moving: Tenso
         "Its scale may be far off: it rests on a floor that was hardly seen, or on parts that may be joined wrongly. "
         "Film a printed marker, or measure a distance in the scene.": placed.metric
         and placed.scale_error is None
-        and placed.contradicted is None,
+        and placed.contradicted is None
+        and placed.doubt is None,
         "GPS positions of the photos do not give the scale: there are fewer than five, or they do not fit the camera's "
         "path.": not placed.metric and placed.reconstruction.gps is not None,
         f"{100 * missing:.0f} % of the images have no pose, among them {', '.join(placed.reconstruction.lost)}.": (
@@ -137,7 +138,11 @@ def problems(placed: Placed, found: Suggestions, quality: Quality, moving: Tenso
         "nobody in view for long, or with everyone behind the camera.": moved is not None,
         "No free pose with something to see was found on the path: set landmarks.goal yourself.": not found.goals,
     }
-    serious = [said for said in (lost_scale(placed), weak_scale(placed), leap(placed), placed.contradicted) if said]
+    serious = [
+        said
+        for said in (lost_scale(placed), weak_scale(placed), leap(placed), placed.contradicted, placed.doubt)
+        if said
+    ]
     return [*serious, *(text for text, wrong in checks.items() if wrong)]
 
 

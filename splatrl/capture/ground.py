@@ -7,7 +7,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from splatrl.capture.upright import ONE_WAY, Held, straightened
+from splatrl.capture.held import cameras_up, looks_up
+from splatrl.capture.upright import ONE_WAY, straightened
 
 Floats = NDArray[np.float64]
 UpFrom = Literal["recorded", "floor", "walls", "cameras"]
@@ -19,8 +20,6 @@ TOLERANCE = 0.025
 LARGEST_TILT = math.radians(10.0)
 """Largest angle between a floor's normal and the cameras' up, twice the error of the latter; beyond it, the plane is a
 slope or no floor."""
-LARGEST_LEAN = math.radians(35.0)
-"""How far people look up or down, and so how far off the cameras' own up may be where all of them look one way."""
 MIN_INLIERS = 100
 MIN_WIDTH = 0.15
 """Minimum deviation of a floor's points along its narrower side, in heights of the cameras: a narrower strip says
@@ -30,14 +29,9 @@ NEAR, LOW = 0.06, 0.15
 """Distance from a floor, in heights of the cameras, within which points belong to the ground, and the fraction of these
 points that lie below the level from which people measure heights: points lie on the blades of a lawn and the pile of a
 carpet, and are off to both sides."""
-LYING = (3.0, 0.1)
-"""Minimum ratio between the spreads in a plane (second eigenvalues) of the cameras' up axes and of their right axes,
-and minimum spread of the up axes, for a film that lies on its side; upright films have ratios of 0.03 to 0.4 and
-spreads of up to 0.13."""
-LOOKS_UP, OVERHEAD, FLAT = math.radians(5.0), 0.5, 0.1
-"""Minimum mean tilt above the horizon, and minimum fractions of the points that are above the cameras and that are on a
-floor there, for a film that is upside down. People hold cameras level or look down, by 0° to 28° in trials, and at most
-0.4 of what they film is above the cameras."""
+OVERHEAD, FLAT = 0.5, 0.1
+"""Minimum fractions of the points that are above the cameras and that are on a floor there, for a film that is upside
+down. At most 0.4 of what people film is above the cameras."""
 ERROR_DEG: dict[UpFrom, float] = {"recorded": 1.0, "floor": 1.5, "walls": 4.0, "cameras": 5.0}
 """Largest error found in trials, by the source of up; for cameras that look one way, their lean is added. On ground
 that slopes, a floor's normal is off by the slope."""
@@ -131,45 +125,6 @@ def _lowest(points: Floats, up: Floats) -> Floats:
     return points[heights <= np.quantile(heights, LOWEST)]
 
 
-def cameras_up(camera_to_world: Floats) -> Held:
-    """Return the direction perpendicular to the cameras' right axes, on the side of their own up axes.
-
-    Where all cameras look the same way, their right axes agree, and only the mean of their own up axes is left to
-    decide.
-
-    Args:
-        camera_to_world: [N, 4, 4], OpenCV camera axes.
-    """
-    right, own = camera_to_world[:, :3, 0], -camera_to_world[:, :3, 1].mean(0)
-    weights, up, side, lean = np.ones(len(right)), own, own, 0.0
-    for _ in range(10):  # reweighted against a few cameras held askew
-        values, vectors = np.linalg.eigh((right * weights[:, None]).T @ right / weights.sum())
-        up, side = vectors[:, 0], vectors[:, 2]
-        if values[1] < 4 * values[0] or values[1] < 0.003:
-            up, lean = own - side * (own @ side), LARGEST_LEAN
-            break
-        lean = math.atan(math.sqrt(max(values[0], 0.0) / values[1]))
-        weights = 1.0 / np.maximum(np.abs(right @ up), 0.02)
-    up = up / np.linalg.norm(up)
-    return Held(up if up @ own >= 0 else -up, side, lean)
-
-
-def on_its_side(camera_to_world: Floats) -> bool:
-    """Return whether the images lie on their side, as in a film that a phone began while it pointed downwards.
-
-    A person who turns around with an upright camera sweeps its right axis through the horizontal plane, and hardly
-    moves its up axis.
-
-    Args:
-        camera_to_world: [N, 4, 4], OpenCV camera axes, in any frame.
-    """
-    right, own = (
-        float(np.linalg.eigvalsh(axes.T @ axes / len(axes))[1])
-        for axes in (camera_to_world[:, :3, 0], camera_to_world[:, :3, 1])
-    )
-    return own > max(LYING[0] * right, LYING[1])
-
-
 def upside_down(camera_to_world: Floats, points: Floats) -> bool:
     """Return whether the images are upside down, like those of a camera that hung from its mount.
 
@@ -181,8 +136,7 @@ def upside_down(camera_to_world: Floats, points: Floats) -> bool:
         points: [P, 3] in that frame.
     """
     up, centers = cameras_up(camera_to_world).up, camera_to_world[:, :3, 3]
-    looks_up = float((camera_to_world[:, :3, 2] @ up).mean()) > math.sin(LOOKS_UP)
-    if not looks_up or float((points @ up > np.median(centers @ up)).mean()) <= OVERHEAD:
+    if not looks_up(camera_to_world, points, up, OVERHEAD):
         return False
     above, below = (_broad_floor(points, centers, way, LARGEST_TILT) for way in (-up, up))
     found = 0 if above is None else len(above[1])

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splatrl.capture.base import Reconstruction
-from splatrl.capture.ground import cameras_up
+from splatrl.capture.held import cameras_up
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

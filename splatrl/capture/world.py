@@ -18,6 +18,7 @@ from splatrl.capture.progress import Progress, silent
 from splatrl.capture.quarters import quarters
 from splatrl.capture.scale import Distance, ScaleFrom, contradiction, scale_by_distance, scale_by_gps
 from splatrl.capture.upright import entropy
+from splatrl.capture.upright_check import doubt_of_up
 from splatrl.values import require_number
 
 Floats = NDArray[np.float64]
@@ -54,11 +55,12 @@ class Placed:
             unknown, parts may be joined wrongly or something else that was stated contradicts it.
         up_from: source of the upward direction.
         up_error_deg: possible error of the upward direction, degrees; larger where parts may differ in scale, and None
-            where the camera leaps, or where it may have been turned by a quarter.
+            where the camera leaps, where it may have been turned by a quarter, or where ``doubt`` says so.
         camera_height: mean height of the cameras above the ground beneath them, as defined by ``mean_height``, metres.
         floor_points: number of points of the reconstruction that lie on the floor.
         contradicted: how a stated height or distance contradicts the source of the scale, in sentences; None where
             nothing does.
+        doubt: why up may be wrong by a quarter or half turn, in sentences; None where nothing suggests it.
         remarks: what is unusual about the ground, one sentence each.
     """
 
@@ -71,6 +73,7 @@ class Placed:
     camera_height: float
     floor_points: int
     contradicted: str | None = None
+    doubt: str | None = None
     remarks: tuple[str, ...] = ()
 
     @property
@@ -116,8 +119,8 @@ def place(
             f"expected at least 2 cameras and {FEWEST} points to find the floor, got {len(poses)} and {len(points)}"
         )
     turned = quarters(reconstruction)
-    sure = up is not None or turned.sure
-    lowest = find_ground(turned.undone(poses), points, None if up is None else up.double().numpy())
+    held = turned.undone(poses)
+    lowest = find_ground(held, points, None if up is None else up.double().numpy())
     footing = stood_on(lowest, poses[:, :3, 3], points)
     ground = footing.ground
     missing = len(poses) * reconstruction.missing / (1.0 - reconstruction.missing)
@@ -126,6 +129,8 @@ def place(
         raise CaptureError("expected a floor below the cameras, found none; film so that the floor is visible")
     above += ground.below
     scale, scale_from, error = _scale(reconstruction, footing, above, metric, marker, distance, camera_height, progress)
+    doubt = None if up is not None else doubt_of_up(held, points, ground.up, level=scale_from == "gps")
+    sure = up is not None or (turned.sure and doubt is None)
     deep = much_below(ground, poses[:, :3, 3], points, above)
     floor = ground.up_from != "cameras" and ground.inliers >= MIN_INLIERS and not deep and sure
     if scale_from == "camera_height" and not floor:
@@ -149,6 +154,7 @@ def place(
         scale * above,
         ground.inliers,
         contradicted,
+        doubt,
         _remarks(lowest, footing, scale, above, deep),
     )
 

@@ -23,7 +23,7 @@ from splatrl.scenes.formats import read_gaussians
 from splatrl.scenes.formats.limits import MAX_INFLATION
 from splatrl.scenes.frame import stated_similarity
 from splatrl.scenes.gaussians import Gaussians
-from splatrl.scenes.proposals import PROPOSALS, check_proposals, warn_of_scale
+from splatrl.scenes.proposals import PROPOSALS, check_proposals, warn_of_unknowns
 from splatrl.scenes.scene import Bounds, FreeSpace, Scene, checked_bounds
 
 BLOCKS_FILE = "blocks.yaml"
@@ -189,7 +189,7 @@ def read_blocks(
         ValueError: if the ``blocks.yaml`` is invalid; the message names the block and the key.
     """
     path, stated = folder / BLOCKS_FILE, read_blocks_description(folder)
-    warn_of_scale(folder, stated)
+    warn_of_unknowns(folder, stated)
     blocks = [_block(folder, number, entry, max_inflation) for number, entry in enumerate(stated["blocks"])]
     if bounds is None and "bounds" in stated:
         bounds = _bounds(str(path), stated["bounds"])

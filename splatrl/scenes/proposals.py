@@ -6,6 +6,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+ERRORS = {"up": "up_error_deg", "its scale": "scale_error"}
+"""The figures of a capture's ``quality`` that are null where nothing limits the error."""
+
 
 def check_proposals(source: object, stated: Mapping[str, Any]) -> None:
     """Refuse values that are invalid for their key; keys that are not in ``PROPOSALS`` are ignored.
@@ -22,10 +25,19 @@ def check_proposals(source: object, stated: Mapping[str, Any]) -> None:
             raise ValueError(f"{source}: {key}: expected {expected}, got {stated[key]!r}")
 
 
-def warn_of_scale(place: Path, stated: Mapping[str, Any]) -> None:
-    """Warn about a scene that states ``metric: false``."""
-    if stated.get("metric") is False:
+def warn_of_unknowns(place: Path, stated: Mapping[str, Any]) -> None:
+    """Warn about a scene that states ``metric: false``, or whose capture does not know how far up or the scale is off.
+
+    Args:
+        place: the scene's folder.
+        stated: keys and values of its ``scene.yaml``.
+    """
+    metric, quality = stated.get("metric", True), stated.get("quality", {})
+    unknown = [name for name, key in ERRORS.items() if quality.get(key, 0) is None and (metric or name != "its scale")]
+    if not metric:
         warnings.warn(f"{place}: not metric: its scale is unknown, so its lengths are not metres", stacklevel=3)
+    if unknown:
+        warnings.warn(f"{place}: {' and '.join(unknown)} may be far off; see the capture's report.html", stacklevel=3)
 
 
 def _number(value: object) -> bool:

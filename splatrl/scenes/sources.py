@@ -16,7 +16,7 @@ from splatrl.scenes.formats.limits import MAX_INFLATION
 from splatrl.scenes.formats.reading import META
 from splatrl.scenes.frame import checked_similarity, overridden, stated_similarity
 from splatrl.scenes.nerfstudio import DATAPARSER, stands, transform_beside
-from splatrl.scenes.proposals import warn_of_scale
+from splatrl.scenes.proposals import warn_of_unknowns
 from splatrl.scenes.scene import Bounds, FreeSpace, Scene, checked_bounds, robust_bounds
 from splatrl.scenes.yard import backyard_gaussians
 from splatrl.scenes.yard.layout import HALF_WIDTH
@@ -58,7 +58,7 @@ def read_scene(
     A folder holds the splat file and a ``scene.yaml`` with the keys ``splat`` (the file's name), ``name``,
     ``world_from_splat`` and ``bounds``, and those of ``PROPOSALS``, which propose training settings. Arguments override
     its values, key by key: those of the transform too, which may be stated in the other form than it is typed. A folder
-    that states ``metric: false`` causes a warning.
+    that states ``metric: false``, or whose capture does not know how far up or the scale is off, causes a warning.
 
     A folder with a ``blocks.yaml`` and no ``scene.yaml`` is a ``BlockScene``, whose splat files are read only when they
     are needed.
@@ -94,7 +94,7 @@ def read_scene(
     fallback, free = splat_name(splat), None
     if splat.is_dir():
         stated, fallback = read_description(splat), splat.resolve().name
-        warn_of_scale(splat, stated)
+        warn_of_unknowns(splat, stated)
         source = splat / SCENE_FILE
         free = None if _says_something(world_from_splat) else FreeSpace.stated(source, stated)
         splat = splat / stated["splat"]

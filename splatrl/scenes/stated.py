@@ -171,6 +171,8 @@ def described_upright(gaussians: Gaussians, metric: bool) -> Upright:
     return replace(
         guessed,
         floor=0.0,
+        axis_guess=Guess(GIVEN, "z in scene.yaml"),
+        sign_guess=Guess(GIVEN, "z in scene.yaml"),
         floor_guess=Guess(GIVEN, f"z = 0 in scene.yaml; {seen}"),
         metres_per_unit=1.0,
         units_guess=Guess(GIVEN, "scene.yaml states the scale" + ("" if metric else ", and that it is unknown")),

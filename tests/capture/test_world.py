@@ -14,7 +14,8 @@ from splatrl.capture import world
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.check import Quality
 from splatrl.capture.folder import problems
-from splatrl.capture.ground import MIN_INLIERS, Ground, cameras_up, find_ground, on_its_side, upside_down
+from splatrl.capture.ground import MIN_INLIERS, Ground, find_ground, upside_down
+from splatrl.capture.held import cameras_up, on_its_side
 from splatrl.capture.marker import MarkerScale
 from splatrl.capture.scale import Click, Distance, clicked_point
 from splatrl.capture.suggestions import NOTHING
@@ -213,7 +214,7 @@ def test_the_advice_on_images_that_are_not_upright_depends_on_their_source(
     assert why_not_upright(walk(), photos) is None
     lying[:, :3, 0], lying[:, :3, 1] = walk().camera_to_world[:, :3, 1], -walk().camera_to_world[:, :3, 0]
     turned[:, :3, :2] *= -1.0
-    for poses, what, advice in ((lying, "lie on their side", side), (turned, "are upside down", over)):
+    for poses, what, advice in ((lying, "lie on their side", side), (turned, "seem to be upside down", over)):
         said = why_not_upright(replace(walk(), camera_to_world=poses), photos)
         assert said is not None and what in said and advice in said
 

@@ -365,7 +365,7 @@ def test_a_capture_that_cannot_work_is_refused_with_its_cause(
     ("judge", "message"),
     [
         ("on_its_side", r"splatrl-capture: images lie on their side: .* --force"),
-        ("upside_down", r"splatrl-capture: images are upside down: .* --force"),
+        ("upside_down", r"splatrl-capture: images seem to be upside down: .* --force"),
     ],
 )
 def test_a_video_that_is_not_upright_is_refused_before_the_fit(

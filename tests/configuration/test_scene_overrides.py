@@ -1,5 +1,6 @@
 """A scene folder is all that a training needs, its values are data, and the command line overrides them."""
 
+import warnings
 from pathlib import Path
 
 import pytest
@@ -143,6 +144,26 @@ def test_invalid_values_in_a_scene_folder_are_refused(line: str, message: str, g
     if key == "robot_height":
         with pytest.raises(ValueError, match="robot_height"):
             write_description(garden, "splat.ply", "x", {}, ((0, 0, 0), (1, 1, 1)), True, {key: value})
+
+
+@pytest.mark.parametrize(
+    ("metric", "up", "scale", "said"),
+    [
+        ("true", "null", "null", ["up and its scale may be far off; see the capture's report.html"]),
+        ("true", "null", "0.05", ["up may be far off; see the capture's report.html"]),
+        ("false", "1.5", "null", ["not metric: its scale is unknown, so its lengths are not metres"]),
+        ("true", "1.5", "0.05", []),
+    ],
+)
+def test_a_scene_whose_capture_does_not_know_how_far_up_or_the_scale_is_off_causes_a_warning(
+    garden: Path, metric: str, up: str, scale: str, said: list[str]
+) -> None:
+    quality = f"quality:\n  up_error_deg: {up}\n  scale_error: {scale}\n"
+    (garden / "scene.yaml").write_text(f"splat: splat.ply\nmetric: {metric}\n{quality}")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        read_scene(garden)
+    assert [str(warning.message) for warning in caught] == [f"{garden}: {each}" for each in said]
 
 
 def test_a_scene_of_unknown_scale_causes_a_warning(garden: Path) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from PIL import Image
 
-from splatrl.capture.ground import cameras_up, on_its_side
+from splatrl.capture.held import cameras_up, on_its_side
 from splatrl.capture.recordings.base import Floats
 
 TRANSPOSED = {1: Image.Transpose.ROTATE_90, 2: Image.Transpose.ROTATE_180, 3: Image.Transpose.ROTATE_270}
