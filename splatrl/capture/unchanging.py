@@ -42,8 +42,8 @@ deck ends, and only edges tell them apart."""
 GROWN = 3
 """Pixels, at ``LONGEST``, by which parts are grown: features next to them would show both."""
 LINE, BESIDE = 24, 28
-"""Maximum height of a part that may be a line or two of writing, if it is no higher than wide, and what is left out to either side of it, pixels at
-``LONGEST``: the digits of a clock change."""
+"""Maximum height of a part that may be a line or two of writing, if it is no higher than wide, and what is left out to
+either side of it, pixels at ``LONGEST``: the digits of a clock change."""
 
 
 def with_mask(photos: Photos, folder: Path, progress: Progress = silent) -> Photos:
