@@ -23,6 +23,9 @@ FAST: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """PyYAML's parser in C, ten times as fast, or the one in Python where PyYAML was built without it."""
 INVALID = (yaml.YAMLError, OmegaConfBaseException, AssertionError, RecursionError, ValueError, TypeError, LookupError)
 """What PyYAML and OmegaConf raise for a text that is not YAML or cannot be plain values."""
+TAGS = "tag:yaml.org,2002:"
+PLAIN = ("!", *(TAGS + kind for kind in ("null", "bool", "int", "float", "str", "seq", "map")))
+"""The tags of plain values; ``!`` stands for text, or a plain list or mapping."""
 REFERENCE = re.compile(r"\$\{[\w.]+\}")
 """A reference to another key, such as ${robot.height}: the entire value, so that nothing grows, and no resolver."""
 
@@ -36,7 +39,8 @@ def read_yaml(path: Path, limit: int = MAX_YAML) -> Any:
 
     Raises:
         FileNotFoundError: if there is no such file.
-        ValueError: for a file that is too large, nested too deeply, not YAML, or that uses aliases.
+        ValueError: for a file that is too large, nested too deeply or not YAML, or that uses aliases, or tags of other
+            than plain values.
     """
     return _read(path, limit)[1]
 
@@ -70,7 +74,7 @@ def _read(path: Path, limit: int) -> tuple[Any, Any]:
         config = OmegaConf.create(text)
         return config, OmegaConf.to_container(config, resolve=False)
     except INVALID as error:
-        raise ValueError(f"{path}: expected plain YAML, got {_problem(error)}") from error
+        raise ValueError(f"{path}: expected plain YAML, got {_problem(error, text)}") from error
 
 
 def read_json(path: Path, limit: int = MAX_JSON) -> Any:
@@ -128,7 +132,7 @@ def _text(path: Path, limit: int) -> str:
 
 
 def _check_events(text: str, loader: Any) -> None:
-    """Refuse aliases and deep nesting in one pass over the parser's events, before any object is built."""
+    """Refuse aliases, unusual tags and deep nesting in one pass over the parser's events, before objects are built."""
     depth = 0
     for event in yaml.parse(text, Loader=loader):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
@@ -136,10 +140,16 @@ def _check_events(text: str, loader: Any) -> None:
             raise ValueError(f"values nested more than {MAX_DEPTH} deep")
         if isinstance(event, yaml.AliasEvent):
             raise ValueError(f"the alias *{event.anchor}")
+        tag = getattr(event, "tag", None)
+        if tag is not None and tag not in PLAIN:
+            raise ValueError(f"the tag {tag.replace(TAGS, '!!')} in line {event.start_mark.line + 1}")
 
 
-def _problem(error: Exception) -> str:
+def _problem(error: Exception, text: str) -> str:
     """Return in one line what is wrong with a YAML text; the parser's own message quotes the text in several."""
+    if isinstance(error, yaml.reader.ReaderError):
+        line, column = text.count("\n", 0, error.position) + 1, error.position - text.rfind("\n", 0, error.position)
+        return f"an error in line {line}, column {column}: the character {chr(error.character)!r}"
     if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
         line, column = error.problem_mark.line + 1, error.problem_mark.column + 1
         return f"an error in line {line}, column {column}: {error.problem}"

@@ -63,7 +63,9 @@ def experiment(cfg: DictConfig) -> None:
     failed: list[Run] = []
     if not cfg.report_only:
         check_settings(runs, cfg.fresh)
-        print(statement([budget(asked) for asked in experiments], min(jobs, len(runs))), flush=True)
+        left_out = [line for asked in experiments for line in asked.left_out]
+        stated = statement([budget(asked) for asked in experiments], min(jobs, len(runs)))
+        print("\n".join([*left_out, stated]), flush=True)
         failed = train_all(experiments, jobs, max(1, cores // jobs), TRAIN)
     reports = report_all(experiments, folder, machine(jobs))
     methods = {} if cfg.report_only else {name: nodes[name]["score"] for name in names}

@@ -15,7 +15,7 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from splatrl.configuration.grammar import overrides_parser, readable
+from splatrl.configuration.grammar import bare, overrides_parser, quoted, readable
 from splatrl.configuration.key_help import help_page, key_help
 from splatrl.configuration.kinds import check_kind, value_of
 from splatrl.configuration.known_keys import check_key
@@ -192,6 +192,9 @@ def _parsed(word: str, sweeps: bool) -> Override:
     try:
         override: Override = overrides_parser().parse_override(word)
     except HydraException as error:
+        if (parts := word.partition("=")[2]).startswith("[") and "=" in parts:
+            elements = ",".join(quoted(bare(one.strip())) for one in parts.strip("[]").split(","))
+            raise UserError(f'{key}: expected each element in quotes: "{key}=[{elements}]"') from error
         raise UserError(f"{word}: expected {key}=value with balanced brackets and special characters quoted") from error
     if override.is_sweep_override() and not sweeps:
         text = word.partition("=")[2]
@@ -258,13 +261,15 @@ def _check_plugin(override: Override) -> None:
 
 
 def _check_places(name: str, chosen: Sequence[str]) -> None:
-    """Refuse a choice for a place that no config has, such as ``motion@task.motin``."""
-    keys = [word.partition("=")[0] for word in chosen]
+    """Refuse a choice for a place that no config has, such as ``motion@task.motin``, or of a group that is not used."""
+    keys, known = [word.partition("=")[0] for word in chosen], choice_keys(name, [])
     with suppress(HydraException):
         known = choice_keys(name, [word for word, key in zip(chosen, keys, strict=True) if "@" not in key])
-        for key in (key for key in keys if "@" in key and key not in known):
-            if valid := [one for one in known if one.startswith(f"{key.partition('@')[0]}@")]:
-                raise UserError(f"{key}: expected {' or '.join(valid)} as the key, got {key}")
+    for key in (key for key in keys if key not in known):
+        if valid := [one for one in known if one.startswith(f"{key.partition('@')[0]}@")]:
+            raise UserError(f"{key}: expected {' or '.join(valid)} as the key, got {key}")
+        if "@" not in key:
+            check_key(key, [{"": load_config(name=name)}])
 
 
 def _check_run(override: Override) -> None:

@@ -27,6 +27,10 @@ from splatrl.values import flat
 
 PLACE = ("scene", "robot", "landmarks", "task", "collision", "renderer")
 """Nodes of a run's config that describe the place in which it was trained."""
+TRANSFORMS = "transforms"
+"""The node, and the folder of config groups, of what delays, alters or repeats; a run's own hold at any place."""
+SEEN = (TRANSFORMS, "around_drawing", "drawing")
+"""Nodes that the choice of a transform sets."""
 OF_A_SCENE = ("scene", "landmarks", "task.motion.lower", "task.motion.upper")
 """Overrides that belong to one scene and do not carry over to another."""
 OF_A_RUN = ("hydra", "resume", "resume_changed", "allow_targets", "view")
@@ -36,11 +40,10 @@ TYPED = Path(".hydra", "overrides.yaml")
 
 
 def placed(cfg: DictConfig, place: DictConfig) -> DictConfig:
-    """Return the config of a run, moved to the place of another config, and without pose noise."""
+    """Return the config of a run, moved to the place of another config; its transforms are those of the run."""
     cfg = cfg.copy()
     for key in PLACE:
         cfg[key] = place[key]
-    cfg.transforms.pose_noise = {}
     return cfg
 
 
@@ -53,8 +56,9 @@ def config_elsewhere(folder: Path, words: Sequence[str], allow_targets: Sequence
     Args:
         folder: the run folder, which need not be trusted.
         words: overrides of the place, such as ``scene=kitchen``; choosing a scene also drops the overrides of the
-            original scene's goals and bounds, and what that scene proposed. Settings that a resumption changed hold.
-            Without any, the config is the run's own.
+            original scene's goals and bounds, and what that scene proposed. Transforms stay the run's own unless some
+            are chosen, such as ``transforms/latency=none``. Settings that a resumption changed hold. Without any, the
+            config is the run's own.
         allow_targets: see ``run_config``.
 
     Raises:
@@ -91,7 +95,11 @@ def config_elsewhere(folder: Path, words: Sequence[str], allow_targets: Sequence
             OmegaConf.update(there, key, value)
     there.allow_targets = list(allow_targets)
     check_constructors(there)
-    return placed(own, there)
+    moved = placed(own, there)
+    if any(key.startswith(f"{TRANSFORMS}.") for key in chosen):
+        for key in SEEN:
+            moved[key] = there.get(key)
+    return moved
 
 
 def _with_files(own: DictConfig, words: Sequence[str]) -> tuple[DictConfig, list[str]]:
@@ -131,7 +139,7 @@ def _changed_later(own: DictConfig, typed: Sequence[str]) -> dict[str, Any]:
     except HydraException:  # typed for other configs than those of today
         return {}
     nodes = [
-        cast(dict[str, Any], OmegaConf.to_container(OmegaConf.masked_copy(cfg, list(PLACE)))) for cfg in (then, own)
+        cast(dict[str, Any], OmegaConf.to_container(OmegaConf.masked_copy(cfg, [*PLACE, *SEEN]))) for cfg in (then, own)
     ]
     began, now = (dict(flat(node)) for node in nodes)
     return {key: value for key, value in now.items() if key in began and value != began[key]}
@@ -140,7 +148,8 @@ def _changed_later(own: DictConfig, typed: Sequence[str]) -> dict[str, Any]:
 def words_of_place(words: Sequence[str]) -> tuple[list[str], list[str]]:
     """Split command-line overrides into those of a run's place and all others."""
     keys = {word: _key(word) for word in words if "=" in word}
-    mine = [word for word, key in keys.items() if key.partition(".")[0] in PLACE or key in NAMES_OR_PATHS]
+    nodes = (*PLACE, TRANSFORMS)
+    mine = [word for word, key in keys.items() if key.partition(".")[0] in nodes or key in NAMES_OR_PATHS]
     return mine, [word for word in words if word not in mine]
 
 

@@ -45,12 +45,23 @@ def _of_view(arguments: Sequence[str]) -> list[str]:
 
 def _with_place(arguments: Sequence[str]) -> list[str]:
     """Collect overrides that describe the place of a run, such as ``scene=kitchen``, in one list, ``place``."""
-    place, words = words_of_place(arguments)
+    place, words = words_of_place(_without_plus(arguments))
     return [*words, f"place=[{','.join(map(quoted, place))}]"] if place else words
+
+
+def _without_plus(arguments: Sequence[str]) -> list[str]:
+    """Drop the ``+`` of words that would add a key, which the command would not read; unknown keys are then refused.
+
+    Choices for a place that they name (``+experiment@experiments.mine=mine``) and words about Hydra itself stay.
+    """
+    plain = [word.lstrip("+") for word in arguments]
+    stay = [word.startswith("hydra") or "@" in word.partition("=")[0] for word in plain]
+    return [old if stays else new for old, new, stays in zip(arguments, plain, stay, strict=True)]
 
 
 SPELLED: dict[str, Callable[[Sequence[str]], list[str]]] = {
     "evaluate": _of_evaluation,
+    "experiment": _without_plus,
     "view": _of_view,
     "export": _with_place,
     "clips": _with_place,

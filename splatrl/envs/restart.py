@@ -86,6 +86,19 @@ def maybe_reset(env: EnvBase, after: TensorDictBase) -> TensorDictBase:
     return TensorDict._new_unsafe(values, batch_size=after.batch_size, device=after.device)
 
 
+class StateWhenAsked(EnvBase):
+    """An env that begins at a given state only with ``reset(td, set_state=True)``, as all do from TorchRL 0.15 on.
+
+    TorchRL 0.14 also honours a state without it, with a warning: in a loop that passes the last step with ``_reset`` to
+    ``reset``, new episodes would begin where the last ones ended.
+    """
+
+    def _resolve_set_state(
+        self, set_state: bool | None, tensordict: TensorDictBase | None, select_reset_only: bool
+    ) -> bool | None:
+        return super()._resolve_set_state(bool(set_state), tensordict, select_reset_only)
+
+
 def _reset_where(env: EnvBase, mask: Tensor, given: Mapping[str, Tensor] | None = None) -> TensorDictBase:
     """Reset the rows of an env that a mask selects, [B, 1] bool; in other rows the result [B] may hold anything."""
     asked = TensorDict({**(given or {}), "_reset": mask}, env.batch_size, device=env.device)

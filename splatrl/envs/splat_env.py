@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.envs import EnvBase, Transform, TransformedEnv
+from torchrl.envs import Transform, TransformedEnv
 
 from splatrl.collision.base import Checker
 from splatrl.collision.nothing import NoChecker
@@ -19,7 +19,7 @@ from splatrl.curriculum.starts import Curriculum
 from splatrl.envs.drawing.base import Drawing
 from splatrl.envs.given import check_actions, check_default_dtype, check_memory, check_seeds, given_scene, given_state
 from splatrl.envs.lattice_steps import LatticeSteps, Taken, suits
-from splatrl.envs.restart import maybe_reset, with_rows
+from splatrl.envs.restart import StateWhenAsked, maybe_reset, with_rows
 from splatrl.envs.robot import Robot
 from splatrl.envs.senses import Senses, Standing
 from splatrl.envs.sensors.base import Sensor
@@ -29,7 +29,7 @@ from splatrl.envs.tasks.base import NOTHING, Anywhere, Outcome, Step, Task
 from splatrl.faults import Faulty
 
 
-class SplatEnv(EnvBase):
+class SplatEnv(StateWhenAsked):
     """B robots that see, move and collide in splat scenes: a batch-locked TorchRL env.
 
     The complete state of an episode travels in the TensorDict, so the env itself holds only its random generator and

@@ -10,12 +10,12 @@ from torch import Tensor
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
 from splatrl.envs.nesting import refuse_frame_skip
-from splatrl.envs.restart import maybe_reset
+from splatrl.envs.restart import StateWhenAsked, maybe_reset
 
 BASE = "base_env."
 
 
-class StatefulEnv(TransformedEnv):
+class StatefulEnv(StateWhenAsked, TransformedEnv):
     """TorchRL's transformed env, whose ``state_dict()`` also holds the base env's generator and curriculum.
 
     ``TransformedEnv`` saves only the state of its transforms, so an env restored from it would continue differently.
@@ -62,6 +62,11 @@ class StatefulEnv(TransformedEnv):
             if isinstance(old, Tensor) and (old.shape, old.dtype) == (new.shape, new.dtype):
                 after[key] = torch.where(stepping.view(-1, *[1] * (new.ndim - 1)), new, old)
         return after
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        if tensordict is not None and "_reset" in tensordict and not kwargs.get("set_state"):
+            tensordict = tensordict.select("_reset")  # the rest is what the last episodes left
+        return super()._reset(tensordict, **kwargs)
 
     def maybe_reset(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Reset robots whose episode has ended; see ``EnvBase.maybe_reset``."""

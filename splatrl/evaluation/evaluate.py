@@ -1,5 +1,6 @@
 """Evaluates a trained policy over its start set, and writes numbers and pictures into the run folder."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from tqdm import tqdm
 
 from splatrl.curriculum import Plan
 from splatrl.documents import write_json
+from splatrl.envs.transforms import simulated
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.episode_sets import EPISODES
 from splatrl.evaluation.pictures import Pictures
@@ -73,6 +75,7 @@ def evaluate(
         The content of ``evaluation.json``, and the files of the pictures and videos.
     """
     facts = _facts_of_training(checkpoint, folder) | {"checkpoint": settings.checkpoint, "seed": seed}
+    facts["transforms"] = simulated(world.make_transforms())
     plans = [one.plan for one in world.worlds]
     if settings.episodes is None:
         starts = spread_starts(world, settings.starts)
@@ -173,8 +176,9 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
     else:
         rates.append(f"collisions {summary['collision_rate']:.3f}")
         where = f"over {summary['evaluated_starts']:,} of {summary['start_poses']:,} start poses"
+    under = ", ".join(re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower() for name in summary["transforms"])
     level = f"curriculum level {summary['level']}"
     return [
-        f"{', '.join(rates)} {where}",
+        f"{', '.join(rates)} {where}{f', under {under}' if under else ''}",
         f"{summary['frames']:,} frames in {summary['wall_seconds']:.0f} s, {level}",
     ]

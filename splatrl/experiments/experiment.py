@@ -80,6 +80,7 @@ class Experiment:
         threshold: test success for which the report gives the frames and minutes needed.
         folder: folder of the report and of the run folders.
         runs: all trainings, ordered by seed so that early reports cover every arm.
+        left_out: a sentence for each arm that would repeat another one's trainings in a scene.
     """
 
     name: str
@@ -92,6 +93,7 @@ class Experiment:
     threshold: float
     folder: Path
     runs: tuple[Run, ...]
+    left_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ class Selection:
 
     Attributes:
         seeds: seeds to train.
-        frames: frames of each training.
+        frames: frames of each training; arms that differ from an earlier one only in theirs are left out.
         scenes: scenes in which to train; an arm skips scenes that only other arms name, and every arm takes the rest.
     """
 
@@ -138,7 +140,8 @@ def planned(
     """
     selection = selection or Selection()
     home = folder / name
-    runs: list[tuple[int, Run]] = []
+    runs, left_out = list[tuple[int, Run]](), list[str]()
+    planned_in: dict[str, list[tuple[str, dict[str, Any]]]] = {}
     arms = {}
     for key, values in node["arms"].items():
         arms[key] = Arm(**_checked(values, {field.name for field in fields(Arm)}, f"experiments.{name}.arms.{key}"))
@@ -155,14 +158,24 @@ def planned(
                 config = compose(overrides)
             except ValueError as error:
                 raise ValueError(f"{where}: {error}") from error
+            others = planned_in.setdefault(scene, [])
+            same = [label for label, known in others if selection.frames is not None and known == config]
+            if same:
+                alike = (
+                    f"{scene}: {arm.label} is left out, since with {selection.frames:,} frames it is the same training"
+                )
+                left_out.append(f"{alike} as {same[0]}.")
+                continue
+            others.append((arm.label, config))
             for place, seed in enumerate(arm.seeds if selection.seeds is None else selection.seeds):
                 own = (*overrides, f"seed={seed}")
                 run_folder = home / f"{scene}-{key}-s{seed}"
                 runs.append((place, Run(scene, key, arm.label, seed, run_folder, own, {**config, "seed": seed})))
     ordered = tuple(run for _, run in sorted(runs, key=lambda entry: entry[0]))
-    own_keys = {field.name for field in fields(Experiment)} - {"name", "folder", "runs"}
+    own_keys = {field.name for field in fields(Experiment)} - {"name", "folder", "runs", "left_out"}
     known = _checked(node, own_keys | {"arms", "prepare", "score"}, f"experiments.{name}")
-    return Experiment(name=name, folder=home, runs=ordered, **{key: known[key] for key in own_keys})
+    texts = {key: known[key] for key in own_keys}
+    return Experiment(name=name, folder=home, runs=ordered, left_out=tuple(left_out), **texts)
 
 
 def _checked(node: Mapping[str, Any], keys: set[str], where: str) -> dict[str, Any]:

@@ -102,6 +102,7 @@ def _section(
     lines += ["**Results.**", "", *sentences, *verdicts(found), ""]
     if finished < len(experiment.runs):
         lines += [f"*{finished} of {len(experiment.runs)} trainings are finished; the others are left out.*", ""]
+    lines += [line for each in experiment.left_out for line in (f"*{each}*", "")]
     lines += [*main_table(found), ""]
     if heading == "#":
         lines += [EXPLANATION, ""]

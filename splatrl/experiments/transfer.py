@@ -36,7 +36,7 @@ def score_everywhere(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
 
 
 def score_in(runs: Sequence[Run], places: Mapping[str, DictConfig]) -> list[dict[str, Any]]:
-    """Test finished runs in each of the given places; see ``score_everywhere``.
+    """Test finished runs in each of the given places without pose noise; see ``score_everywhere``.
 
     Args:
         runs: finished runs with the same task and motion.
@@ -48,6 +48,7 @@ def score_in(runs: Sequence[Run], places: Mapping[str, DictConfig]) -> list[dict
         own = run_config(run.folder)
         for name, place in places.items():
             cfg = placed(own, place)
+            cfg.transforms.pose_noise = {}
             key = name, OmegaConf.to_yaml({"of": [cfg.sensors, cfg.transforms, cfg.network]})  # what envs depend on
             if key not in worlds:
                 worlds[key] = build_world(cfg)

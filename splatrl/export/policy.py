@@ -11,7 +11,7 @@ from torchrl.envs import EnvBase, InitTracker, Transform
 from torchrl.modules import ActorValueOperator
 
 from splatrl.envs.nesting import layers
-from splatrl.envs.transforms import Appearance, FrameStack, Latency, PoseNoise, Weather
+from splatrl.envs.transforms import SIMULATED, FrameStack, simulated
 from splatrl.training.beside import actors_trunk
 from splatrl.training.heads import distribution
 from splatrl.training.memory import STATE, Memory, RecurrentReset
@@ -20,8 +20,6 @@ FRAMES = "frames"
 """Name of the state that holds the past views of a policy with stacked frames."""
 NEXT = "next_"
 """Prefix of the outputs that hold the states for the next step."""
-SIMULATED = (Appearance, Latency, PoseNoise, Weather)
-"""Transforms that make the simulation more like reality; with a real camera none of them is needed."""
 REMEMBERING = (FrameStack, InitTracker, RecurrentReset)
 """Transforms whose work ``StandalonePolicy`` does itself."""
 
@@ -136,4 +134,4 @@ def _left_out(env: EnvBase) -> list[str]:
     if strange:
         known = ", ".join(kind.__name__ for kind in (*SIMULATED, FrameStack))
         raise ValueError(f"transforms: expected only those that can be exported ({known}), got {', '.join(strange)}")
-    return [type(each).__name__ for each in transforms if isinstance(each, SIMULATED)]
+    return simulated(transforms)

@@ -79,7 +79,12 @@ class Cloner:
                 float32; ``frame`` [N] int64, 0 where episodes begin.
             epochs: passes over the frames; None takes the number in the settings.
             anneal: whether the learning rate falls linearly to zero over these passes.
+
+        Raises:
+            ValueError: for frames that begin within an episode, of which a memory lacks what came before.
         """
+        if int(shown["frame"][0]) != 0:
+            raise ValueError(f"frame: expected 0 first, where an episode begins, got {int(shown['frame'][0])}")
         loss, passes = 0.0, self.settings.epochs if epochs is None else epochs
         total = passes * len(shown["target"])
         with tqdm(total=total, desc="imitate", unit="frame", leave=False, dynamic_ncols=True) as bar:

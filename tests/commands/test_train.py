@@ -222,22 +222,25 @@ def test_evaluating_again_gives_the_same_results(run: tuple[Path, str]) -> None:
 
 
 def test_an_evaluation_in_another_scene_has_its_own_folder(
-    run: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, other = run[0], two_rooms(tmp_path)[1]
     before = (folder / "evaluation.json").read_bytes()
-    words = [f"scene={other}", "robot.height=0.3", "video=false", "starts=6"]
+    words = [f"scene={other}", "robot.height=0.3", "transforms/pose_noise=uniform", "video=false", "starts=6"]
     monkeypatch.setattr(sys, "argv", ["splatrl-evaluate", f"run={folder}", *words])
     evaluate.main()
-    there = folder / "places" / f"{other.stem}-robot.height=0.3"
-    assert json.loads((there / "evaluation.json").read_text())["evaluated_starts"] == 6
+    there = folder / "places" / f"{other.stem}-robot.height=0.3-transforms-pose_noise=uniform"
+    noisy = json.loads((there / "evaluation.json").read_text())
+    assert noisy["evaluated_starts"] == 6
+    assert noisy["transforms"] == ["PoseNoise"] and ", under pose noise\n" in capsys.readouterr().out
+    assert not json.loads(before)["transforms"] and ", under" not in run[1]
     assert (there / "success_map.png").is_file() and (folder / "evaluation.json").read_bytes() == before
-    place = config_elsewhere(folder, words[:2])
+    place = config_elsewhere(folder, words[:3])
     own = run_config(folder)
     assert place.scene.path == str(other) and place.robot.height == 0.3
     assert place.task.max_steps == own.task.max_steps and place.collector == own.collector
     assert list(place.task.motion.lower) == [4.0, -1.5] and list(own.task.motion.lower) != [4.0, -1.5]
-    assert words_of_place([f"run={folder}", *words]) == (words[:2], [f"run={folder}", *words[2:]])
+    assert words_of_place([f"run={folder}", *words]) == (words[:3], [f"run={folder}", *words[3:]])
     assert words_of_place(["motion@task.motion=drive", "task.max_steps=9", "starts=6"])[1] == ["starts=6"]
 
 

@@ -176,6 +176,15 @@ ERRORS = [
     # The other commands.
     ("evaluate", "run: expected a value, got none; type run=<run folder>"),
     ("evaluate nowhere", "nowhere: expected key=value; did you mean run=nowhere?"),
+    ("evaluate run=empty +foo=3", "foo: no such key. Valid keys at the top level: run, place,"),
+    ("clips run=empty ++checkpont=best", "checkpont: no such key, did you mean checkpoint?"),
+    ("experiment name=grid +foo=3", "foo: no such key"),
+    ("evaluate run=empty +memory=none", "memory: no such key. Valid keys at the top level: run, place,"),
+    ("train motion=drive", "motion: expected motion@task.motion as the key, got motion"),
+    (
+        "evaluate run=empty place=[scene=kitchen,transforms/latency=none]",
+        "place: expected each element in quotes: \"place=['scene=kitchen','transforms/latency=none']\"",
+    ),
     ("evaluate run=empty", "run: expected a run folder with config.yaml, got empty"),
     ("clips run=nowhere clips=x", "run: expected a run folder with config.yaml, got nowhere"),
     ("experiment", "name: expected one of grid, fps, apple, sim2real, loop"),

@@ -170,6 +170,32 @@ def test_all_commands_that_read_a_run_are_told_in_the_same_way_where_its_files_a
     assert place == r"place=['scene.path=home','robot.path=mine.xml']"
 
 
+@pytest.mark.parametrize("command", ["evaluate", "view", "export", "clips", "replay"])
+@pytest.mark.parametrize("plus", ["", "+"])
+def test_all_commands_that_read_a_run_take_transforms_as_part_of_the_place(
+    command: str, plus: str, tmp_path: Path
+) -> None:
+    run = trained(tmp_path / "run", [])
+    folder = f"{'demos' if command == 'replay' else 'run'}={run}"
+    *_, place = command_line(command, [folder, f"{plus}transforms/latency=none"])
+    assert place == r"place=['transforms/latency=none']"
+
+
+def test_a_run_keeps_its_transforms_elsewhere_except_those_that_are_chosen(tmp_path: Path) -> None:
+    words = ["transforms/latency=varied", "transforms/appearance=weather", "transforms/pose_noise=uniform"]
+    run = trained(tmp_path / "run", ["scene=garden/", "memory=stack", *words])
+    changes = [f"resume={run}", "resume_changed=true", "transforms.pose_noise.height=0.01"]
+    save_config(resumed_config(run, changes), run)
+    own, there = run_config(run), config_elsewhere(run, ["scene=backyard"])
+    assert there.transforms == own.transforms and there.around_drawing == own.around_drawing
+    steady = config_elsewhere(run, ["scene=backyard", "transforms/latency=none", "transforms/appearance=none"])
+    assert not steady.transforms.latency and not steady.transforms.appearance and not steady.around_drawing
+    assert steady.transforms.stack == own.transforms.stack and steady.transforms.pose_noise.height == 0.01
+    foggy = config_elsewhere(run, ["transforms.appearance.rain=0"])
+    assert foggy.transforms.appearance == {**own.transforms.appearance, "rain": 0}
+    assert foggy.around_drawing and foggy.transforms.latency == own.transforms.latency
+
+
 def test_changed_settings_are_allowed_for_one_resumption_only(tmp_path: Path) -> None:
     run = trained(tmp_path / "run", ["scene=garden/"])
     changed = resumed_config(run, [f"resume={run}", "resume_changed=true", "loss.gamma=0.9", "view=true"])

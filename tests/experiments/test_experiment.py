@@ -33,6 +33,17 @@ def test_seeds_frames_and_scenes_can_be_chosen(tmp_path: Path) -> None:
     assert "collector.total_frames=120" in runs[0].overrides
 
 
+def test_an_arm_that_frames_make_equal_to_another_is_left_out_and_the_report_says_so(tmp_path: Path) -> None:
+    with_it = NODE["arms"]["with"]
+    longer = {"label": "with it, longer", "overrides": ["curriculum=yes", "collector.total_frames=900"]}
+    node: dict[str, Any] = NODE | {"arms": NODE["arms"] | {"long": with_it | longer | {"seeds": [0]}}}
+    whole, short = made_up(tmp_path, node), made_up(tmp_path, node, Selection(frames=120, scenes=["hall"]))
+    assert {run.arm for run in whole.runs} == {"with", "without", "long"} and not whole.left_out
+    assert {run.arm for run in short.runs} == {"with"}
+    said = "hall: with it, longer is left out, since with 120 frames it is the same training as with it."
+    assert short.left_out == (said,)
+
+
 def test_an_unknown_key_of_an_arm_is_named(tmp_path: Path) -> None:
     node: dict[str, Any] = NODE | {"arms": {"with": NODE["arms"]["with"] | {"sedes": [0]}}}
     with pytest.raises(ValueError, match=r"experiments\.tried\.arms\.with: expected the keys .*, got .*sedes"):

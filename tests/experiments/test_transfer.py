@@ -68,8 +68,15 @@ def test_a_policy_keeps_its_network_and_takes_the_robot_and_goal_of_the_test_pla
     other = run_of(tmp_path, "part", "robot.height=0.7", "landmarks.goal=[0.0,0.5,90.0]").folder
     moved = placed(run_config(own), run_config(other))
     assert moved.robot.height == 0.7 and moved.landmarks.goal == [0.0, 0.5, 90.0]
-    assert not moved.transforms.pose_noise and moved.network.memory == run_config(own).network.memory
-    assert run_config(own).transforms.pose_noise  # the run's own config is unchanged
+    assert moved.transforms == run_config(own).transforms and moved.network.memory == run_config(own).network.memory
+
+
+def test_tests_in_other_scenes_are_without_pose_noise(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run, seen = run_of(tmp_path, "room", "transforms/pose_noise=uniform", "transforms/latency=varied"), []
+    monkeypatch.setattr(transfer, "build_world", lambda cfg: seen.append(cfg.transforms))
+    monkeypatch.setattr(transfer, "tested", lambda *_: {})
+    score_everywhere([run], tmp_path)
+    assert run_config(run.folder).transforms.pose_noise and not seen[0].pose_noise and seen[0].latency
 
 
 def experiment(folder: Path) -> Experiment:

@@ -59,6 +59,13 @@ def test_memory_does_not_carry_over_between_episodes(tmp_path: Path) -> None:
     torch.testing.assert_close(together, torch.cat(apart))
 
 
+def test_frames_that_begin_within_an_episode_are_refused(tmp_path: Path) -> None:
+    cfg = load_config([*tiny_overrides(tmp_path), "memory=gru"])
+    cloner = Cloner(build_model(cfg, build_world(cfg).env(1)), SETTINGS)
+    with pytest.raises(ValueError, match="frame: expected 0 first, where an episode begins, got 3"):
+        cloner.fit({"frame": torch.tensor([3, 4, 0, 1]), "target": torch.zeros(4, 6)})
+
+
 def test_every_frame_is_learned_from_once_per_epoch(tmp_path: Path) -> None:
     for memory in ("none", "gru"):
         cfg = load_config([*tiny_overrides(tmp_path), f"memory={memory}"])

@@ -6,6 +6,17 @@ from splatrl.envs.transforms.frame_stack import FrameStack
 from splatrl.envs.transforms.latency import Latency
 from splatrl.envs.transforms.pose_noise import PoseNoise
 from splatrl.envs.transforms.randomness import RandomTransform
+from splatrl.envs.transforms.simulated import SIMULATED, simulated
 from splatrl.envs.transforms.weather import Weather
 
-__all__ = ["Appearance", "FrameSkip", "FrameStack", "Latency", "PoseNoise", "RandomTransform", "Weather"]
+__all__ = [
+    "SIMULATED",
+    "Appearance",
+    "FrameSkip",
+    "FrameStack",
+    "Latency",
+    "PoseNoise",
+    "RandomTransform",
+    "Weather",
+    "simulated",
+]
