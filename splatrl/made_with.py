@@ -61,8 +61,8 @@ def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
     """Refuse to resume a training that began with another scene, other settings or files with other content.
 
     The device, the paths of files, the training's length, the number of robots, which PPO checks, and the settings of
-    logging, checkpoints and evaluation may change. If the number of PyTorch threads or the processor's instruction set differs, a warning
-    says that results may differ in their last bits.
+    logging, checkpoints and evaluation may change. If the number of PyTorch threads or the processor's instruction set
+    differs, a warning says that results may differ in their last bits.
 
     Args:
         now: ``made_with`` of the run that is to resume.

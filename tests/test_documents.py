@@ -20,6 +20,7 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
     [
         (BOMB, r"the alias \*a"),
         ("a: &x 1\nb: {<<: *x}", r"the alias \*x"),
+        ("a: &x [1]\nb: [\n\ufeff', *x, \"' , # \"\n]", r"the alias \*x"),
         ("a: " + "[" * 10_000, f"nested more than {MAX_DEPTH} deep"),
         ("a: [" * 10_000, f"nested more than {MAX_DEPTH} deep"),
         ("a: " + "${" * 3000, "expected plain YAML"),
@@ -41,6 +42,7 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
     ids=[
         "exponential aliases",
         "merge key",
+        "alias after a byte order mark",
         "nested lists",
         "nested mappings",
         "nested references",
@@ -62,7 +64,7 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
 )
 def test_yaml_that_expands_runs_code_or_is_invalid_is_refused_by_file(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "config.yaml"
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
     began = time.process_time()
     with pytest.raises(ValueError, match=message) as refused:
         read_yaml(path)
