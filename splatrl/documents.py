@@ -21,7 +21,7 @@ MAX_NESTS = 2**21
 MAX_DEPTH = 32
 FAST: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """PyYAML's parser in C, ten times as fast, or the one in Python where PyYAML was built without it. It checks ASCII
-texts alone: a byte order mark within a text hides aliases from it, and not from OmegaConf, which reads with the other."""
+texts alone: a byte order mark in a text hides aliases from it, and not from the other, with which OmegaConf reads."""
 INVALID = (yaml.YAMLError, OmegaConfBaseException, AssertionError, RecursionError, ValueError, TypeError, LookupError)
 """What PyYAML and OmegaConf raise for a text that is not YAML or cannot be plain values."""
 TAGS = "tag:yaml.org,2002:"
