@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from splatrl.capture.held import cameras_up, looks_up
-from splatrl.capture.upright import ONE_WAY, straightened
+from splatrl.capture.held import cameras_up, if_steeply_down, looks_up
+from splatrl.capture.upright import ONE_WAY, Held, straightened
 
 Floats = NDArray[np.float64]
 UpFrom = Literal["recorded", "floor", "walls", "cameras"]
@@ -79,7 +79,7 @@ def find_ground(camera_to_world: Floats, points: Floats, recorded_up: Floats | N
     centers = camera_to_world[:, :3, 3]
     if recorded_up is not None:
         return _on_level(points, centers, recorded_up / np.linalg.norm(recorded_up), "recorded")
-    held = cameras_up(camera_to_world)
+    held = held_by(camera_to_world, points)
     up, clear = straightened(points, held)
     found = _broad_floor(points, centers, up, CLEAR_TILT if clear else LARGEST_TILT)
     if found is not None:
@@ -92,6 +92,21 @@ def find_ground(camera_to_world: Floats, points: Floats, recorded_up: Floats | N
     if clear:
         return _on_level(points, centers, up, "walls")
     return _on_level(points, centers, up, "cameras", math.degrees(held.lean))
+
+
+def held_by(camera_to_world: Floats, points: Floats) -> Held:
+    """Return the upward direction by the cameras alone, or where these leave two, by the one with more of a floor.
+
+    Args:
+        camera_to_world: [N, 4, 4], OpenCV camera axes.
+        points: [P, 3].
+    """
+    held, down = cameras_up(camera_to_world), if_steeply_down(camera_to_world)
+    if down is None:
+        return held
+    floors = [_broad_floor(points, camera_to_world[:, :3, 3], each.up, LARGEST_TILT) for each in (held, down)]
+    own, other = (0 if floor is None else len(floor[1]) for floor in floors)
+    return down if other > own else held
 
 
 def _on_level(points: Floats, centers: Floats, up: Floats, up_from: UpFrom, more_deg: float = 0.0) -> Ground:
@@ -135,7 +150,7 @@ def upside_down(camera_to_world: Floats, points: Floats) -> bool:
         camera_to_world: [N, 4, 4], OpenCV camera axes, in any frame.
         points: [P, 3] in that frame.
     """
-    up, centers = cameras_up(camera_to_world).up, camera_to_world[:, :3, 3]
+    up, centers = held_by(camera_to_world, points).up, camera_to_world[:, :3, 3]
     if not looks_up(camera_to_world, points, up, OVERHEAD):
         return False
     above, below = (_broad_floor(points, centers, way, LARGEST_TILT) for way in (-up, up))

@@ -19,8 +19,8 @@ LOOKS_UP = math.radians(5.0)
 """Minimum mean tilt above the horizon of cameras that look up. People hold cameras level or look down, by 0° to 28° in
 trials."""
 RISES = 0.6
-"""Share of a path along up from which up must be wrong, or the camera rose; where up is right, it is 0.1 at most, and
-0.32 on stairs."""
+"""Share of a path along up from which up must be wrong, or the camera rose; where up is right and people walk, it is
+0.1 at most, and 0.32 on stairs."""
 FLAT_PATH = 0.1
 """Maximum share of a path along the direction in which it is narrowest, of those perpendicular to the images' right
 axes, if that is up. In trials it is 0.03 for cameras that sweep up and down, and 0.35 to 0.67 in walks around a place
@@ -38,13 +38,12 @@ def cameras_up(camera_to_world: Floats) -> Held:
     """Return the direction perpendicular to the cameras' right axes, on the side of their own up axes.
 
     Where all cameras look the same way, their right axes agree, and only the mean of their own up axes is left to
-    decide. If the path runs along that, cameras looked steeply down: up is where it extends least. Cameras that look
-    straight down have up behind them.
+    decide. Cameras that look straight down have up behind them.
 
     Args:
         camera_to_world: [N, 4, 4], OpenCV camera axes.
     """
-    right, centers = camera_to_world[:, :3, 0], camera_to_world[:, :3, 3]
+    right = camera_to_world[:, :3, 0]
     own, forward = -camera_to_world[:, :3, 1].mean(0), camera_to_world[:, :3, 2].mean(0)
     weights, up, side, lean = np.ones(len(right)), own, own, 0.0
     for _ in range(10):  # reweighted against a few cameras held askew
@@ -56,8 +55,6 @@ def cameras_up(camera_to_world: Floats) -> Held:
         lean = math.atan(math.sqrt(max(values[0], 0.0) / values[1]))
         weights = 1.0 / np.maximum(np.abs(right @ up), 0.02)
     up = up / np.linalg.norm(up)
-    if lean == LARGEST_LEAN and _runs_along(centers, up, side):
-        up = _narrowest(centers, side)
     straight_down = abs(up @ own) < STRAIGHT_DOWN[0] and abs(up @ forward) > STRAIGHT_DOWN[1]
     return Held(up if up @ (-forward if straight_down else own) >= 0 else -up, side, lean)
 
@@ -121,18 +118,20 @@ def sweeps(camera_to_world: Floats) -> bool:
     return own > max(LYING[0] * right, LYING[1])
 
 
-def looks_down_or_rises(camera_to_world: Floats) -> bool:
-    """Return whether cameras that look one way either look steeply down or rise.
+def if_steeply_down(camera_to_world: Floats) -> Held | None:
+    """Return which way is up if cameras that look one way look steeply down; None if they clearly do not.
 
     In a drone's survey, a camera that looks straight down and is always turned one way has the axes and the path of one
-    that looks ahead and rises along the front of a house.
+    that looks ahead and rises along the front of a house: only what it sees tells one from the other.
 
     Args:
         camera_to_world: [N, 4, 4], OpenCV camera axes, in any frame.
     """
-    held, own = cameras_up(camera_to_world), -camera_to_world[:, :3, 1].mean(0)
-    own = own - held.side * (own @ held.side)
-    return held.lean == LARGEST_LEAN and _runs_along(camera_to_world[:, :3, 3], own / np.linalg.norm(own), held.side)
+    held, centers = cameras_up(camera_to_world), camera_to_world[:, :3, 3]
+    if held.lean < LARGEST_LEAN or not _runs_along(centers, held.up, held.side):
+        return None
+    up, forward = _narrowest(centers, held.side), camera_to_world[:, :3, 2].mean(0)
+    return held._replace(up=up if up @ forward < 0 else -up)
 
 
 def looks_up(camera_to_world: Floats, points: Floats, up: Floats, overhead: float) -> bool:

@@ -1,11 +1,13 @@
 """Check that images are upright: those that lie on their side or are upside down can be captured only by force."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from splatrl.capture.base import Photos, Reconstruction
 from splatrl.capture.ground import upside_down
-from splatrl.capture.held import RISES, looks_down_or_rises, looks_up, on_its_side, share_along, sweeps
+from splatrl.capture.held import RISES, if_steeply_down, looks_up, on_its_side, share_along, sweeps
 from splatrl.capture.quarters import held_poses
 
 Floats = NDArray[np.float64]
@@ -13,6 +15,12 @@ Floats = NDArray[np.float64]
 MOSTLY_ABOVE = 0.6
 """Minimum fraction of the points above cameras that look up, for a doubt that these are upside down; in trials, all
 that looked down by 8° or more and were turned over had more. So may upright ones that look up by 10°."""
+
+RISEN = 0.15
+"""Minimum extent of a path along up (standard deviation), relative to the distance of most points, for it to say
+anything about up: who turns on one spot sways all ways."""
+HALF_WAY = math.sqrt(0.5)
+"""Cosine above which up is nearer to one of two perpendicular directions."""
 
 LIES = "images lie on their side: expected upright ones, got images rotated by a quarter turn. {}"
 UPSIDE_DOWN = (
@@ -78,10 +86,13 @@ def doubt_of_up(camera_to_world: Floats, points: Floats, up: Floats, level: bool
         up: [3] unit vector, what was taken for up.
         level: whether the cameras are known to have moved on a level.
     """
+    down, centers = if_steeply_down(camera_to_world), camera_to_world[:, :3, 3]
+    around = float(np.median(np.linalg.norm(points - centers.mean(0), axis=1)))
+    rises = float((centers @ up).std()) > RISEN * around and share_along(centers, up) > RISES
     doubts = {
         SWEPT: sweeps(camera_to_world),
-        LOOKED_DOWN: looks_down_or_rises(camera_to_world) and not level,
-        ROSE: share_along(camera_to_world[:, :3, 3], up) > RISES,
+        LOOKED_DOWN: down is not None and float(down.up @ up) > HALF_WAY and not level,
+        ROSE: rises,
         TURNED_OVER: looks_up(camera_to_world, points, up, MOSTLY_ABOVE),
     }
     return next((said for said, true in doubts.items() if true), None)

@@ -7,6 +7,9 @@ from splatrl.configuration.elsewhere import words_of_place
 from splatrl.configuration.grammar import bare, quoted
 from splatrl.configuration.run_configs import RUN_CONFIG
 
+CHOSEN = tuple(f"transforms/{group}" for group in ("pose_noise", "latency", "skip", "appearance", "sprite"))
+"""Groups of transforms in which every run has made a choice."""
+
 
 def with_key(arguments: Sequence[str]) -> list[str]:
     """Prefix the first bare word with a key: ``run=`` if it is a run folder, and ``scene=`` otherwise."""
@@ -45,17 +48,24 @@ def _of_view(arguments: Sequence[str]) -> list[str]:
 
 def _with_place(arguments: Sequence[str]) -> list[str]:
     """Collect overrides that describe the place of a run, such as ``scene=kitchen``, in one list, ``place``."""
-    place, words = words_of_place(_without_plus(arguments))
+    place, words = words_of_place([_without_plus_of_choice(word) for word in arguments])
+    words = _without_plus(words)
     return [*words, f"place=[{','.join(map(quoted, place))}]"] if place else words
+
+
+def _without_plus_of_choice(word: str) -> str:
+    """Drop the ``+`` that Hydra advises for a choice of transforms, which a run has made already; see ``CHOSEN``."""
+    return word.lstrip("+") if word.lstrip("+").partition("=")[0] in CHOSEN else word
 
 
 def _without_plus(arguments: Sequence[str]) -> list[str]:
     """Drop the ``+`` of words that would add a key, which the command would not read; unknown keys are then refused.
 
-    Choices for a place that they name (``+experiment@experiments.mine=mine``) and words about Hydra itself stay.
+    Choices for a place that they name (``+experiment@experiments.mine=mine``), arms of experiments and words about
+    Hydra itself stay.
     """
     plain = [word.lstrip("+") for word in arguments]
-    stay = [word.startswith("hydra") or "@" in word.partition("=")[0] for word in plain]
+    stay = [word.startswith(("hydra", "experiments.")) or "@" in word.partition("=")[0] for word in plain]
     return [old if stays else new for old, new, stays in zip(arguments, plain, stay, strict=True)]
 
 

@@ -7,9 +7,9 @@ from torch import Tensor
 from torch.nn.functional import one_hot
 
 from splatrl.datasets.demonstrations import Demonstrations
-from splatrl.device import with_room
 from splatrl.envs.world import World, Worlds
 from splatrl.training import PPO, Cloner, DaggerSettings, targets, visited
+from splatrl.training.room import with_room
 
 
 def imitate(

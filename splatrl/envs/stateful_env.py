@@ -64,8 +64,8 @@ class StatefulEnv(StateWhenAsked, TransformedEnv):
         return after
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
-        if tensordict is not None and "_reset" in tensordict and not kwargs.get("set_state"):
-            tensordict = tensordict.select("_reset")  # the rest is what the last episodes left
+        if tensordict is not None and not kwargs.get("set_state"):
+            tensordict = tensordict.select("_reset", strict=False)  # the rest is what the last episodes left
         return super()._reset(tensordict, **kwargs)
 
     def maybe_reset(self, tensordict: TensorDictBase) -> TensorDictBase:

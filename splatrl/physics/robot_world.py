@@ -100,7 +100,7 @@ class RobotWorld:
         return torch.from_numpy(self.model.actuator_ctrlrange.T.copy()).float()
 
     def velocity_servos(self) -> list[str]:
-        """Return the names of the robot's actuators if all are servos whose controls are velocities, else nothing.
+        """Return the names of the robot's actuators if all are servos of their joints' velocities, else nothing.
 
         Such a servo's force is in proportion to how much its velocity falls short of its control.
         """
@@ -109,6 +109,7 @@ class RobotWorld:
         servo = (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE) & (velocity < 0.0)
         servo &= (model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED) & (offset == 0.0) & (position == 0.0)
         servo &= np.isclose(model.actuator_gainprm[:, 0], -velocity, atol=0.0)
+        servo &= (np.sort(model.actuator_gear) == [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]).all(1)  # one axis, not geared
         return [model.actuator(number).name.removeprefix(ROBOT) for number in range(model.nu)] if servo.all() else []
 
     def free_joint(self, thing: str) -> int | None:

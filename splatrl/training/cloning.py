@@ -83,7 +83,7 @@ class Cloner:
         Raises:
             ValueError: for frames that begin within an episode, of which a memory lacks what came before.
         """
-        if int(shown["frame"][0]) != 0:
+        if self._memory and int(shown["frame"][0]) != 0:
             raise ValueError(f"frame: expected 0 first, where an episode begins, got {int(shown['frame'][0])}")
         loss, passes = 0.0, self.settings.epochs if epochs is None else epochs
         total = passes * len(shown["target"])

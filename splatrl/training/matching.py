@@ -14,10 +14,10 @@ from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
 from tqdm import tqdm
 
-from splatrl.device import with_room
 from splatrl.envs.sensors import ImageGoal
 from splatrl.geometry import along_heading
 from splatrl.training.heads import orthogonal
+from splatrl.training.room import with_room
 from splatrl.values import require_number
 
 READS = ("pixels", ImageGoal.KEY)

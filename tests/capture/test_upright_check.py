@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from splatrl.capture.base import Photos, Reconstruction
 from splatrl.capture.check import Quality
 from splatrl.capture.folder import problems
-from splatrl.capture.held import cameras_up, share_along
+from splatrl.capture.ground import held_by
+from splatrl.capture.held import share_along
 from splatrl.capture.suggestions import NOTHING
 from splatrl.capture.upright_check import why_not_upright
 from splatrl.capture.world import SCALE_ERROR, Placed, moved, place
@@ -69,7 +70,7 @@ def test_up_is_behind_cameras_that_look_straight_down_however_they_are_turned(se
     transform = similarity_of(seed)
     found = moved(survey(heading), transform)
     up = transform[:3, 2] / np.linalg.norm(transform[:3, 2])
-    assert cameras_up(found.camera_to_world.numpy()).up @ up > math.cos(math.radians(3.0))
+    assert held_by(found.camera_to_world.numpy(), found.points.numpy()).up @ up > math.cos(math.radians(3.0))
     whole = place(found, marker=None, camera_height=2.5).world_from_capture.numpy() @ transform
     assert whole[2, 2] / np.linalg.norm(whole[2, :3]) > math.cos(math.radians(1.5))
 
@@ -93,11 +94,23 @@ def test_a_survey_that_may_be_a_rise_along_a_wall_has_no_known_errors_unless_gps
     assert round_.doubt is None and (round_.up_error_deg, round_.scale_error) == (1.5, SCALE_ERROR["camera_height"])
 
 
-def test_a_camera_that_rises_is_not_placed_with_a_stated_error() -> None:
-    headings: tuple[ArrayLike, ...] = 0.5 * math.pi, 6.0 * T
-    for heading in headings:
-        placed = place(filmed(0.1 * np.sin(9 * T), -1.0, 0.5 + 2.5 * T, heading, -10.0), marker=None)
-        assert placed.up_error_deg is None and "Up may be wrong by a quarter turn" in str(placed.doubt)
+def test_a_camera_that_rises_turning_round_is_not_placed_with_a_stated_error() -> None:
+    placed = place(filmed(0.1 * np.sin(9 * T), -1.0, 0.5 + 2.5 * T, 6.0 * T, -10.0), marker=None)
+    assert placed.up_error_deg is None and "Up may be wrong by a quarter turn" in str(placed.doubt)
+
+
+@pytest.mark.parametrize("pitch_deg", [-5.0, -15.0])
+@pytest.mark.parametrize(
+    "found",
+    [(2.4 * T - 1.2, 1.2 + 0.3 * np.sin(12 * T)), (1.2 * np.sin(9 * math.pi * T), 1.0 + 0.8 * T), (0.0, 0.5 + 2.5 * T)],
+    ids=["raised and lowered along a shelf", "rows along a wall", "rise along a wall"],
+)
+def test_a_level_camera_that_moves_up_and_down_before_a_wall_is_upright(
+    found: tuple[ArrayLike, ArrayLike], pitch_deg: float
+) -> None:
+    along, height = found
+    film = filmed(along, -1.5, height, 0.5 * math.pi, pitch_deg)
+    assert refused(film) is None and off_deg(place(film, marker=None)) < 1.5
 
 
 def test_a_walk_ahead_with_a_camera_swept_up_and_down_is_not_refused_but_its_error_is_unknown() -> None:

@@ -179,6 +179,8 @@ def test_all_commands_that_read_a_run_take_transforms_as_part_of_the_place(
     folder = f"{'demos' if command == 'replay' else 'run'}={run}"
     *_, place = command_line(command, [folder, f"{plus}transforms/latency=none"])
     assert place == r"place=['transforms/latency=none']"
+    *_, place = command_line(command, [folder, "+task.motion.looks.ball=ball.ply"])
+    assert place == r"place=['+task.motion.looks.ball=ball.ply']"  # which a run may lack
 
 
 def test_a_run_keeps_its_transforms_elsewhere_except_those_that_are_chosen(tmp_path: Path) -> None:

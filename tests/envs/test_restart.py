@@ -45,6 +45,18 @@ def test_rows_that_are_done_begin_as_in_torchrl_and_the_others_go_on(name: str) 
     assert ended > 0  # else this shows nothing
 
 
+@pytest.mark.usefixtures("whole_overlay")
+def test_a_reset_without_a_mask_keeps_nothing_of_the_last_episodes() -> None:
+    found = []
+    for given in (False, True):
+        env, _ = made("shaken sim2real", 7), torch.manual_seed(2)
+        last = step_mdp(env.step(env.rand_action(env.reset())))
+        begun = env.reset(last.clone()) if given else env.reset()
+        found.append(begun["pixels"])
+        assert not torch.equal(begun["camera_offset"], last["camera_offset"])
+    assert torch.equal(*found)
+
+
 def test_a_restart_renders_only_the_rows_that_begin_anew() -> None:
     counting = CountingRenderer(tiny_renderer())
     env = tiny_env([6], renderer=counting)

@@ -344,6 +344,7 @@ def test_a_robot_that_turns_before_it_goes_forward_is_refused(tmp_path: Path) ->
         (DRIVEN.format("velocity", 'kv="2"'), True),
         (DRIVEN.format("general", 'biastype="affine" gainprm="3" biasprm="0 0 -3"'), True),
         (FORCES, False),  # newtons
+        (DRIVEN.format("velocity", 'kv="2"').replace("1 0 0", "4 0 0"), False),  # four units are a metre per second
         (DRIVEN.format("position", 'kp="2" kv="2"'), False),  # metres
         (DRIVEN.format("velocity", 'kv="2"') + '<motor site="s" ctrlrange="-1 1"/>', False),
     ],
