@@ -28,7 +28,7 @@ whose images lie on their side."""
 ALONG_OWN = (0.2, 0.65)
 """Minimum shares of a path along the images' own up axes, of its whole extent and of that perpendicular to their right
 axes, for cameras that look steeply down and one way, or rise. On level ground the latter is the sine of the angle by
-which cameras look down, and where they rise its cosine: from 40° on, the former is likelier."""
+which cameras look down, and where they rise its cosine, so both may be true: what is seen of a floor decides."""
 STRAIGHT_DOWN = (0.2, 0.7)
 """Maximum cosine between up and the images' own up axes (78°), and minimum cosine between it and the viewing
 directions, for a camera that looks straight down: its own up axes hardly say which of the two ways is up."""
