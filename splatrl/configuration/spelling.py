@@ -6,9 +6,7 @@ from pathlib import Path
 from splatrl.configuration.elsewhere import words_of_place
 from splatrl.configuration.grammar import bare, quoted
 from splatrl.configuration.run_configs import RUN_CONFIG
-
-CHOSEN = tuple(f"transforms/{group}" for group in ("pose_noise", "latency", "skip", "appearance", "sprite"))
-"""Groups of transforms in which every run has made a choice."""
+from splatrl.configuration.search_path import choice_keys
 
 
 def with_key(arguments: Sequence[str]) -> list[str]:
@@ -54,8 +52,9 @@ def _with_place(arguments: Sequence[str]) -> list[str]:
 
 
 def _without_plus_of_choice(word: str) -> str:
-    """Drop the ``+`` that Hydra advises for a choice of transforms, which a run has made already; see ``CHOSEN``."""
-    return word.lstrip("+") if word.lstrip("+").partition("=")[0] in CHOSEN else word
+    """Drop the ``+`` that Hydra advises for a choice of a transform that every run has made already."""
+    key = word.lstrip("+").partition("=")[0]
+    return word.lstrip("+") if key.startswith("transforms/") and key in choice_keys("train", []) else word
 
 
 def _without_plus(arguments: Sequence[str]) -> list[str]:

@@ -49,10 +49,7 @@ def imitate(
 
 
 def _together(parts: Sequence[dict[str, Tensor]], device: torch.device) -> dict[str, Tensor]:
-    """Concatenate frames, so that the caller can free the parts: images of many frames fill the memory.
-
-    They stay on the CPU unless the device is a GPU half of whose free memory holds them.
-    """
+    """Concatenate frames on a device ``with_room``; the caller can then free the parts, which fill the memory."""
     device = with_room(device, sum(value.nbytes for part in parts for value in part.values()))
     return {key: torch.cat([part[key].to(device) for part in parts]) for key in (parts[0] if parts else ())}
 

@@ -112,7 +112,10 @@ def test_a_placed_robot_has_the_asked_position_and_heading(make: Callable[[Path]
 def test_the_same_robot_turned_in_its_file_has_the_same_plan(tmp_path: Path) -> None:
     plain, *turned = (cart(tmp_path, text) for text in (TURNED.format(0, 0, 0), TURNED.format(0, 0, 90), KEYED))
     states, checker = plain.states(), BlockChecker(reach=0.2)
-    reached: Any = lambda state: (plain.planar(state) - torch.tensor([0.4, 0.0, 1.0])).norm(dim=1) < 0.3  # noqa: E731
+
+    def reached(state: torch.Tensor) -> torch.Tensor:
+        return (plain.planar(state) - torch.tensor([0.4, 0.0, 1.0])).norm(dim=1) < 0.3
+
     costs = cost_field(Moves(plain, checker, reached)).cost_to_go
     for motion in turned:
         poses = motion.body_to_world(motion.states())
