@@ -1,6 +1,6 @@
 """Collectors of frames: one whose rollout the host drives, and one that never synchronises with the host."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import torch
@@ -13,12 +13,6 @@ from splatrl.envs.nesting import layers
 from splatrl.envs.restart import restart
 from splatrl.training.cuda_graph import CudaGraph
 from splatrl.training.memory import STATE
-
-
-def seen_by(model: ActorValueOperator) -> tuple[str, ...]:
-    """Keys of an observation that a model reads, if present."""
-    return (*model.module[0].module[0].in_keys, STATE, "is_init")
-
 
 CHOSEN = ("action", "action_log_prob", "state_value")
 """Keys that the model writes."""
@@ -73,9 +67,9 @@ class DeviceCollector:
     """A rollout that stays on the device: policy, step and automatic reset write in place and never synchronise.
 
     Episodes are those of a ``HostCollector`` that resets in every step, whether any episode ended or not. The batch
-    holds what learning and reports read, in tensors that the next batch overwrites: the model's observations (pixels as
-    uint8), ``CHOSEN``, ``ENDS`` under ``"next"``, and ``next_value``, the critic's value of the observation after the
-    step and before the reset.
+    holds what learning and reports read, in tensors that the next batch overwrites: the model's observations or what
+    its weight-free part made of them (such as pooled images), whichever takes less memory, ``CHOSEN``, ``ENDS`` under
+    ``"next"``, and ``next_value``, the critic's value of the observation after the step and before the reset.
 
     Args:
         env: a ``SplatEnv``, bare or under transforms.
@@ -94,7 +88,8 @@ class DeviceCollector:
         begin: TensorDictBase | None = None,
     ):
         self.env, self.model, self.critic, self.steps = env, model, model.get_value_operator(), steps
-        self._seen = seen_by(model)
+        prepare = model.module[0].module[0]
+        self._reads, self._prepared = tuple(prepare.in_keys), tuple(prepare.out_keys)
         self._now = (env.reset() if begin is None else begin).clone()
         self._batch = TensorDict(batch_size=[*env.batch_size, steps], device=env.device)
         self._column = torch.zeros(1, dtype=torch.int64, device=env.device)
@@ -122,9 +117,10 @@ class DeviceCollector:
         """Fill one column of the batch, and set the state from which the next column starts."""
         acted = self.env.step(self.model(self._now.copy()))
         after = acted["next"]
-        seen = after.select(*self._seen, strict=False)
+        seen = after.select(*self._reads, STATE, "is_init", strict=False)
         acted["next_value"] = self.critic(seen)["state_value"]
-        for key in (*self._seen, *CHOSEN, "next_value"):
+        small = _size(acted, self._prepared) <= _size(acted, self._reads)
+        for key in (*(self._prepared if small else self._reads), STATE, "is_init", *CHOSEN, "next_value"):
             if acted.get(key, None) is not None:
                 self._note(key, acted[key])
         for key in ENDS:
@@ -139,6 +135,11 @@ class DeviceCollector:
         if self._batch.get(key, None) is None:
             self._batch.set(key, value.new_zeros(*self._batch.batch_size, *value.shape[1:]))
         self._batch.get(key).index_copy_(1, self._column, value.unsqueeze(1))
+
+
+def _size(td: TensorDictBase, keys: Sequence[str]) -> int:
+    """Return the number of bytes of some entries."""
+    return sum(td[key].nbytes for key in keys)
 
 
 def device_collector(env: EnvBase, model: ActorValueOperator, steps: int, cuda_graph: bool | None) -> DeviceCollector:

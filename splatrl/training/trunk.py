@@ -7,6 +7,7 @@ from torch import Tensor, nn
 from torch._C._functorch import is_functorch_wrapped_tensor
 
 from splatrl.native import _core
+from splatrl.training.convolution import Convolution
 from splatrl.training.heads import orthogonal
 from splatrl.training.native_trunk import encoded, suits
 
@@ -23,16 +24,20 @@ class PoolPixels(nn.Module):
 
     def __init__(self, pool: int):
         super().__init__()
-        self.side, self.pool = pool, nn.AvgPool2d(pool)
+        self.side = pool
 
     def forward(self, pixels: Tensor) -> Tensor:
         """Pool images: [..., H, W, C] uint8 -> [..., H // pool, W // pool, C] float32 in [−0.5, 0.5]."""
         images = pixels.reshape(-1, *pixels.shape[-3:])
-        if _by_core(images):
-            pooled = self._averages(images.contiguous())
-        else:
-            pooled = self.pool(images.permute(0, 3, 1, 2).float()).permute(0, 2, 3, 1) / 255.0 - 0.5
+        pooled = self._averages(images.contiguous()) if _by_core(images) else self._sums(images) / 255.0 - 0.5
         return pooled.reshape(*pixels.shape[:-3], *pooled.shape[1:])
+
+    def _sums(self, images: Tensor) -> Tensor:
+        """Pool images with PyTorch, which reads them as they are and writes no floats of their size."""
+        height, width = (size // self.side for size in images.shape[1:3])
+        whole = images[:, : height * self.side, : width * self.side]
+        cells = whole.reshape(-1, height, self.side, width, self.side, images.shape[3])
+        return cells.sum((2, 4), dtype=torch.float32) / self.side**2
 
     def _averages(self, images: Tensor) -> Tensor:
         """Pool images in the C++ core, without the intermediate tensors that PyTorch would write."""
@@ -66,9 +71,9 @@ def two_convolutions(height: int, width: int, depth: int, channels: Sequence[int
         raise ValueError(f"network.channels: expected two numbers, got {list(channels)}")
     first, second = channels
     return nn.Sequential(
-        orthogonal(nn.Conv2d(depth, first, 4, stride=2), GAIN),
+        orthogonal(Convolution(depth, first, 4, stride=2), GAIN),
         nn.ReLU(inplace=True),
-        orthogonal(nn.Conv2d(first, second, 3, stride=2), GAIN),
+        orthogonal(Convolution(first, second, 3, stride=2), GAIN),
     )
 
 

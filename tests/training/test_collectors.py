@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -13,6 +14,9 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
 
+from splatrl.curriculum import Curriculum
+from splatrl.envs import SplatEnv
+from splatrl.envs.drawing import SceneDrawing
 from splatrl.envs.restart import restart
 from splatrl.faults import FaultFlag
 from splatrl.training import PPO, actor_critic
@@ -22,7 +26,7 @@ from splatrl.training.memory import STATE, Memory
 from tests.envs.contract import assert_same, base_env
 from tests.envs.devices import NoHostReads, NoTransfers, Painter, pretend_device
 from tests.envs.test_device import NAMES, made, whole_overlay
-from tests.tiny import tiny_env
+from tests.tiny import BlockChecker, tiny_env, tiny_plan, tiny_robot, tiny_task
 from tests.training.tape import Taped
 from tests.training.test_ppo import LOSS, OPTIM, assert_resumes
 
@@ -165,6 +169,21 @@ def test_minibatches_hold_images_pooled_as_in_collection() -> None:
     for part, expected in zip(parts, ppo.learner.minibatches(batch), strict=True):
         assert part.keys() == expected.keys()
         assert all(torch.equal(part[key], expected[key]) for key in part)
+
+
+@pytest.mark.parametrize(("side", "kept"), [(2, "image"), (1, "pixels")])
+def test_a_rollout_keeps_images_pooled_or_not_whichever_is_smaller(side: int, kept: str) -> None:
+    curriculum = Curriculum(tiny_plan())
+    robot = replace(tiny_robot(), image_width=20, image_height=18)
+    env = SplatEnv(SceneDrawing(Painter()), BlockChecker(), robot, tiny_task(), curriculum, [3], 0)
+    model = actor_critic((18, 20, 3), env.action_spec, side, (4, 4), FEATURES)
+    batch = DeviceCollector(env, model, 5).collect()
+    assert {"image", "pixels"} & set(batch.keys()) == {kept}
+    assert len(batch["image" if side == 2 else "pixels"].flatten(0, 1).unique(dim=0)) > 2
+    frames = PPO(env, model, LOSS, OPTIM, 15, 100, on_device=True).learner.minibatches(
+        batch.set("advantage", batch["state_value"]).set("value_target", batch["state_value"])
+    )
+    assert all(part["image"].shape[1:] == (18 // side, 20 // side, 3) for part in frames)
 
 
 def test_a_gradient_step_reads_nothing_on_the_host() -> None:
