@@ -9,7 +9,8 @@ import torch
 
 from splatrl.bodies import Box, Sphere
 from splatrl.collision import NativeChecker, NoChecker, Occupancy
-from splatrl.curriculum.geodesics import Geodesics, ground
+from splatrl.curriculum.geodesics import Geodesics
+from splatrl.curriculum.ground import ground
 from splatrl.motions import NavigateMotion
 from splatrl.several import rows_of, stacked
 
