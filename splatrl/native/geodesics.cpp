@@ -1,8 +1,8 @@
 // Lengths of shortest paths over the nodes of a grid, to several goals at a time, and its largest connected part.
 //
 // Columns are swept forwards and backwards until no distance becomes smaller. Each takes distances from the columns
-// before it, unless none of these has changed since it last did. A sweep follows all paths that never turn back across
-// columns, so the number of sweeps is how often a path turns back.
+// before it, where these have changed since it last did. A sweep follows all paths that never turn back across columns,
+// so the number of sweeps is how often a path turns back.
 //
 // The order of this work has no influence on the result. The distance of a node is, to the last bit, the least of the
 // sums over all paths, where a path's sum adds its lengths one after the other from the goal on, rounded to a double
@@ -36,7 +36,8 @@ struct Lattice {
     using Ways = Tensor<const uint16_t, -1, -1>;
     using Steps = Tensor<const int64_t, -1, 2>;
 
-    int64_t columns, along, reach = 0;  // reach: most columns that a way leads ahead
+    int64_t columns, along;
+    int64_t reach = 0, spread = 0;  // most columns that a way leads ahead, and most nodes that it leads aside
     size_t ways;
     int64_t shift[MOST_WAYS]{};
     unsigned level = 0;  // the bit of the way to the next node of the same column, or 0
@@ -52,7 +53,7 @@ struct Lattice {
             if (x == 0 && y == 1) level = 1u << k;
             else if (x < 1) throw std::invalid_argument("steps: expected (0, 1), or steps to later columns");
             shift[k] = x * along + y;
-            reach = std::max(reach, x);
+            reach = std::max(reach, x), spread = std::max(spread, std::abs(y));
         }
         for (int64_t node = 0; node < columns * along; ++node)
             for (unsigned left = onward[node]; left != 0; left &= left - 1) {
@@ -92,29 +93,35 @@ struct alignas(64) ToGoals {
     }
 };
 
+// Successive nodes of a column.
+struct Span {
+    int64_t low = std::numeric_limits<int64_t>::max(), high = 0;
+
+    bool empty() const { return low >= high; }
+    void add(int64_t from, int64_t until) { low = std::min(low, from), high = std::max(high, until); }
+};
+
 // Computes distances to some goals at a time; a worker reuses its memory.
 class Sweeper {
 public:
     Sweeper(const Lattice& lattice, const double* lengths)
         : lattice_(lattice), lengths_(lengths), found_(make_buffer<ToGoals>(lattice.back.size())),
-          forwards_(lattice, lattice.back.data(), 1), backwards_(lattice, lattice.onward, -1) {}
+          forwards_(lattice, lattice.back.data(), 1), backwards_(lattice, lattice.onward, -1) {
+        for (size_t k = 0; k < lattice.ways; ++k)
+            if (lattice.level == 1u << k) level_length_ = lengths[k];
+    }
 
     // Return the distances from all nodes to ToGoals::GOALS goals, infinite where there is no path.
     const ToGoals* settle(const int64_t* goals) {
         ToGoals unknown;
         std::fill_n(unknown.metres, ToGoals::PAIRS, std::numeric_limits<double>::infinity() + Pair{});
         std::fill_n(found_.get(), lattice_.back.size(), unknown);
-        changed_.assign(size_t(lattice_.columns), 0);
-        for (Travel* travel : {&forwards_, &backwards_}) travel->read.assign(size_t(lattice_.columns), 0);
-        now_ = 1;
         for (size_t i = 0; i < ToGoals::GOALS; ++i) found_[goals[i]].metres[i / 2][i % 2] = 0.0;
         for (size_t i = 0; i < ToGoals::GOALS; ++i) {
-            const int64_t column = goals[i] / lattice_.along;
-            walk(forwards_, column);
-            walk(backwards_, column);
-            changed_[column] = now_;
+            const int64_t y = goals[i] % lattice_.along;
+            pass_on(goals[i] / lattice_.along, {y, y + 1});
         }
-        while (sweep(forwards_, backwards_) | sweep(backwards_, forwards_)) {
+        while (sweep(forwards_) | sweep(backwards_)) {
         }
         return found_.get();
     }
@@ -122,40 +129,38 @@ public:
 private:
     // A direction of travel across columns.
     struct Travel {
-        int64_t step;              // 1 or -1
-        const uint16_t* open;      // the ways by which each node is reached
-        int64_t from[MOST_WAYS];   // where these come from, relative to the node
-        std::vector<uint64_t> read;  // when each column last took distances from those before it
+        const uint16_t* open;       // the ways by which each node is reached
+        int64_t step;               // 1 or -1
+        int64_t from[MOST_WAYS];    // where ways come from, relative to the node
+        std::vector<Span> changed;  // the nodes of each column that may be nearer by way of those before it
 
-        Travel(const Lattice& lattice, const uint16_t* ways, int64_t sign) : step(sign), open(ways) {
+        Travel(const Lattice& lattice, const uint16_t* ways, int64_t sign)
+            : open(ways), step(sign), changed(size_t(lattice.columns)) {
             for (size_t k = 0; k < MOST_WAYS; ++k) from[k] = -sign * lattice.shift[k];
         }
     };
 
     // Let each column take distances from those before it. Returns whether any distance has become smaller.
-    bool sweep(Travel& travel, const Travel& opposite) {
+    bool sweep(Travel& travel) {
         bool any = false;
         for (int64_t i = 0; i < lattice_.columns; ++i) {
             const int64_t x = travel.step > 0 ? i : lattice_.columns - 1 - i;
-            uint64_t newest = 0;
-            for (int64_t k = 1; k <= std::min(lattice_.reach, i); ++k)
-                newest = std::max(newest, changed_[x - k * travel.step]);
-            if (newest <= travel.read[x]) continue;
-            travel.read[x] = now_;
-            if (!take(travel, x)) continue;
-            walk(opposite, x);
-            changed_[x] = ++now_;
+            if (travel.changed[x].empty()) continue;
+            const Span shorter = take(travel, x, travel.changed[x]);
+            travel.changed[x] = {};
+            if (shorter.empty()) continue;
+            pass_on(x, shorter);
             any = true;
         }
         return any;
     }
 
-    // Let the nodes of a column take distances from the nodes before them. Returns whether any has become smaller.
-    bool take(const Travel& travel, int64_t x) {
+    // Let some nodes of a column take distances from the columns before it. Returns those that have become smaller.
+    Span take(const Travel& travel, int64_t x, const Span& nodes) {
         const unsigned all = (1u << lattice_.ways) - 1;
-        bool any = false;
-        for (int64_t i = 0; i < lattice_.along; ++i) {
-            const int64_t node = node_of(travel, x, i);
+        Span shorter;
+        for (int64_t y = nodes.low; y < nodes.high; ++y) {
+            const int64_t node = x * lattice_.along + y;
             unsigned left = travel.open[node];
             ToGoals best = found_[node];
             if (left == all)
@@ -165,31 +170,44 @@ private:
                     const int k = __builtin_ctz(left);
                     best.shorten(found_[node + travel.from[k]], lengths_[k]);
                 }
-            any |= best != found_[node];
+            if (best != found_[node]) shorter.add(y, y + 1);
             found_[node] = best;
         }
-        return any;
+        return shorter;
     }
 
-    // Let the nodes of a column take distances from their neighbours in it, in one direction.
-    void walk(const Travel& travel, int64_t x) {
-        if (lattice_.level == 0) return;
-        const double length = lengths_[__builtin_ctz(lattice_.level)];
-        for (int64_t i = 1; i < lattice_.along; ++i) {
-            const int64_t node = node_of(travel, x, i);
-            if (travel.open[node] & lattice_.level) found_[node].shorten(found_[node - travel.step], length);
+    // Pass on the distances of some nodes within their column, and note whom they concern in others.
+    void pass_on(int64_t x, Span nodes) {
+        for (int64_t y = nodes.low + 1; y < lattice_.along; ++y) {
+            const bool shorter = take_level(lattice_.back.data(), x * lattice_.along + y, -1);
+            if (y >= nodes.high && !shorter) break;
+            nodes.add(y, y + 1);
+        }
+        for (int64_t y = nodes.high - 2; y >= 0; --y) {
+            const bool shorter = take_level(lattice_.onward, x * lattice_.along + y, 1);
+            if (y < nodes.low && !shorter) break;
+            nodes.add(y, y + 1);
+        }
+        const int64_t low = std::max<int64_t>(nodes.low - lattice_.spread, 0);
+        const int64_t high = std::min(nodes.high + lattice_.spread, lattice_.along);
+        for (int64_t k = 1; k <= lattice_.reach; ++k) {
+            if (x + k < lattice_.columns) forwards_.changed[x + k].add(low, high);
+            if (x >= k) backwards_.changed[x - k].add(low, high);
         }
     }
 
-    int64_t node_of(const Travel& travel, int64_t x, int64_t i) const {
-        return x * lattice_.along + (travel.step > 0 ? i : lattice_.along - 1 - i);
+    // Let a node take distances from the next one of its column in one direction. Returns whether any becomes smaller.
+    bool take_level(const uint16_t* open, int64_t node, int64_t from) {
+        if ((open[node] & lattice_.level) == 0) return false;
+        const ToGoals before = found_[node];
+        found_[node].shorten(found_[node + from], level_length_);
+        return found_[node] != before;
     }
 
     const Lattice& lattice_;
     const double* lengths_;
+    double level_length_ = 0.0;
     Buffer<ToGoals> found_;
-    std::vector<uint64_t> changed_;  // when a distance in each column last became smaller
-    uint64_t now_ = 1;
     Travel forwards_, backwards_;
 };
 
