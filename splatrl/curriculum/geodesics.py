@@ -174,10 +174,13 @@ class Geodesics(nn.Module):
     def within(self, place: Tensor, least: float, most: float) -> Tensor:
         """Return whether some training goal of a single scene is in a range of distances: [N, 2] -> [N] bool."""
         found = torch.zeros(len(place), dtype=torch.bool, device=place.device)
-        for goal in range(self.for_training):
+        done, count = 0, 1
+        while done < self.for_training:  # twice as many goals at a time, as most places need no more than the first
             left = (~found).nonzero().squeeze(1)
-            far = self.distance(place[left], torch.full_like(left, goal))
-            found[left] = (far >= least) & (far <= most)
+            goals = torch.arange(done, min(done + count, self.for_training), device=place.device)
+            done, count = done + count, 2 * count
+            far = self.distance(place[left].repeat_interleave(len(goals), 0), goals.repeat(len(left)))
+            found[left] = ((far >= least) & (far <= most)).view(len(left), len(goals)).any(1)
         return found
 
     def draw(self, place: Tensor, least: float, most: float, generator: torch.Generator, tests: bool = False) -> Tensor:

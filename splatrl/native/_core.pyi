@@ -203,6 +203,7 @@ class Renderer:
     ) -> None: ...
     def add_model(
         self,
+        model: int,
         means: Tensor,  # [N, 3] float32, metres, the model's own frame
         axes: Tensor,  # [N, 3, 3] float32, columns: the axes of the Gaussian times its standard deviations
         opacities: Tensor,  # [N] float32
@@ -210,7 +211,7 @@ class Renderer:
         degree: int,
         levels: dict[str, NDArray[np.float32] | NDArray[np.uint32]] | None,  # from build_levels; None: every Gaussian
     ) -> None:
-        """Add a model; the first is model 0.
+        """Add or replace a model. Several threads may do so at once, but none while another draws.
 
         Raises:
             ValueError: for levels of other Gaussians.
