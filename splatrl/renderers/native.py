@@ -75,12 +75,14 @@ class NativeRenderer:
         self._made_of: tuple[Any, ...] = scene, antialiased, background, threads, tolerance
         self._models = len(models)
         self._core = _core.Renderer(antialiased, checked_background(background), tolerance)
-        add = partial(self._add, tolerance=tolerance)
+        self._add_all(models, tolerance)
+
+    def _add_all(self, models: Sequence[Scene | Gaussians], tolerance: float) -> None:
+        """Add models to the core, several at a time."""
         if len(models) == 1:
-            add(0, models[0])  # in this thread, where Ctrl-C interrupts it
-        else:
-            with ThreadPoolExecutor(threads_of(None)) as pool:
-                list(pool.map(add, range(len(models)), models))
+            return self._add(0, models[0], tolerance)  # in this thread, where Ctrl-C interrupts it
+        with ThreadPoolExecutor(threads_of(None)) as pool:
+            list(pool.map(partial(self._add, tolerance=tolerance), range(len(models)), models))
 
     def _add(self, number: int, model: Scene | Gaussians, tolerance: float) -> None:
         """Add a model to the core."""
