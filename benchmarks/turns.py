@@ -23,6 +23,7 @@ from splatrl.building import build_trainer, build_world
 from splatrl.collision import NativeChecker
 from splatrl.configuration import load_config
 from splatrl.envs import World
+from splatrl.envs.world import Worlds
 from splatrl.renderers import NativeRenderer
 
 Turn = Callable[[], object]
@@ -30,6 +31,7 @@ VIEWS = 64
 STEPS = 20
 """Steps of an env per turn."""
 QUERIES = 16_384
+YARDS = 8
 
 
 def training(task: str) -> Iterator[tuple[str, Turn]]:
@@ -110,6 +112,16 @@ def queries() -> Iterator[tuple[str, Turn]]:
         yield f"query of the grid task, {name}", lambda ahead=ahead: checker.free_fraction(begin, ahead)
 
 
+def places() -> Iterator[tuple[str, Turn]]:
+    """Make measurements of what places cost before the first step of a navigation task, from a warm cache."""
+    cfg = load_config(["device=cpu", "task=pointnav", "scene=yards", f"scene.count={YARDS}"])
+    built = build_world(cfg)
+    assert isinstance(built, Worlds)
+    task, checker = built.worlds[0].task, built.worlds[0].checker
+    yield "places: goals of pointnav in one yard", lambda: task.choose_goals(checker)
+    yield f"places: {YARDS} yards of pointnav", lambda: build_world(cfg)
+
+
 GROUPS: dict[str, Callable[[], Iterator[tuple[str, Turn]]]] = {
     "learn collect test grid": lambda: training("grid"),
     "learn collect test fps": lambda: training("fps"),
@@ -125,6 +137,7 @@ GROUPS: dict[str, Callable[[], Iterator[tuple[str, Turn]]]] = {
         for tolerance, size in ((0.0, 64), (0.5, 64), (0.0, 256), (0.5, 256), (0.0, 512), (0.5, 512))
     },
     "query": queries,
+    "places:": places,
 }
 """Makers of groups of measurements; each key lists the first words of all names in its group."""
 

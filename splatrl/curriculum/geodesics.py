@@ -1,125 +1,19 @@
 """Geodesic distances from any place on the ground to goals, along the shortest way that a body fits through."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import ndimage, sparse
-from scipy.sparse import csgraph
 from torch import Tensor, nn
 
-from splatrl.collision.base import Checker
-from splatrl.motions.planar import PlanarMotion
+from splatrl.curriculum.ground import Ground
 
-WAYS: tuple[tuple[int, int], ...] = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2))
-WAYS += ((3, 1), (1, 3), (3, -1), (1, -3), (3, 2), (2, 3), (3, -2), (2, -3))
-"""Half of the 32 directions in which nodes are connected: a path across open ground is at most 1.3 % too long."""
-MOST_NODES = 4_000_000
 MOST_DISTANCES = 2**29
-"""Most distances, nodes times goals, of one scene: each takes up to 24 bytes while they are computed."""
+"""Most distances, nodes times goals, of one scene: each takes 4 bytes."""
 NEAR = 2.0
 """Distance from a goal within which the straight-line distance is used, cells."""
-
-
-@dataclass(frozen=True, eq=False)
-class Ground:
-    """Grid nodes where a body fits, connected where it fits all the way from one to the other.
-
-    Attributes:
-        corner: [2] float64, x and y of the first node, metres.
-        shape: number of nodes along x and y.
-        cell: distance between neighbouring nodes, metres.
-        open: [X · Y] bool, True for nodes of the largest connected component.
-        graph: [X · Y, X · Y] sparse, metres between connected nodes, each pair once.
-    """
-
-    corner: NDArray[np.float64]
-    shape: tuple[int, int]
-    cell: float
-    open: NDArray[np.bool_]
-    graph: Any
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "Ground":
-        return self  # immutable
-
-    def node(self, places: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return the nodes nearest to places: [N, 2] metres -> [N]."""
-        index = np.rint((places - self.corner) / self.cell).astype(np.int64).clip(0, np.array(self.shape) - 1)
-        return index[:, 0] * self.shape[1] + index[:, 1]
-
-    def place(self, nodes: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the positions of nodes: [N] -> [N, 2] metres."""
-        return self.corner + self.cell * np.stack(np.divmod(nodes, self.shape[1]), 1)
-
-    def connected(self, places: Tensor) -> Tensor:
-        """Return whether the nodes nearest to places [N, 2] are in the largest connected component: [N] bool."""
-        return torch.from_numpy(self.open[self.node(places.double().cpu().numpy())]).to(places.device)
-
-    def distances(self, nodes: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Return the distances from every node to some nodes, metres: [N] -> [N, X · Y].
-
-        A node that is not open takes the distance of the nearest open one, plus the straight distance to that.
-        """
-        found = csgraph.dijkstra(self.graph, directed=False, indices=nodes)
-        away, nearest = ndimage.distance_transform_edt(~self.open.reshape(self.shape), return_indices=True)
-        rows = (nearest[0] * self.shape[1] + nearest[1]).reshape(-1)
-        return (found[:, rows] + self.cell * away.reshape(-1)).astype(np.float32)
-
-
-def ground(
-    motion: PlanarMotion, checker: Checker, cell: float, fits: Callable[[Tensor], Tensor] | None = None
-) -> Ground:
-    """Find where a body fits, and between which neighbouring places it fits when it faces the way it goes.
-
-    Args:
-        motion: defines where robots may be, and converts states to poses.
-        checker: tells which poses and moves are free.
-        cell: distance between neighbouring nodes, metres.
-        fits: body_to_world [N, 4, 4] -> [N] bool, a further condition on where robots may be; None sets no condition.
-
-    Raises:
-        ValueError: if no place is free, or for a grid below 2 × 2 or above ``MOST_NODES`` nodes.
-    """
-    lower, upper = (bound.double().cpu().numpy() for bound in (motion.lower, motion.upper))
-    x, y = (int(np.floor((high - low) / cell + 1e-6)) + 1 for low, high in zip(lower, upper, strict=True))
-    if x < 2 or y < 2 or x * y > MOST_NODES:
-        raise ValueError(f"task.cell: expected a cell size that gives 2 × 2 to {MOST_NODES:,} nodes, got {x} × {y}")
-    shape = x, y
-    index = np.stack(np.meshgrid(np.arange(x), np.arange(y), indexing="ij"), -1).reshape(-1, 2)
-
-    def poses(index: NDArray[np.int64], yaw: float) -> Tensor:
-        places = torch.from_numpy(lower + cell * index).float()
-        return motion.body_to_world(torch.cat([places, torch.full((len(places), 1), yaw)], 1))
-
-    stand = poses(index, 0.0)
-    free = ~checker.collides(stand)
-    free_nodes = (free if fits is None else free & fits(stand)).cpu().numpy()
-    if not free_nodes.any():
-        (left, bottom), (right, top) = lower.tolist(), upper.tolist()
-        raise ValueError(
-            f"expected places where the robot fits, found none for x from {left:.3g} to {right:.3g} and y from "
-            f"{bottom:.3g} to {top:.3g} m; try other task.motion.lower and upper, or a smaller robot.body"
-        )
-    ends: list[NDArray[np.int64]] = []
-    lengths: list[NDArray[np.float64]] = []
-    for way in WAYS:
-        there = index + way
-        inside = ((there >= 0) & (there < shape)).all(1)
-        begin = np.flatnonzero(inside)
-        end = there[begin, 0] * y + there[begin, 1]
-        both = free_nodes[begin] & free_nodes[end]
-        begin, end, yaw = begin[both], end[both], float(np.arctan2(way[1], way[0]))
-        clear = ~checker.sweeps(poses(index[begin], yaw), poses(index[end], yaw)).cpu().numpy()
-        ends.append(np.stack([begin[clear], end[clear]]))
-        lengths.append(np.full(int(clear.sum()), cell * float(np.hypot(*way))))
-    pairs = np.concatenate(ends, 1)
-    graph = sparse.csr_matrix((np.concatenate(lengths), (pairs[0], pairs[1])), (x * y, x * y))
-    _, part = csgraph.connected_components(graph, directed=False)
-    sizes = np.bincount(part, weights=free_nodes)
-    return Ground(lower, shape, cell, free_nodes & (part == sizes.argmax()), graph)
 
 
 class Geodesics(nn.Module):
@@ -280,10 +174,13 @@ class Geodesics(nn.Module):
     def within(self, place: Tensor, least: float, most: float) -> Tensor:
         """Return whether some training goal of a single scene is in a range of distances: [N, 2] -> [N] bool."""
         found = torch.zeros(len(place), dtype=torch.bool, device=place.device)
-        for goal in range(self.for_training):
+        done, count = 0, 1
+        while done < self.for_training:  # twice as many goals at a time, as most places need no more than the first
             left = (~found).nonzero().squeeze(1)
-            far = self.distance(place[left], torch.full_like(left, goal))
-            found[left] = (far >= least) & (far <= most)
+            goals = torch.arange(done, min(done + count, self.for_training), device=place.device)
+            done, count = done + count, 2 * count
+            far = self.distance(place[left].repeat_interleave(len(goals), 0), goals.repeat(len(left)))
+            found[left] = ((far >= least) & (far <= most)).view(len(left), len(goals)).any(1)
         return found
 
     def draw(self, place: Tensor, least: float, most: float, generator: torch.Generator, tests: bool = False) -> Tensor:

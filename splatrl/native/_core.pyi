@@ -62,6 +62,33 @@ def find_distances(
 ) -> None:
     """Compute the exact distance from every voxel to the nearest solid one."""
 
+def find_geodesics(
+    ways: NDArray[np.uint16],  # [X, Y], bit k tells whether the way from a node to the one at steps[k] is open
+    steps: NDArray[np.int64],  # [W, 2], at most 16: to later columns (x > 0), or (0, 1)
+    lengths: NDArray[np.float64],  # [W], of steps, metres
+    goals: NDArray[np.int64],  # [G], nodes; the node (x, y) has the number x · Y + y
+    nearest: NDArray[np.int64],  # [X, Y], the node whose distance each node takes
+    away: NDArray[np.float64],  # [X, Y], how much is added to it, metres
+    metres: NDArray[np.float32],  # [G, X · Y], written; infinite where there is no path
+    threads: int,
+) -> None:
+    """Compute the lengths of the shortest paths from every node to some goals.
+
+    Ways may be travelled in both directions. A path's length is the sum of its steps, one after the other from the goal
+    on, in double precision; the number of threads changes no byte.
+
+    Raises:
+        ValueError: for ways that leave the grid, or nodes outside it.
+    """
+
+def find_largest_part(
+    ways: NDArray[np.uint16],  # [X, Y], as in find_geodesics
+    steps: NDArray[np.int64],  # [W, 2]
+    nodes: NDArray[np.bool_],  # [X, Y], those that count
+    part: NDArray[np.bool_],  # [X, Y], written
+) -> None:
+    """Mark the nodes of the largest part that ways connect; of equally large ones, that which has the first node."""
+
 def build_levels(
     means: Tensor,  # [N, 3] float32, metres, world frame
     axes: Tensor,  # [N, 3, 3] float32, Σ = A Aᵀ
@@ -176,6 +203,7 @@ class Renderer:
     ) -> None: ...
     def add_model(
         self,
+        model: int,
         means: Tensor,  # [N, 3] float32, metres, the model's own frame
         axes: Tensor,  # [N, 3, 3] float32, columns: the axes of the Gaussian times its standard deviations
         opacities: Tensor,  # [N] float32
@@ -183,7 +211,7 @@ class Renderer:
         degree: int,
         levels: dict[str, NDArray[np.float32] | NDArray[np.uint32]] | None,  # from build_levels; None: every Gaussian
     ) -> None:
-        """Add a model; the first is model 0.
+        """Add or replace a model. Several threads may do so at once, but none while another draws.
 
         Raises:
             ValueError: for levels of other Gaussians.

@@ -138,10 +138,6 @@ Renderer::Renderer(std::array<float, 3> background, bool antialiased, float tole
 
 Renderer::~Renderer() = default;
 
-void Renderer::add(const GaussianArrays& gaussians, const Levels& levels) {
-    scenes_.emplace_back(std::in_place, gaussians, levels, background_, antialiased_);
-}
-
 void Renderer::put(size_t model, std::optional<Scene> scene) {
     if (model >= scenes_.size()) scenes_.resize(model + 1);
     scenes_[model] = std::move(scene);

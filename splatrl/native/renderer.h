@@ -29,9 +29,7 @@ public:
     Renderer(std::array<float, 3> background, bool antialiased, float tolerance, Isa isa);
     ~Renderer();
 
-    void add(const GaussianArrays& gaussians, const Levels& levels);
-
-    // Replace or remove a model; one that has been removed must not be drawn. Not to be called while anything is drawn.
+    // Add, replace or remove a model; one that has been removed must not be drawn. Not to be called while anything is drawn.
     void put(size_t model, std::optional<Scene> scene);
 
     // What each camera needs of each of several models in one frame, given the bounds of their trees: NOTHING if the
@@ -40,6 +38,7 @@ public:
     void needs(const Bounds* bounds, const float* errors, size_t count, const Batch& batch, uint8_t* out) const;
 
     std::array<float, 3> background() const { return background_; }
+    bool antialiased() const { return antialiased_; }
 
     // The images of the batch lie one after another in memory; efforts [rows] receives the work of each frame, unless
     // it is null.

@@ -22,15 +22,19 @@ using Lenses = Tensor<const float, -1, 3, 3>;
 // Columns of each frame: projected, visible, blended, project_ms, sort_ms, blend_ms.
 using Efforts = std::optional<Tensor<float, -1, 6>>;
 
-void add_model(Renderer& renderer, Tensor<const float, -1, 3> means, Tensor<const float, -1, 3, 3> axes,
+void add_model(Renderer& renderer, size_t model, Tensor<const float, -1, 3> means, Tensor<const float, -1, 3, 3> axes,
                Tensor<const float, -1> opacities, Tensor<const float, -1, -1, 3> sh, int degree,
                std::optional<nb::dict> levels) {
     const GaussianArrays gaussians{means.data(), axes.data(), opacities.data(), sh.data(), means.shape(0), degree};
     Levels tree;
     if (levels) tree = levels_of(*levels, gaussians);
-    const Release release;
-    if (!levels) tree = build_levels(gaussians, CLUSTER, GROUP, false);
-    renderer.add(gaussians, tree);
+    std::optional<Scene> scene;
+    {
+        const Release release;
+        if (!levels) tree = build_levels(gaussians, CLUSTER, GROUP, false);
+        scene.emplace(gaussians, tree, renderer.background(), renderer.antialiased());
+    }
+    renderer.put(model, std::move(scene));  // with the GIL, as other threads may add models
 }
 
 void render(Renderer& renderer, const Models& models, const Poses& camera_to_models, const Lenses& K, int width,
@@ -120,8 +124,8 @@ void bind_renderer(nb::module_& m) {
                 new (self) Renderer(background, antialiased, tolerance, choose_isa());
             },
             nb::arg("antialiased"), nb::arg("background"), nb::arg("tolerance"))
-        .def("add_model", &add_model, nb::arg("means"), nb::arg("axes"), nb::arg("opacities"), nb::arg("sh"),
-             nb::arg("degree"), nb::arg("levels").none())
+        .def("add_model", &add_model, nb::arg("model"), nb::arg("means"), nb::arg("axes"), nb::arg("opacities"),
+             nb::arg("sh"), nb::arg("degree"), nb::arg("levels").none())
         .def(
             "put_model",
             [](Renderer& self, size_t model, std::optional<nb::dict> arrays) {

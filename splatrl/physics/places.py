@@ -5,10 +5,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from splatrl.collision.voxels import Voxels
+from splatrl.native import _core
 
 CLEARANCE = 0.3
 """Minimum free space above a place to stand, metres."""
@@ -61,16 +60,11 @@ def widest_part(heights: NDArray[np.float64]) -> NDArray[np.bool_]:
     known = ~np.isnan(heights)
     if not known.any():
         return known
-    index = np.arange(heights.size).reshape(heights.shape)
-    first, second = [], []
-    for a, b in ((np.s_[:-1, :], np.s_[1:, :]), (np.s_[:, :-1], np.s_[:, 1:])):
+    ways = np.zeros(heights.shape, np.uint16)
+    for bit, (a, b) in enumerate(((np.s_[:-1, :], np.s_[1:, :]), (np.s_[:, :-1], np.s_[:, 1:]))):
         beside = known[a] & known[b]
         beside[beside] = np.abs(heights[a][beside] - heights[b][beside]) <= STEP + 1e-9
-        first.append(index[a][beside])
-        second.append(index[b][beside])
-    rows, columns = np.concatenate(first), np.concatenate(second)
-    graph = coo_array((np.ones(len(rows), bool), (rows, columns)), shape=(heights.size, heights.size))
-    label = connected_components(graph, directed=False)[1].reshape(heights.shape)
-    largest = np.bincount(label[known]).argmax()
-    result: NDArray[np.bool_] = known & (label == largest)
-    return result
+        ways[a][beside] |= np.uint16(1 << bit)
+    largest = np.empty(heights.shape, bool)
+    _core.find_largest_part(ways, np.array([(1, 0), (0, 1)]), known, largest)
+    return largest

@@ -90,12 +90,17 @@ class BlockRenderer(NativeRenderer):
         """Bytes that all blocks together would take."""
         return self._tops + sum(kept.bytes for kept in self._whole.values())
 
-    def _add(self, model: Scene | Gaussians, tolerance: float) -> None:
-        if not isinstance(model, BlockScene):
-            super()._add(model, tolerance)
-            self._models_at.append(self._slots)
-            self._slots += 1
-            return
+    def _add_all(self, models: Sequence[Scene | Gaussians], tolerance: float) -> None:
+        for model in models:
+            if isinstance(model, BlockScene):
+                self._add_blocks(model)
+            else:
+                self._add(self._slots, model, tolerance)
+                self._models_at.append(self._slots)
+                self._slots += 1
+
+    def _add_blocks(self, model: BlockScene) -> None:
+        """Add the tops of a scene's blocks to the core."""
         files = [self._top_file(block) for block in model.blocks]
         for number, (top, kept) in enumerate(for_each_block(self._top, model.blocks, files)):
             slot = self._slots + 2 * number

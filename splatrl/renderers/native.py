@@ -1,6 +1,8 @@
 """The renderer for CPUs: in C++, exact or with level of detail, one frame per core."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -73,15 +75,21 @@ class NativeRenderer:
         self._made_of: tuple[Any, ...] = scene, antialiased, background, threads, tolerance
         self._models = len(models)
         self._core = _core.Renderer(antialiased, checked_background(background), tolerance)
-        for model in models:
-            self._add(model, tolerance)
+        self._add_all(models, tolerance)
 
-    def _add(self, model: Scene | Gaussians, tolerance: float) -> None:
+    def _add_all(self, models: Sequence[Scene | Gaussians], tolerance: float) -> None:
+        """Add models to the core, several at a time."""
+        if len(models) == 1:
+            return self._add(0, models[0], tolerance)  # in this thread, where Ctrl-C interrupts it
+        with ThreadPoolExecutor(threads_of(None)) as pool:
+            list(pool.map(partial(self._add, tolerance=tolerance), range(len(models)), models))
+
+    def _add(self, number: int, model: Scene | Gaussians, tolerance: float) -> None:
         """Add a model to the core."""
         gaussians = gaussians_of(model)
         arrays = gaussian_arrays(gaussians)
         levels = levels_for(model, arrays, tolerance)
-        self._core.add_model(**arrays, degree=gaussians.sh_degree, levels=levels)
+        self._core.add_model(number, **arrays, degree=gaussians.sh_degree, levels=levels)
 
     def __reduce__(self) -> tuple[type["NativeRenderer"], tuple[Any, ...]]:
         return type(self), self._made_of

@@ -9,7 +9,8 @@ import torch
 
 from splatrl.bodies import Box, Sphere
 from splatrl.collision import NativeChecker, NoChecker, Occupancy
-from splatrl.curriculum.geodesics import Geodesics, ground
+from splatrl.curriculum.geodesics import Geodesics
+from splatrl.curriculum.ground import ground
 from splatrl.motions import NavigateMotion
 from splatrl.several import rows_of, stacked
 
@@ -96,6 +97,15 @@ def test_goals_are_free_seeded_and_drawn_at_the_requested_distance() -> None:
     assert torch.equal((chosen >= 0.5) & (chosen <= 2.0), fits.any(1)) and fits.any(1).sum() > 100
     tests = goals.draw(places, 0.0, 9.0, torch.Generator().manual_seed(4), tests=True)
     assert tests.min() >= 5 and tests.max() < 8
+
+
+def test_a_place_is_within_range_if_any_goal_for_training_is() -> None:
+    goals = geodesics(for_training=6)
+    places = torch.rand(300, 2, generator=torch.Generator().manual_seed(5)) * torch.tensor([2.0, 3.0])
+    places -= torch.tensor([1.0, 1.5])
+    for least, most in ((0.0, 0.3), (1.0, 1.2), (0.0, 0.0), (0.0, 99.0)):
+        far = torch.stack([goals.distance(places, torch.full((300,), row)) for row in range(6)])
+        assert torch.equal(goals.within(places, least, most), ((far >= least) & (far <= most)).any(0))
 
 
 def test_room_is_1_where_the_body_fits_in_the_goals_scene_and_0_beyond_the_bounds() -> None:

@@ -66,7 +66,7 @@ means = arrays.pop("means")
 levels = _core.build_levels(means, **arrays, degree=0)
 drawn = dict(background=(0.0, 0.0, 0.0), antialiased=True)
 pack, flat = partial(_core.pack_model, **arrays, degree=0, **drawn), partial(_core.flat_scene, **drawn, tolerance=0.0)
-add = partial(_core.Renderer(True, (0.0, 0.0, 0.0), 0.0).add_model, **arrays, degree=0)
+add = partial(_core.Renderer(True, (0.0, 0.0, 0.0), 0.0).add_model, 0, **arrays, degree=0)
 all_of_it = dict(first=np.zeros((1, 3), int), end=np.full((1, 3), 400), extent=3.0)  # of a grid, by one Gaussian
 fill = partial(
     _core.add_density, axes=np.eye(3)[None], scales=np.full((1, 3), 150.0), opacities=np.ones(1), **all_of_it,

@@ -352,9 +352,9 @@ def test_levels_that_are_no_valid_tree_of_the_model_are_refused(
     bad[name][index] = value
     renderer = _core.Renderer(True, (0, 0, 0), 1.0)
     with pytest.raises(ValueError, match="levels: expected a tree"):
-        renderer.add_model(**arrays_of(random_gaussians(3, 3000, 1)), degree=1, levels=bad)
+        renderer.add_model(0, **arrays_of(random_gaussians(3, 3000, 1)), degree=1, levels=bad)
     with pytest.raises(ValueError, match="levels"):
-        renderer.add_model(**arrays_of(random_gaussians(3, 2000, 1)), degree=1, levels=levels)
+        renderer.add_model(0, **arrays_of(random_gaussians(3, 2000, 1)), degree=1, levels=levels)
 
 
 @pytest.mark.parametrize("tolerance", [-0.1, math.inf, math.nan])

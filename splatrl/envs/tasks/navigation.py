@@ -11,7 +11,8 @@ from torch import Tensor
 from torchrl.data import Bounded, TensorSpec, Unbounded
 
 from splatrl.collision.base import Checker
-from splatrl.curriculum.geodesics import Geodesics, ground
+from splatrl.curriculum.geodesics import Geodesics
+from splatrl.curriculum.ground import ground
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdict
 from splatrl.envs.tasks.fitting import require_part
 from splatrl.envs.tasks.module import TaskModule
