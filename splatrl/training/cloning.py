@@ -133,12 +133,7 @@ class Cloner:
     def _hidden(self, hidden: Tensor, frame: Tensor) -> Tensor:
         """Return what the heads read: features that have passed through the memory, if any, episode by episode."""
         for module in self._memory:
-            begins = (frame == 0).nonzero().squeeze(1)
-            lengths = begins.diff(append=begins.new_tensor([len(frame)]))
-            seen = (torch.arange(int(lengths.max()), device=frame.device) < lengths.unsqueeze(1)).unsqueeze(-1)
-            padded = hidden.new_zeros(*seen.shape[:2], hidden.shape[1]).masked_scatter(seen, hidden)
-            thought, _ = module.gru(padded)  # from a state of zeros
-            hidden = thought.masked_select(seen).unflatten(0, (len(frame), -1))
+            hidden = module.along(hidden, (frame == 0).nonzero().squeeze(1))
         return hidden
 
 
