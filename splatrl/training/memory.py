@@ -49,12 +49,11 @@ class Memory(GRUModule):
     def after(self, features: Tensor, state: Tensor, is_init: Tensor) -> Tensor:
         """Return the state after one step: [..., F], [..., M] and [..., 1] bool -> [..., M]."""
         before, cell = torch.where(is_init, 0.0, state), self.gru
-        rows = features.reshape(-1, features.shape[-1])
+        rows, states = features.reshape(-1, cell.input_size), before.reshape(-1, cell.hidden_size)
         if not self._is_stepwise(features) and suits(rows, cell):
-            each = torch.arange(len(rows))
-            return remembered(rows, each, before.reshape(len(rows), -1), cell).view(before.shape)
+            return remembered(rows, torch.arange(len(rows)), states, cell).view(before.shape)
         weights = (cell.weight_ih_l0, cell.weight_hh_l0, cell.bias_ih_l0, cell.bias_hh_l0)
-        return torch.gru_cell(features, before, *weights)
+        return torch.gru_cell(rows, states, *weights).view(before.shape)
 
     def along(self, features: Tensor, begins: Tensor, states: Tensor | None = None) -> Tensor:
         """Return the states after the frames of episodes, given one episode after another: [N, F] -> [N, M].
