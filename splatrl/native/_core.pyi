@@ -419,10 +419,10 @@ def trunk_backward(
 
 def gru_forward(
     sizes: tuple[int, int, int, int],  # frames, episodes, features, memory
-    known: tuple[int, int],  # addresses of first frames [episodes] int64, and of states before them [episodes, memory]
+    known: tuple[int, ...],  # addresses of first frames [episodes] int64, and of states before them [episodes, memory]
     features: int,  # address of [frames, features]
     weights: tuple[int, ...],  # addresses of a GRU's weights and biases, in the order of ``nn.GRU``
-    made: tuple[int, int],  # addresses of hidden [frames, memory] and what the gradient needs [frames, 5 * memory], written
+    made: tuple[int, ...],  # addresses of hidden [frames, memory] and of what to keep [frames, 5 * memory], written
     threads: int,
     /,
 ) -> None:
@@ -436,11 +436,11 @@ def gru_forward(
 
 def gru_backward(
     sizes: tuple[int, int, int, int],
-    known: tuple[int, int],
+    known: tuple[int, ...],
     features: int,
     weights: tuple[int, ...],
-    made: tuple[int, int],  # addresses of what ``gru_forward`` kept, and of the gradient of hidden
-    gradients: tuple[int, ...],  # addresses of the results: gradients of the weights, in their order, then of the features
+    made: tuple[int, ...],  # addresses of what ``gru_forward`` kept, and of the gradient of hidden
+    gradients: tuple[int, ...],  # addresses of the results: gradients of the weights, then of the features
     threads: int,
     /,
 ) -> None:

@@ -27,9 +27,8 @@ class Memory(GRUModule):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Map ``features`` [B, F], or in learning [B, T, F], to ``hidden`` and the next state."""
-        features, is_init = tensordict[self.in_keys[0]], tensordict["is_init"]
-        state = tensordict[STATE].squeeze(-2)
-        hidden = self._through(features, state, is_init) if self.recurrent_mode else self.after(features, state, is_init)
+        given = tensordict[self.in_keys[0]], tensordict[STATE].squeeze(-2), tensordict["is_init"]
+        hidden = self._through(*given) if self.recurrent_mode else self.after(*given)
         return tensordict.set("hidden", hidden).set(("next", STATE), hidden.unsqueeze(-2))
 
     def _through(self, features: Tensor, state: Tensor, is_init: Tensor) -> Tensor:

@@ -70,8 +70,8 @@ class _Remembering(torch.autograd.Function):
         return (None, None, by_features, *gradients)
 
 
-def _weights(cell: nn.GRU) -> tuple[Tensor, ...]:
-    return cell.weight_ih_l0, cell.weight_hh_l0, cell.bias_ih_l0, cell.bias_hh_l0
+def _weights(cell: nn.GRU) -> list[Tensor]:
+    return [*cell.parameters()]
 
 
 def _threads(frames: int) -> int:
