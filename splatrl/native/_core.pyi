@@ -342,9 +342,10 @@ def agree(
     """Keep only those depths of photos that enough neighbouring photos confirm."""
 
 def pool_images(
-    images: int,  # address of [N, H, W, C] uint8
+    images: int,  # address of [N, H, W, C], uint8 or float32
     shape: tuple[int, int, int, int],
     side: int,  # of a cell, pixels
+    floats: bool,  # whether the images are float32 in [0, 1]
     out: int,  # address of [N, H // side, W // side, C] float32, written
     /,
 ) -> None:

@@ -103,12 +103,13 @@ class Cloner:
         size, begins = self.settings.mini_batch_size, (shown["frame"] == 0).nonzero().squeeze(1).cpu()
         rows: list[Tensor] = list(torch.arange(len(shown["frame"])).tensor_split(begins[1:]))
         if self._memory:
-            order, chosen = torch.randperm(len(rows)).tolist(), list[Tensor]()
+            order, chosen, count = torch.randperm(len(rows)).tolist(), list[Tensor](), 0
             for number in order:
                 chosen.append(rows[number])
-                if sum(map(len, chosen)) >= size or number == order[-1]:
+                count += len(rows[number])
+                if count >= size or number == order[-1]:
                     yield self._some(shown, torch.cat(chosen))
-                    chosen = []
+                    chosen, count = [], 0
             return
         for some in torch.randperm(len(shown["frame"])).split(size):
             yield self._some(shown, some)

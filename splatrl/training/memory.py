@@ -33,7 +33,7 @@ class Memory(GRUModule):
 
     def _through(self, features: Tensor, state: Tensor, is_init: Tensor) -> Tensor:
         """Return the states after T steps, of which the first begins in a given one: [B, T, ...] each -> [B, T, M]."""
-        if self._is_stepwise(features):
+        if features.device.type != "cpu" if self.stepwise is None else self.stepwise:
             now, hidden = state[:, 0], []
             for step in range(features.shape[1]):
                 now = self.after(features[:, step], now, is_init[:, step])
@@ -49,8 +49,6 @@ class Memory(GRUModule):
         """Return the state after one step: [..., F], [..., M] and [..., 1] bool -> [..., M]."""
         before, cell = torch.where(is_init, 0.0, state), self.gru
         rows, states = features.reshape(-1, cell.input_size), before.reshape(-1, cell.hidden_size)
-        if not self._is_stepwise(features) and suits(rows, cell):
-            return remembered(rows, torch.arange(len(rows)), states, cell).view(before.shape)
         weights = (cell.weight_ih_l0, cell.weight_hh_l0, cell.bias_ih_l0, cell.bias_hh_l0)
         return torch.gru_cell(rows, states, *weights).view(before.shape)
 
@@ -72,9 +70,6 @@ class Memory(GRUModule):
         padded = features.new_zeros(*seen.shape[:2], features.shape[1]).masked_scatter(seen, features)
         thought, _ = self.gru(padded, states.unsqueeze(0))
         return thought.masked_select(seen).unflatten(0, (len(features), -1))
-
-    def _is_stepwise(self, features: Tensor) -> bool:
-        return features.device.type != "cpu" if self.stepwise is None else self.stepwise
 
 
 class RecurrentReset(TensorDictPrimer):

@@ -15,7 +15,7 @@ GAIN = 2**0.5
 
 
 class PoolPixels(nn.Module):
-    """Averages uint8 images over square cells: the weight-free part of the network, which runs once per frame.
+    """Averages images over square cells: the weight-free part of the network, which runs once per frame.
 
     Args:
         pool: side of a cell, pixels.
@@ -26,26 +26,29 @@ class PoolPixels(nn.Module):
         self.side, self.pool = pool, nn.AvgPool2d(pool)
 
     def forward(self, pixels: Tensor) -> Tensor:
-        """Pool images: [..., H, W, C] uint8 -> [..., H // pool, W // pool, C] float32 in [−0.5, 0.5]."""
+        """Pool images, uint8 or float32 in [0, 1]: [..., H, W, C] -> [..., H // pool, W // pool, C] in [−0.5, 0.5]."""
         images = pixels.reshape(-1, *pixels.shape[-3:])
         if _by_core(images):
             pooled = self._averages(images.contiguous())
         else:
-            pooled = self.pool(images.permute(0, 3, 1, 2).float()).permute(0, 2, 3, 1) / 255.0 - 0.5
+            most = 255.0 if images.dtype == torch.uint8 else 1.0
+            pooled = self.pool(images.permute(0, 3, 1, 2).float()).permute(0, 2, 3, 1) / most - 0.5
         return pooled.reshape(*pixels.shape[:-3], *pooled.shape[1:])
 
     def _averages(self, images: Tensor) -> Tensor:
         """Pool images in the C++ core, without the intermediate tensors that PyTorch would write."""
         count, height, width, depth = images.shape
         pooled = torch.empty(count, height // self.side, width // self.side, depth)
-        _core.pool_images(images.data_ptr(), (count, height, width, depth), self.side, pooled.data_ptr())
+        floats = images.dtype == torch.float32
+        _core.pool_images(images.data_ptr(), (count, height, width, depth), self.side, floats, pooled.data_ptr())
         return pooled
 
 
 def _by_core(images: Tensor) -> bool:
     """Whether the core can pool images: it needs values in main memory, which ``vmap`` and tracers do not have."""
     traced = torch.compiler.is_compiling() or torch.jit.is_tracing() or is_functorch_wrapped_tensor(images)
-    return images.dtype == torch.uint8 and images.device.type == "cpu" and not traced
+    plain = images.dtype in (torch.uint8, torch.float32) and not images.requires_grad
+    return plain and images.device.type == "cpu" and not traced
 
 
 def two_convolutions(height: int, width: int, depth: int, channels: Sequence[int]) -> nn.Sequential:

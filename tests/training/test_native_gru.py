@@ -116,18 +116,17 @@ def test_one_step_is_the_first_of_many() -> None:
     after = module.after(features, state, is_init)
     assert after.shape == (3, 5, 16)
     for row in range(3):
-        first = module._through(features[row].unsqueeze(1), state[row].unsqueeze(1), is_init[row].unsqueeze(1))
-        assert torch.equal(first.squeeze(1), after[row])
-    assert torch.equal(module.after(features[0, 0], state[0, 0], is_init[0, 0]), after[0, 0])
+        first = module._through(*(each[row].unsqueeze(1) for each in (features, state, is_init)))
+        torch.testing.assert_close(first.squeeze(1), after[row], atol=1e-6, rtol=1e-5)
+    torch.testing.assert_close(module.after(features[0, 0], state[0, 0], is_init[0, 0]), after[0, 0])
 
 
 def test_the_compiled_gru_is_left_out_of_traced_and_mapped_code() -> None:
     module = gru(32, 16).requires_grad_(False)
-    given = torch.randn(3, 32), torch.randn(3, 16), torch.zeros(3, 1, dtype=torch.bool)
-    traced = torch.jit.trace(lambda *each: module.after(*each), given)
-    torch.testing.assert_close(traced(*given), module.after(*given), atol=1e-6, rtol=1e-5)
-    other = torch.randn(3, 32), torch.randn(3, 16), torch.ones(3, 1, dtype=torch.bool)
-    torch.testing.assert_close(traced(*other), module.after(*other), atol=1e-6, rtol=1e-5)
+    begins = torch.tensor([0, 3])
+    given, other = torch.randn(5, 32), torch.randn(5, 32)
+    traced = torch.jit.trace(lambda seen: module.along(seen, begins), given)
+    torch.testing.assert_close(traced(other), module.along(other, begins), atol=1e-6, rtol=1e-5)
     found = list[bool]()
     torch.vmap(lambda rows: found.append(suits(rows, module.gru)) or rows)(torch.randn(2, 3, 32))
     assert found == [False]
