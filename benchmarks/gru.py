@@ -3,8 +3,8 @@
     python benchmarks/gru.py             # a minute
     python benchmarks/gru.py --rounds 9
 
-Rows are minibatches of learning from reward and of imitation, forwards and backwards through time. Times are CPU time of
-this process, which other work on the machine disturbs less; the ratios are those of single rounds.
+Rows are minibatches of learning from reward and of imitation, forwards and backwards through time. Times are CPU time
+of this process, which other work on the machine disturbs less; the ratios are those of single rounds.
 """
 
 import argparse

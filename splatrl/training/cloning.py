@@ -63,7 +63,7 @@ class Cloner:
 
     def __init__(self, model: ActorValueOperator, settings: CloningSettings):
         self.settings, self.parameters = settings, list(model.parameters())
-        self.optimizer = torch.optim.Adam(self.parameters, lr=settings.lr)
+        self.optimizer = torch.optim.Adam(self.parameters, lr=settings.lr, fused=True)
         prepare, trunk, *memory = model.module[0].module
         self.reads = tuple(str(key) for key in prepare.in_keys)
         self._prepare, self._trunk, self._memory = prepare.module, trunk.module, memory
