@@ -126,6 +126,7 @@ def test_the_compiled_gru_is_left_out_of_traced_and_mapped_code() -> None:
     begins = torch.tensor([0, 3])
     given, other = torch.randn(5, 32), torch.randn(5, 32)
     traced = torch.jit.trace(lambda seen: module.along(seen, begins), given)
+    assert "Remembering" not in str(traced.graph)
     torch.testing.assert_close(traced(other), module.along(other, begins), atol=1e-6, rtol=1e-5)
     found = list[bool]()
     torch.vmap(lambda rows: found.append(suits(rows, module.gru)) or rows)(torch.randn(2, 3, 32))

@@ -99,6 +99,10 @@ def test_the_core_pools_images_as_pytorch_does(shape: tuple[int, ...], pool: int
     torch.testing.assert_close(PoolPixels(pool)(pixels), expected, rtol=0, atol=1e-7)
     sides = PoolPixels(pool)(pixels.transpose(-2, -3).contiguous().transpose(-2, -3))
     assert torch.equal(sides, PoolPixels(pool)(pixels))
+    if most == 1:
+        differentiable = PoolPixels(pool)(pixels.requires_grad_())
+        assert differentiable.requires_grad
+        torch.testing.assert_close(differentiable, expected, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize(("height", "width", "pool"), [(16, 15, 2), (7, 20, 1)])
