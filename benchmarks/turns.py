@@ -25,6 +25,7 @@ from splatrl.configuration import load_config
 from splatrl.envs import World
 from splatrl.envs.world import Worlds
 from splatrl.renderers import NativeRenderer
+from splatrl.training import Cloner, CloningSettings
 
 Turn = Callable[[], object]
 VIEWS = 64
@@ -46,6 +47,26 @@ def training(task: str) -> Iterator[tuple[str, Turn]]:
         ppo.iterate()
     batch = ppo.collect()
     yield f"learn {task}", lambda: ppo.learner.learn(batch)
+
+
+def remembering() -> Iterator[tuple[str, Turn]]:
+    """Make measurements of a policy with memory: imitation for one pass, acting, and learning from one batch."""
+    cfg = load_config(["task=pointnav", "ppo=taught", "memory=gru", "device=cpu", "logger.num_test_episodes=64"])
+    torch.manual_seed(0)
+    trainer = build_trainer(cfg, build_world(cfg), Path(tempfile.mkdtemp()))
+    ppo = trainer.ppo
+    batch = ppo.collect()
+    rows, cloner = batch.flatten(0, 1), Cloner(ppo.model, CloningSettings(1, 256, 1e-4, 0.5))
+    shown = {
+        **{key: rows[key] for key in cloner.reads},
+        "target": torch.nn.functional.one_hot(rows["action"], ppo.env.action_spec.space.n).float(),
+        "value_target": torch.zeros(len(rows)),
+        "frame": rows["step_count"].flatten(),
+    }
+    yield "imitate with memory", lambda: cloner.fit(shown)
+    yield "learn with memory", lambda: ppo.learner.learn(batch)
+    yield "collect with memory", ppo.collect
+    yield "test with memory", trainer.test
 
 
 def steps(batch: int) -> Iterator[tuple[str, Turn]]:
@@ -125,6 +146,7 @@ def places() -> Iterator[tuple[str, Turn]]:
 GROUPS: dict[str, Callable[[], Iterator[tuple[str, Turn]]]] = {
     "learn collect test grid": lambda: training("grid"),
     "learn collect test fps": lambda: training("fps"),
+    "imitate learn collect test": remembering,
     "step 1": lambda: steps(1),
     "step 32": lambda: steps(32),
     "step 64": lambda: steps(64),

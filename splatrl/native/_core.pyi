@@ -370,9 +370,10 @@ def agree(
     """Keep only those depths of photos that enough neighbouring photos confirm."""
 
 def pool_images(
-    images: int,  # address of [N, H, W, C] uint8
+    images: int,  # address of [N, H, W, C], uint8 or float32
     shape: tuple[int, int, int, int],
     side: int,  # of a cell, pixels
+    floats: bool,  # whether the images are float32 in [0, 1]
     out: int,  # address of [N, H // side, W // side, C] float32, written
     /,
 ) -> None:
@@ -444,6 +445,35 @@ def trunk_backward(
     /,
 ) -> None:
     """Compute the gradients of the weights of ``trunk_forward``."""
+
+def gru_forward(
+    sizes: tuple[int, int, int, int],  # frames, episodes, features, memory
+    known: tuple[int, ...],  # addresses of first frames [episodes] int64, and of states before them [episodes, memory]
+    features: int,  # address of [frames, features]
+    weights: tuple[int, ...],  # addresses of a GRU's weights and biases, in the order of ``nn.GRU``
+    made: tuple[int, ...],  # addresses of hidden [frames, memory] and of what to keep [frames, 5 * memory], written
+    threads: int,
+    /,
+) -> None:
+    """Run a gated recurrent unit through the frames of episodes, one episode after another.
+
+    Addresses are those of C-contiguous arrays in main memory, of float32 unless stated otherwise.
+
+    Raises:
+        ValueError: for sizes of features or memory that are not multiples of 16, or first frames that do not ascend.
+    """
+
+def gru_backward(
+    sizes: tuple[int, int, int, int],
+    known: tuple[int, ...],
+    features: int,
+    weights: tuple[int, ...],
+    made: tuple[int, ...],  # addresses of what ``gru_forward`` kept, and of the gradient of hidden
+    gradients: tuple[int, ...],  # addresses of the results: gradients of the weights, then of the features
+    threads: int,
+    /,
+) -> None:
+    """Compute the gradients of the weights and features of ``gru_forward``."""
 
 def policy_loss(
     frames: tuple[int, ...],  # addresses of hidden, action (int64), log_prob, advantage and value_target, [count, ...]

@@ -4,9 +4,15 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
+#include <cstdint>
 #include <vector>
 
 namespace splatrl {
+
+// Address of an array, as Python passes it for memory that another library owns.
+using Address = uintptr_t;
+
+inline float* at(Address address) { return reinterpret_cast<float*>(address); }
 
 // A C-contiguous array in main memory with this shape; -1 matches any size.
 template <class T, long... SHAPE>

@@ -10,6 +10,7 @@ void bind_distances(nanobind::module_& m);
 void bind_fit(nanobind::module_& m);
 void bind_flat_scene(nanobind::module_& m);
 void bind_geodesics(nanobind::module_& m);
+void bind_gru(nanobind::module_& m);
 void bind_interpreter(nanobind::module_& m);
 void bind_isa(nanobind::module_& m);
 void bind_lattice_steps(nanobind::module_& m);

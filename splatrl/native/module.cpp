@@ -26,6 +26,7 @@ NB_MODULE(_core, m) {
     splatrl::bind_fit(m);
     splatrl::bind_flat_scene(m);
     splatrl::bind_geodesics(m);
+    splatrl::bind_gru(m);
     splatrl::bind_interpreter(m);
     splatrl::bind_isa(m);
     splatrl::bind_lattice_steps(m);

@@ -7,6 +7,7 @@
 #include <stdexcept>
 #include <vector>
 
+#include "arrays.h"
 #include "bindings.h"
 #include "buffer.h"
 #include "interpreter.h"
@@ -17,10 +18,6 @@ namespace nb = nanobind;
 namespace splatrl {
 
 namespace {
-
-using Address = uintptr_t;
-
-float* at(Address address) { return reinterpret_cast<float*>(address); }
 
 // The arrays hold addresses. `frames`: hidden, action, log_prob, advantage, value_target. `heads`: weights and bias of
 // the policy head, then of the value head. `gradients`: gradients of the heads, in the same order, then of hidden.

@@ -7,6 +7,7 @@
 #include <stdexcept>
 #include <vector>
 
+#include "arrays.h"
 #include "bindings.h"
 #include "interpreter.h"
 
@@ -16,31 +17,40 @@ namespace splatrl {
 
 namespace {
 
-// A cell's rows are summed before its columns, since the rows of an image are contiguous in memory.
-void pool_images(uintptr_t images, const std::array<size_t, 4>& shape, size_t side, uintptr_t out) {
+using Shape = std::array<size_t, 4>;  // images, height, width, channels
+
+// Average images over square cells, in units of `most`, and subtract a half. A cell's rows are summed before its columns,
+// since the rows of an image are contiguous in memory.
+template <class Sum, class Value>
+void pool(const Value* pixels, const Shape& shape, size_t side, float most, float* out) {
     const auto [count, height, width, depth] = shape;
-    if (side < 1 || side > 4096) throw std::invalid_argument("side: expected 1 to 4096 pixels");
     const size_t tall = height / side, wide = width / side, run = wide * side * depth, cells = wide * depth;
-    const auto* pixels = reinterpret_cast<const uint8_t*>(images);
-    auto* written = reinterpret_cast<float*>(out);
     const float area = float(side * side);
-    std::vector<int32_t> sums(run);
-    const Release release;
+    std::vector<Sum> sums(run);
     for (size_t image = 0; image < count; ++image)
-        for (size_t y = 0; y < tall; ++y, written += cells) {
-            std::fill(sums.begin(), sums.end(), 0);
+        for (size_t y = 0; y < tall; ++y, out += cells) {
+            std::fill(sums.begin(), sums.end(), Sum(0));
             for (size_t row = 0; row < side; ++row) {
-                const uint8_t* line = pixels + (image * height + y * side + row) * width * depth;
+                const Value* line = pixels + (image * height + y * side + row) * width * depth;
                 for (size_t i = 0; i < run; ++i) sums[i] += line[i];
             }
             for (size_t x = 0; x < wide; ++x)
                 for (size_t c = 0; c < depth; ++c) {
-                    int32_t sum = 0;
+                    Sum sum = 0;
                     for (size_t i = x * side * depth + c; i < (x + 1) * side * depth; i += depth) sum += sums[i];
-                    written[x * depth + c] = float(sum);
+                    out[x * depth + c] = float(sum);
                 }
-            for (size_t i = 0; i < cells; ++i) written[i] = written[i] / area / 255.0f - 0.5f;
+            for (size_t i = 0; i < cells; ++i) out[i] = out[i] / area / most - 0.5f;
         }
+}
+
+void pool_images(Address images, const Shape& shape, size_t side, bool floats, Address out) {
+    if (side < 1 || side > 4096) throw std::invalid_argument("side: expected 1 to 4096 pixels");
+    const Release release;
+    if (floats)
+        pool<float>(at(images), shape, side, 1.0f, at(out));
+    else
+        pool<int32_t>(reinterpret_cast<const uint8_t*>(images), shape, side, 255.0f, at(out));
 }
 
 }  // namespace

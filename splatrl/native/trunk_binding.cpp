@@ -6,6 +6,7 @@
 #include <cstring>
 #include <stdexcept>
 
+#include "arrays.h"
 #include "bindings.h"
 #include "buffer.h"
 #include "interpreter.h"
@@ -20,10 +21,8 @@ namespace {
 
 constexpr size_t DENSE_CHUNK = 16 * TRUNK_LANES;  // dense-layer inputs per work item of the weight gradient
 
-using Addresses = std::array<uintptr_t, 6>;
-using LayerAddresses = std::array<uintptr_t, 3>;
-
-float* at(uintptr_t address) { return reinterpret_cast<float*>(address); }
+using Addresses = std::array<Address, 6>;
+using LayerAddresses = std::array<Address, 3>;
 
 TrunkWeights weights_at(const Addresses& a) { return {at(a[0]), at(a[1]), at(a[2]), at(a[3]), at(a[4]), at(a[5])}; }
 
@@ -51,7 +50,7 @@ public:
         shape_.features = features;
     }
 
-    void forward(uintptr_t images, size_t count, const Addresses& weights, const LayerAddresses& layers,
+    void forward(Address images, size_t count, const Addresses& weights, const LayerAddresses& layers,
                  size_t threads) const {
         const TrunkKernels& kernels = trunk_kernels_of(choose_isa());
         const TrunkWeights w = weights_at(weights);
@@ -65,8 +64,8 @@ public:
         });
     }
 
-    void backward(uintptr_t images, size_t count, const Addresses& weights, const LayerAddresses& layers,
-                  uintptr_t slopes, const Addresses& gradients, size_t threads) const {
+    void backward(Address images, size_t count, const Addresses& weights, const LayerAddresses& layers,
+                  Address slopes, const Addresses& gradients, size_t threads) const {
         const TrunkKernels& kernels = trunk_kernels_of(choose_isa());
         const TrunkWeights w = weights_at(weights);
         const TrunkLayers all = layers_at(layers);
@@ -162,13 +161,13 @@ private:
     };
 };
 
-void forward(const std::array<int, 6>& shape, uintptr_t images, size_t count, const Addresses& weights,
+void forward(const std::array<int, 6>& shape, Address images, size_t count, const Addresses& weights,
              const LayerAddresses& layers, size_t threads) {
     Trunk(shape).forward(images, count, weights, layers, threads);
 }
 
-void backward(const std::array<int, 6>& shape, uintptr_t images, size_t count, const Addresses& weights,
-              const LayerAddresses& layers, uintptr_t slopes, const Addresses& gradients, size_t threads) {
+void backward(const std::array<int, 6>& shape, Address images, size_t count, const Addresses& weights,
+              const LayerAddresses& layers, Address slopes, const Addresses& gradients, size_t threads) {
     Trunk(shape).backward(images, count, weights, layers, slopes, gradients, threads);
 }
 

@@ -63,7 +63,7 @@ class Cloner:
 
     def __init__(self, model: ActorValueOperator, settings: CloningSettings):
         self.settings, self.parameters = settings, list(model.parameters())
-        self.optimizer = torch.optim.Adam(self.parameters, lr=settings.lr)
+        self.optimizer = torch.optim.Adam(self.parameters, lr=settings.lr, fused=True)
         prepare, trunk, *memory = model.module[0].module
         self.reads = tuple(str(key) for key in prepare.in_keys)
         self._prepare, self._trunk, self._memory = prepare.module, trunk.module, memory
@@ -103,12 +103,13 @@ class Cloner:
         size, begins = self.settings.mini_batch_size, (shown["frame"] == 0).nonzero().squeeze(1).cpu()
         rows: list[Tensor] = list(torch.arange(len(shown["frame"])).tensor_split(begins[1:]))
         if self._memory:
-            order, chosen = torch.randperm(len(rows)).tolist(), list[Tensor]()
+            order, chosen, count = torch.randperm(len(rows)).tolist(), list[Tensor](), 0
             for number in order:
                 chosen.append(rows[number])
-                if sum(map(len, chosen)) >= size or number == order[-1]:
+                count += len(rows[number])
+                if count >= size or number == order[-1]:
                     yield self._some(shown, torch.cat(chosen))
-                    chosen = []
+                    chosen, count = [], 0
             return
         for some in torch.randperm(len(shown["frame"])).split(size):
             yield self._some(shown, some)
@@ -133,12 +134,7 @@ class Cloner:
     def _hidden(self, hidden: Tensor, frame: Tensor) -> Tensor:
         """Return what the heads read: features that have passed through the memory, if any, episode by episode."""
         for module in self._memory:
-            begins = (frame == 0).nonzero().squeeze(1)
-            lengths = begins.diff(append=begins.new_tensor([len(frame)]))
-            seen = (torch.arange(int(lengths.max()), device=frame.device) < lengths.unsqueeze(1)).unsqueeze(-1)
-            padded = hidden.new_zeros(*seen.shape[:2], hidden.shape[1]).masked_scatter(seen, hidden)
-            thought, _ = module.gru(padded)  # from a state of zeros
-            hidden = thought.masked_select(seen).unflatten(0, (len(frame), -1))
+            hidden = module.along(hidden, (frame == 0).nonzero().squeeze(1))
         return hidden
 
 

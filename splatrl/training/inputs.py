@@ -79,7 +79,7 @@ class Prepare(nn.Module):
     def forward(self, *observed: Tensor) -> tuple[Tensor, ...]:
         """Return the joined image [..., H // pool, W // pool, C] in [-0.5, 0.5] and the vector [..., V], if present."""
         images = [one for one, how in zip(observed, self.encodings, strict=True) if how == "image"]
-        pooled = [self.pool(one if one.dtype == torch.uint8 else 255.0 * one) for one in images]
+        pooled = [self.pool(one) for one in images]
         vectors = [_encoded(one, how) for one, how in zip(observed, self.encodings, strict=True) if how != "image"]
         joined = [torch.cat(pooled, -1)] if pooled else []
         return (*joined, *([torch.cat(vectors, -1)] if vectors else []))

@@ -16,7 +16,7 @@ GAIN = 2**0.5
 
 
 class PoolPixels(nn.Module):
-    """Averages uint8 images over square cells: the weight-free part of the network, which runs once per frame.
+    """Averages images over square cells: the weight-free part of the network, which runs once per frame.
 
     Args:
         pool: side of a cell, pixels.
@@ -27,13 +27,16 @@ class PoolPixels(nn.Module):
         self.side = pool
 
     def forward(self, pixels: Tensor) -> Tensor:
-        """Pool images: [..., H, W, C] uint8 -> [..., H // pool, W // pool, C] float32 in [−0.5, 0.5]."""
+        """Pool images, uint8 or float32 in [0, 1]: [..., H, W, C] -> [..., H // pool, W // pool, C] in [−0.5, 0.5]."""
         images = pixels.reshape(-1, *pixels.shape[-3:])
-        pooled = self._averages(images.contiguous()) if _by_core(images) else self._sums(images) / 255.0 - 0.5
+        if _by_core(images):
+            pooled = self._averages(images.contiguous())
+        else:
+            pooled = self._means(images) / (255.0 if images.dtype == torch.uint8 else 1.0) - 0.5
         return pooled.reshape(*pixels.shape[:-3], *pooled.shape[1:])
 
-    def _sums(self, images: Tensor) -> Tensor:
-        """Pool images with PyTorch, which reads them as they are and writes no floats of their size."""
+    def _means(self, images: Tensor) -> Tensor:
+        """Average images with PyTorch, which reads them as they are and writes no floats of their size."""
         height, width = (size // self.side for size in images.shape[1:3])
         whole = images[:, : height * self.side, : width * self.side]
         cells = whole.reshape(-1, height, self.side, width, self.side, images.shape[3])
@@ -43,14 +46,16 @@ class PoolPixels(nn.Module):
         """Pool images in the C++ core, without the intermediate tensors that PyTorch would write."""
         count, height, width, depth = images.shape
         pooled = torch.empty(count, height // self.side, width // self.side, depth)
-        _core.pool_images(images.data_ptr(), (count, height, width, depth), self.side, pooled.data_ptr())
+        floats = images.dtype == torch.float32
+        _core.pool_images(images.data_ptr(), (count, height, width, depth), self.side, floats, pooled.data_ptr())
         return pooled
 
 
 def _by_core(images: Tensor) -> bool:
     """Whether the core can pool images: it needs values in main memory, which ``vmap`` and tracers do not have."""
     traced = torch.compiler.is_compiling() or torch.jit.is_tracing() or is_functorch_wrapped_tensor(images)
-    return images.dtype == torch.uint8 and images.device.type == "cpu" and not traced
+    plain = images.dtype in (torch.uint8, torch.float32) and not images.requires_grad
+    return plain and images.device.type == "cpu" and not traced
 
 
 def two_convolutions(height: int, width: int, depth: int, channels: Sequence[int]) -> nn.Sequential:

@@ -90,13 +90,19 @@ def test_pooling_takes_the_mean_of_each_cell() -> None:
 
 @pytest.mark.parametrize("shape", [(3, 13, 20, 3), (2, 2, 9, 8, 6), (0, 8, 8, 3), (12, 15, 1)])
 @pytest.mark.parametrize("pool", [1, 2, 3, 5])
-def test_the_core_pools_images_as_pytorch_does(shape: tuple[int, ...], pool: int) -> None:
+@pytest.mark.parametrize("most", [255, 1])
+def test_the_core_pools_images_as_pytorch_does(shape: tuple[int, ...], pool: int, most: int) -> None:
     pixels = torch.randint(0, 256, shape, dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+    pixels = pixels if most == 255 else pixels / 255
     means = torch.nn.functional.avg_pool2d(pixels.reshape(-1, *shape[-3:]).permute(0, 3, 1, 2).double(), pool)
-    expected = (means.permute(0, 2, 3, 1) / 255 - 0.5).float().reshape(*shape[:-3], *means.shape[2:], shape[-1])
+    expected = (means.permute(0, 2, 3, 1) / most - 0.5).float().reshape(*shape[:-3], *means.shape[2:], shape[-1])
     torch.testing.assert_close(PoolPixels(pool)(pixels), expected, rtol=0, atol=1e-7)
     sides = PoolPixels(pool)(pixels.transpose(-2, -3).contiguous().transpose(-2, -3))
     assert torch.equal(sides, PoolPixels(pool)(pixels))
+    if most == 1:
+        differentiable = PoolPixels(pool)(pixels.requires_grad_())
+        assert differentiable.requires_grad
+        torch.testing.assert_close(differentiable, expected, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize(("height", "width", "pool"), [(16, 15, 2), (7, 20, 1)])

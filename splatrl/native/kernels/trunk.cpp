@@ -5,46 +5,10 @@
 #include <algorithm>
 #include <cstring>
 
-#include "kernels/registers.h"
+#include "kernels/products.h"
 
 namespace splatrl {
 namespace SPLATRL_ISA {
-
-// Sums that fit into the registers beside their operands.
-#if defined(SPLATRL_AVX512)
-constexpr int SUMS = 24;
-#else
-constexpr int SUMS = 12;
-#endif
-
-#define UNROLL _Pragma("GCC unroll 32")
-
-// Call work.template run<size>(begin), with the size, from 1 to MOST, as a template argument.
-template <int MOST, class Work>
-LANE_INLINE void in_parts_of(int count, int size, int begin, const Work& work) {
-    if constexpr (MOST > 0) {
-        if (size == MOST)
-            work.template run<MOST>(begin);
-        else
-            in_parts_of<MOST - 1>(count, size, begin, work);
-    }
-}
-
-// Split [0, count) into parts of at most MOST, as evenly as possible, and call work.template run<size>(begin) for each.
-template <int MOST, class Work>
-LANE_INLINE void in_parts(int count, const Work& work) {
-    const int parts = (count + MOST - 1) / MOST;
-    for (int part = 0, begin = 0; part < parts; ++part) {
-        const int size = (count - begin + parts - part - 1) / (parts - part);
-        in_parts_of<MOST>(count, size, begin, work);
-        begin += size;
-    }
-}
-
-template <int REGISTERS>
-struct Width {
-    static constexpr int value = REGISTERS;
-};
 
 // Call work(Width<N>(), first) for N registers of the channels at a time: the largest N up to 3 that divides them.
 template <class Work>
@@ -195,8 +159,6 @@ static void convolve_back(const Convolution& shape, const float* slope, const fl
 
 constexpr int DENSE_OUTS = SUMS / 4;
 constexpr int DENSE_IMAGES = SUMS / DENSE_OUTS;
-constexpr int STRIP = 3;  // registers of the dense layer's input, in the backward pass
-constexpr int STRIP_ROWS = SUMS / STRIP;
 
 // Computes some features of some images: products are accumulated in vectors along the input, which are summed at the
 // end.
@@ -239,38 +201,6 @@ struct DenseForwards {
     }
 };
 
-// out[r, strip] = sum over n of factors[n, r] · columns[n, strip]: the gradient of the input, or of the weights.
-template <int WIDE>
-struct DenseProduct {
-    const float *factors, *columns;
-    size_t factor_step, factor_row, column_step, terms, out_step;
-    float* out;
-
-    template <int ROWS>
-    __attribute__((noinline)) void run(int begin) const {
-        Register sums[ROWS][WIDE];
-        UNROLL for (int r = 0; r < ROWS; ++r)
-            UNROLL for (int v = 0; v < WIDE; ++v) sums[r][v] = Register{};
-        const float *factor = factors + size_t(begin) * factor_row, *column = columns;
-        for (size_t n = 0; n < terms; ++n, factor += factor_step, column += column_step) {
-            Register c[WIDE];
-            UNROLL for (int v = 0; v < WIDE; ++v) c[v] = get(column + v * WIDTH);
-            UNROLL for (int r = 0; r < ROWS; ++r)
-                UNROLL for (int v = 0; v < WIDE; ++v) sums[r][v] = sums[r][v] + c[v] * factor[size_t(r) * factor_row];
-        }
-        UNROLL for (int r = 0; r < ROWS; ++r)
-            UNROLL for (int v = 0; v < WIDE; ++v) put(out + size_t(begin + r) * out_step + v * WIDTH, sums[r][v]);
-    }
-};
-
-// Run the product that make(Width<N>(), k) returns over all rows, for strips of N registers that cover [begin, end).
-template <class Make>
-LANE_INLINE void in_strips(size_t begin, size_t end, int rows, const Make& make) {
-    size_t k = begin;
-    for (; k + STRIP * WIDTH <= end; k += STRIP * WIDTH) in_parts<STRIP_ROWS>(rows, make(Width<STRIP>(), k));
-    for (; k < end; k += WIDTH) in_parts<STRIP_ROWS>(rows, make(Width<1>(), k));
-}
-
 static void forward(const TrunkShape& shape, const PackedTrunk& packed, const TrunkWeights& weights, const float* images,
                     size_t count, const TrunkLayers& layers) {
     const size_t flat = shape.flat();
@@ -297,8 +227,7 @@ static void backward(const TrunkShape& shape, const PackedTrunk& packed, const T
     const size_t flat = shape.flat(), features = size_t(shape.features);
     float *second = scratch, *first = scratch + count * flat;
     in_strips(0, flat, int(count), [&](auto width, size_t k) {
-        return DenseProduct<decltype(width)::value>{slope, weights.dense + k, 1, features, flat, features, flat,
-                                                    second + k};
+        return Product<decltype(width)::value>{slope, weights.dense + k, 1, features, flat, features, flat, second + k};
     });
     through(layers.second, second, count * flat);
     for (size_t i = 0; i < count; ++i) {
@@ -314,7 +243,7 @@ static void dense_gradient(const TrunkShape& shape, const float* read, const flo
                            size_t end, float* out) {
     const size_t flat = shape.flat(), features = size_t(shape.features);
     in_strips(begin, end, shape.features, [&](auto width, size_t k) {
-        return DenseProduct<decltype(width)::value>{slope, read + k, features, 1, flat, count, flat, out + k};
+        return Product<decltype(width)::value>{slope, read + k, features, 1, flat, count, flat, out + k};
     });
 }
 
