@@ -12,7 +12,10 @@ namespace splatrl {
 // Address of an array, as Python passes it for memory that another library owns.
 using Address = uintptr_t;
 
-inline float* at(Address address) { return reinterpret_cast<float*>(address); }
+template <class T = float>
+T* at(Address address) {
+    return reinterpret_cast<T*>(address);
+}
 
 // A C-contiguous array in main memory with this shape; -1 matches any size.
 template <class T, long... SHAPE>

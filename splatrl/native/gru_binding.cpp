@@ -62,7 +62,7 @@ void gru_forward(const std::array<size_t, 4>& sizes, const std::array<Address, 2
                  const std::array<Address, 4>& weights, const std::array<Address, 2>& made, size_t threads) {
     const GruShape shape = shape_of(sizes);
     const size_t frames = sizes[0];
-    const Groups groups = groups_of(frames, reinterpret_cast<const int64_t*>(known[0]), sizes[1], at(known[1]),
+    const Groups groups = groups_of(frames, at<const int64_t>(known[0]), sizes[1], at(known[1]),
                                     shape.memory, threads);
     const GruKernels& kernels = gru_kernels_of(choose_isa());
     const GruWeights w{at(weights[0]), at(weights[1]), at(weights[2]), at(weights[3])};
@@ -90,7 +90,7 @@ void gru_backward(const std::array<size_t, 4>& sizes, const std::array<Address, 
                   const std::array<Address, 5>& gradients, size_t threads) {
     const GruShape shape = shape_of(sizes);
     const size_t frames = sizes[0], memory = shape.memory, step = shape.slopes();
-    const Groups groups = groups_of(frames, reinterpret_cast<const int64_t*>(known[0]), sizes[1], at(known[1]),
+    const Groups groups = groups_of(frames, at<const int64_t>(known[0]), sizes[1], at(known[1]),
                                     memory, threads);
     const GruKernels& kernels = gru_kernels_of(choose_isa());
     const GruWeights w{at(weights[0]), at(weights[1]), at(weights[2]), at(weights[3])};

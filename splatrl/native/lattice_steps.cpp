@@ -21,11 +21,6 @@ namespace {
 constexpr int64_t GOAL = 1, TIMEOUT = 4;  // as in Outcome
 constexpr size_t POSE = 16;               // floats in a pose
 
-template <class T>
-T* at(uintptr_t address) {
-    return reinterpret_cast<T*>(address);
-}
-
 struct Step {
     int64_t state, outcome;  // state: the index of the resulting state
     float free_fraction, reward;

@@ -22,7 +22,7 @@ using Shape = std::array<size_t, 4>;  // images, height, width, channels
 // Average images over square cells, in units of `most`, and subtract a half. A cell's rows are summed before its columns,
 // since the rows of an image are contiguous in memory.
 template <class Sum, class Value>
-void pool(const Value* pixels, const Shape& shape, size_t side, float most, float* out) {
+void average_cells(const Value* pixels, const Shape& shape, size_t side, float most, float* out) {
     const auto [count, height, width, depth] = shape;
     const size_t tall = height / side, wide = width / side, run = wide * side * depth, cells = wide * depth;
     const float area = float(side * side);
@@ -48,9 +48,9 @@ void pool_images(Address images, const Shape& shape, size_t side, bool floats, A
     if (side < 1 || side > 4096) throw std::invalid_argument("side: expected 1 to 4096 pixels");
     const Release release;
     if (floats)
-        pool<float>(at(images), shape, side, 1.0f, at(out));
+        average_cells<float>(at(images), shape, side, 1.0f, at(out));
     else
-        pool<int32_t>(reinterpret_cast<const uint8_t*>(images), shape, side, 255.0f, at(out));
+        average_cells<int32_t>(at<const uint8_t>(images), shape, side, 255.0f, at(out));
 }
 
 }  // namespace
