@@ -227,8 +227,6 @@ class Trainer:
         """Continue from a ``state_dict()``."""
         self.ppo.load_state_dict(state["ppo"])
         self.history, self.best, self.seconds = unpacked(state["history"]), tuple(state["best"]), state["seconds"]
-        if any(row.get("level") == 0 for row in self.history):  # begun when histories counted levels from 0
-            self.history = [row | {"level": row["level"] + 1} for row in self.history]
 
 
 @contextmanager
