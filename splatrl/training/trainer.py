@@ -109,7 +109,7 @@ class Trainer:
         try:
             self.load_state_dict(state)
         except (KeyError, RuntimeError) as error:  # what PyTorch and TensorDict raise for tensors of other shapes
-            (line, *_) = str(error).splitlines()
+            line = " ".join(part.strip() for part in str(error).splitlines()[:2]).rstrip(".")  # the second names a key
             raise ValueError(
                 f"{self.folder}: expected a training whose env and network are shaped as these settings say, "
                 f"got: {line}; settings that change shapes cannot be changed when a training is resumed"

@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.transforms import Appearance
-from splatrl.training import Trainer, load_checkpoint
+from splatrl.training import Trainer, load_checkpoint, save_checkpoint
 from tests.tiny import tiny_env
 from tests.training.test_ppo import learner, parameters
 
@@ -196,3 +196,13 @@ def test_a_row_of_the_history_has_what_a_learning_curve_needs(tmp_path: Path, ke
     loop = trainer(tmp_path, [0.1], frames=64)
     loop.fit()
     assert key in loop.history[0]
+
+
+def test_a_checkpoint_that_lacks_something_is_refused_by_the_name_of_what_is_missing(tmp_path: Path) -> None:
+    trainer(tmp_path, [0.4], frames=64).fit()
+    path = tmp_path / "checkpoints" / "last.pt"
+    state = load_checkpoint(path)
+    del state["ppo"]["env"]["curriculum.cohort"]
+    save_checkpoint(path, state)
+    with pytest.raises(ValueError, match=r'got: .* Missing key.*"curriculum\.cohort"; settings that change shapes'):
+        trainer(tmp_path, []).resume()
