@@ -59,7 +59,13 @@ def make_one(
 
 
 def make_batch(
-    num_envs: int, task: str, scene: str = "backyard", overrides: Sequence[str] = (), seed: int = 0, **options: Any
+    num_envs: int,
+    task: str,
+    scene: str = "backyard",
+    overrides: Sequence[str] = (),
+    seed: int = 0,
+    max_episode_steps: int | None = None,
+    **options: Any,
 ) -> GymnasiumVectorEnv:
     """Make a vector env with a batch of robots in one scene, for ``gymnasium.make_vec``.
 
@@ -69,6 +75,7 @@ def make_batch(
         scene: see ``make_one``.
         overrides: see ``make_one``.
         seed: see ``make_one``.
+        max_episode_steps: sets ``task.max_steps``, as Gymnasium's argument of this name; None leaves it.
         options: further arguments of ``GymnasiumVectorEnv``.
 
     Raises:
@@ -77,7 +84,9 @@ def make_batch(
     from splatrl.building import make_env
     from splatrl.envs.gymnasium_env import GymnasiumVectorEnv
 
-    return GymnasiumVectorEnv(make_env(_overrides(task, scene, overrides), [num_envs], seed), **options)
+    limit = [] if max_episode_steps is None else [f"task.max_steps={max_episode_steps}"]
+    chosen = _overrides(task, scene, [*overrides, *limit])
+    return GymnasiumVectorEnv(make_env(chosen, [num_envs], seed), **options)
 
 
 def _overrides(task: str, scene: str, overrides: Sequence[str]) -> list[str]:

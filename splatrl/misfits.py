@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -92,6 +93,34 @@ def warn_of_cut_off(scene: Scene, paths: Plan) -> None:
             f"{way_out}",
             stacklevel=2,
         )
+
+
+def starts_in_reach(scene: Scene, task: Task, paths: Plan) -> Plan:
+    """Leave out, with a warning, starts that are farther from the goal than an episode is long.
+
+    Args:
+        scene: the scene.
+        task: the task, for its ``max_steps``.
+        paths: shortest paths, whose lengths are in the same steps of the env.
+
+    Raises:
+        ValueError: if no start is left.
+    """
+    steps = paths.distance[paths.start_rows]
+    near = steps <= task.max_steps
+    if bool(near.all()):
+        return paths
+    if not near.any():
+        raise ValueError(
+            f"task.max_steps: expected at least {int(steps.min())}, the steps from the nearest start to the goal, "
+            f"got {task.max_steps}"
+        )
+    warnings.warn(
+        f"{scene.name}: {int((~near).sum()):,} of {len(near):,} starts are farther from the goal than "
+        f"task.max_steps={task.max_steps}, and episodes never begin there",
+        stacklevel=2,
+    )
+    return replace(paths, start_rows=paths.start_rows[near])
 
 
 def _beyond(box: Sequence[Sequence[float]], places: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ from gymnasium.utils.env_checker import check_env
 import splatrl
 from splatrl.configuration import load_config, options
 from splatrl.envs import GymnasiumEnv, GymnasiumVectorEnv
+from splatrl.envs.nesting import layers
 from splatrl.gymnasium_ids import TASKS, gymnasium_id
 from tests.preloaded import start
 from tests.tiny import tiny_overrides
@@ -70,6 +71,28 @@ def test_a_batch_is_one_env_that_steps_all_robots(tmp_path: Path) -> None:
     assert reward.shape == (3,)
     slow = gymnasium.make_vec("splatrl/Grid-v0", num_envs=2, vectorization_mode="sync", **room(tmp_path))
     assert slow.reset(seed=0)[0].shape == (2, 12, 16, 3)
+
+
+@pytest.mark.parametrize("vectorized", [False, True])
+def test_gymnasiums_limit_of_steps_ends_episodes_that_the_curriculum_counts(tmp_path: Path, vectorized: bool) -> None:
+    chosen = room(tmp_path)
+    chosen["overrides"] += ["curriculum.first=null", "curriculum.window=40", "task.max_steps=1000"]
+    if vectorized:
+        envs = gymnasium.make_vec("splatrl/Grid-v0", num_envs=1, max_episode_steps=3, **chosen)
+        assert layers(envs.env)[0].task.max_steps == 3
+    else:
+        envs = gymnasium.make("splatrl/Grid-v0", max_episode_steps=3, **chosen)
+    envs.reset(seed=0)
+    ends = limits = won = 0
+    for _ in range(20):
+        _, _, terminated, truncated, info = envs.step(np.array([4]) if vectorized else 4)  # turns on the spot
+        if np.any(terminated | truncated):
+            ends, limits = ends + 1, limits + np.sum(truncated)
+            won += np.sum(info["final_info"]["success"] if vectorized else info["success"])
+            if not vectorized:
+                envs.reset()
+    base = layers((envs if vectorized else envs.unwrapped).env)[0]
+    assert limits >= 5 and base.curriculum.progress.tolist() == [0, ends, won]
 
 
 def test_gymnasium_can_import_the_package_by_itself(tmp_path: Path) -> None:

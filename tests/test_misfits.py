@@ -12,7 +12,7 @@ from splatrl.configuration import load_config
 from splatrl.curriculum import Plan
 from splatrl.curriculum.field import Moves
 from splatrl.curriculum.planner import UNREACHABLE
-from splatrl.misfits import CUT_OFF, check_goal, warn_of_cut_off
+from splatrl.misfits import CUT_OFF, check_goal, starts_in_reach, warn_of_cut_off
 from tests.tiny import tiny_overrides
 
 
@@ -51,6 +51,34 @@ def test_a_tenth_of_the_free_poses_may_be_cut_off_from_the_goal_and_more_are_war
 def test_building_warns_of_free_poses_behind_a_gap_too_narrow_for_the_body(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="tiny: 24 of 48 free poses cannot reach the goal, .* a narrower robot.body"):
         build_one_world(load_config([*tiny_overrides(tmp_path), "robot.body.size=[0.9,0.9,0.2]"]))
+
+
+@pytest.mark.parametrize("skip", ["none", "four"])
+def test_episodes_begin_no_farther_from_the_goal_than_they_are_long(tmp_path: Path, skip: str) -> None:
+    config = [*tiny_overrides(tmp_path), f"transforms/skip={skip}"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", "tiny: .* free poses cannot reach the goal")  # with repeated actions
+        whole = build_one_world(load_config([*config, "task.max_steps=20"])).plan
+        near = build_one_world(load_config([*config, "task.max_steps=5", "starts.farthest=4"])).plan
+    steps = whole.distance[whole.start_rows]
+    assert 5 < steps.max() <= 20 and near.distance[near.start_rows].max() <= 4
+    far, starts = int((steps > 5).sum()), len(steps)
+    with pytest.warns(UserWarning) as told:
+        plan = build_one_world(load_config([*config, "task.max_steps=5"])).plan
+    text = f"tiny: {far} of {starts} starts are farther from the goal than task.max_steps=5, and episodes never begin"
+    assert str(told[-1].message) == f"{text} there"
+    assert plan.start_rows.equal(whole.start_rows[steps <= 5]) and plan.distance.equal(whole.distance)
+
+
+def test_a_task_whose_episodes_are_too_short_for_every_start_is_refused(tmp_path: Path) -> None:
+    world = build_one_world(load_config(tiny_overrides(tmp_path)))
+    far = replace(world.plan, start_rows=(world.plan.distance > 4).nonzero().squeeze(1))
+    world.task.max_steps = 3
+    with pytest.raises(
+        ValueError, match=r"^task\.max_steps: expected at least 5, the steps from the nearest start .* 3$"
+    ):
+        starts_in_reach(world.scene, world.task, far)
 
 
 def test_robots_that_orbit_are_not_warned_of_things_on_their_circle() -> None:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -82,8 +83,8 @@ class Starts(nn.Module):
 class Curriculum(nn.Module):
     """Starts that move away from the goal as long as the success rate holds.
 
-    Progress is a buffer that is updated in place, so a resumed run continues at its level, and a step captured in a
-    CUDA graph continues the count of the step before.
+    Progress and cohort are buffers that are updated in place, so a resumed run continues at its level, and a step
+    captured in a CUDA graph continues the count of the step before. The rows are those of one env.
 
     All scenes share one level, and each robot's scene is drawn uniformly at random.
 
@@ -96,6 +97,7 @@ class Curriculum(nn.Module):
     """
 
     progress: Tensor  # [3] int64
+    cohort: Tensor  # [B] bool, the members of ``Schedule``
 
     def __init__(
         self,
@@ -109,6 +111,7 @@ class Curriculum(nn.Module):
         self.starts = Starts(plan, first, stride)
         self.schedule = Schedule(self.starts.levels, threshold, window)
         self.register_buffer("progress", self.schedule.start())
+        self.register_buffer("cohort", torch.zeros(0, dtype=torch.bool))
 
     @property
     def level(self) -> Tensor:
@@ -130,6 +133,38 @@ class Curriculum(nn.Module):
         highest = torch.full_like(self.level, self.starts.levels - 1)
         return self.starts.sample(highest, count, generator, scene)
 
+    def seat(self, rows: int) -> None:
+        """Make room for the episodes of a number of robots; if that changes, the cohort begins anew."""
+        if len(self.cohort) != rows:
+            self.progress[1:] = 0
+            self.cohort = self.cohort.new_zeros(rows)
+
+    def begin(self, begun: Tensor) -> None:
+        """Note in which rows episodes of the current level have begun, [B] bool; see ``Schedule.begin``."""
+        self.seat(len(begun))
+        self._note(*self.schedule.begin(self.progress, self.cohort, begun))
+
     def record(self, level: Tensor, finished: Tensor, success: Tensor) -> None:
-        """Record ended episodes; see ``Schedule.advance``."""
-        self.progress.copy_(self.schedule.advance(self.progress, level, finished, success))
+        """Record ended episodes; see ``Schedule.advance``.
+
+        Args:
+            level: [B] int64, the level at which each episode began; only episodes of the current level count.
+            finished: [B] bool, which episodes have ended.
+            success: [B] bool, which episodes succeeded.
+        """
+        self.seat(len(finished))
+        finished = finished & (level == self.level)
+        self._note(*self.schedule.advance(self.progress, self.cohort, finished, success))
+
+    def cut_off(self, rows: Tensor) -> None:
+        """Note in which rows the episode will not be continued, [B] bool: a member there has failed."""
+        self.record(self.level, rows, torch.zeros_like(rows))
+
+    def _note(self, progress: Tensor, members: Tensor) -> None:
+        self.progress.copy_(progress)
+        self.cohort.copy_(members)
+
+    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *rest: Any) -> None:
+        if (saved := state_dict.get(f"{prefix}cohort")) is not None:
+            self.seat(len(saved))  # an env of another number of robots keeps the level, and begins another cohort
+        super()._load_from_state_dict(state_dict, prefix, *rest)

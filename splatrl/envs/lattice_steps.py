@@ -74,11 +74,12 @@ class LatticeSteps:
         read = (like["state"], actions[:1].expand(count), *(like[key] for key in COUNTED))
         self._read = [_kind(values) for values in read]
 
-    def step(self, given: Mapping[str, Tensor] | TensorDictBase) -> Taken | None:
+    def step(self, given: Mapping[str, Tensor] | TensorDictBase, rows: Tensor | None = None) -> Taken | None:
         """Carry out a step.
 
         Args:
             given: input of the env's step, [N] with N ≤ B.
+            rows: [N] int64, the rows of the batch that step; None for all.
 
         Returns:
             The result; None, with nothing changed, for states or actions that are not on the lattice.
@@ -93,15 +94,15 @@ class LatticeSteps:
             return None
         read = [each.contiguous() for each in read]  # keeps copies alive while C++ reads them
         values = {key: torch.empty_like(one) for key, one in like.items()}
-        poses, schedule = torch.empty_like(poses_like), self.curriculum.schedule
+        poses = torch.empty_like(poses_like)
         known = self._table.step(
             [each.data_ptr() for each in read],
             [each.data_ptr() for each in (*values.values(), poses)],
             len(poses),
+            0 if rows is None else rows.data_ptr(),
             self.task.max_steps,
             self.task.goals_for_success or 1,
-            self.curriculum.progress.data_ptr(),
-            (schedule.levels, schedule.window, schedule.threshold),
+            self._counts(),
         )
         return Taken(values, poses) if known else None
 
@@ -110,7 +111,7 @@ class LatticeSteps:
 
         Args:
             after: [B, ...] by key, the result of a step.
-            rows: [N] int64, rows in which episodes begin.
+            rows: [N] int64, rows in which episodes begin, ascending.
             generator: draws starts for all B rows.
 
         Returns:
@@ -133,9 +134,16 @@ class LatticeSteps:
             uniform.data_ptr(),
             starts.ordered.data_ptr(),
             int(starts.counts[0, level]),
-            level,
+            self._counts(),
         )
         return Taken(values, poses)
+
+    def _counts(self) -> tuple[int, int, int, int, int, int]:
+        """Return where the curriculum counts, and by which rules, as the table takes it."""
+        curriculum, schedule, count = self.curriculum, self.curriculum.schedule, len(self._poses)
+        curriculum.seat(count)
+        addresses = curriculum.progress.data_ptr(), curriculum.cohort.data_ptr()
+        return *addresses, count, schedule.levels, schedule.window, schedule.enough
 
 
 def _kind(values: Tensor) -> tuple[torch.dtype, int, bool]:
@@ -150,7 +158,7 @@ def suits(task: Task, curriculum: Curriculum) -> bool:
     return (
         _does_as(task, OutcomeTask, "judge", "start", "begin")
         and _does_as(motion, SweptMotion, "move")
-        and _does_as(curriculum, Curriculum, "record", "scenes", "sample")
+        and _does_as(curriculum, Curriculum, "begin", "record", "scenes", "sample")
         and len(motion.moves) * math.prod(motion.shape) <= MOST
     )
 

@@ -104,6 +104,7 @@ class SplatEnv(StateWhenAsked):
         self.drawing, self.checker, self.robot = drawing, checker, robot
         self.scenes = len(checker.checkers) if isinstance(checker, SeveralCheckers) else 1
         self.task, self.curriculum, self.sensors = task, curriculum, dict(sensors or {})
+        self.curriculum.seat(self.numel())
         self.made_by: Callable[..., SplatEnv] | None = None
         self.generator = torch.Generator(self.device)
         self._task_keys, self._sensor_keys = tuple(task.memory_spec), tuple(self.senses.memory_spec())
@@ -166,22 +167,25 @@ class SplatEnv(StateWhenAsked):
         given = TensorDict(batch_size=self.batch_size) if tensordict is None else tensordict
         mask = given.get("_reset", None)
         only = None if mask is None else mask.flatten()
+        begun = torch.ones(self.numel(), dtype=torch.bool, device=self.device) if only is None else only
         if set_state:
             scene = None if self.scenes == 1 else given_scene(given, self.scenes, only)
             state = given_state(given, self.task.motion.state_spec, only)
             level = torch.full((self.numel(), 1), -1, device=self.device)  # given states belong to no level
             memory = {**self._at(scene)[0].begin(state, self._chance(scene))}
             check_memory(given, self.task.memory_spec, self.task.given_together, only)
+            self.curriculum.cut_off(begun)
         else:
             scene, state, memory = self._drawn(seeds)
+            self.curriculum.begin(begun)
             level = self.curriculum.level.expand(self.numel(), 1).clone()
         kept = given if set_state else {}
         return self._made(self._beginning(scene, state, level, memory, kept, given.get("camera_offset", None), only))
 
     def restarted(self, after: Mapping[str, Tensor], rows: Tensor) -> dict[str, Tensor]:
-        """Return a step's result, [B, ...] by key, with some rows, [N] int64, replaced by new episodes as in a reset.
+        """Return a step's result, [B, ...] by key, with some rows replaced by new episodes as in a reset.
 
-        Only these rows are drawn. Keys that a reset does not return are left out.
+        Only these rows, [N] int64 and ascending, are drawn. Keys that a reset does not return are left out.
         """
         looked_up = None if self.lattice_steps is None else self.lattice_steps.begin(after, rows, self.generator)
         if looked_up is None:
@@ -196,6 +200,9 @@ class SplatEnv(StateWhenAsked):
     def _begun(self, rows: Tensor) -> dict[str, Tensor]:
         """Return the entries of episodes that begin in some rows, [N] int64: [N, ...] each."""
         scene, state, memory = self._drawn(None)
+        self.curriculum.begin(
+            torch.zeros(self.numel(), dtype=torch.bool, device=self.device).index_fill_(0, rows, True)
+        )
         level = self.curriculum.level.expand(len(rows), 1).clone()
         scene = None if scene is None else scene.index_select(0, rows)
         memory = {key: value.index_select(0, rows) for key, value in memory.items()}
@@ -281,11 +288,11 @@ class SplatEnv(StateWhenAsked):
         stepping = tensordict.get("_step", None)
         return self._made(self._after(tensordict) if stepping is None else self._some_after(tensordict, stepping))
 
-    def _after(self, given: TensorDictBase | Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Carry out a step of N robots and return all its entries: [N, ...] by key."""
+    def _after(self, given: TensorDictBase | Mapping[str, Tensor], rows: Tensor | None = None) -> dict[str, Tensor]:
+        """Carry out a step in some rows, [N] int64 or None for all, and return all its entries: [N, ...] by key."""
         try:
-            taken = None if self.lattice_steps is None else self.lattice_steps.step(given)
-            return self._stepped(given) if taken is None else self._shown(taken, given)
+            taken = None if self.lattice_steps is None else self.lattice_steps.step(given, rows)
+            return self._stepped(given, rows) if taken is None else self._shown(taken, given)
         except KeyError as error:
             optional = {"camera_offset"} if self.scenes > 1 else {"camera_offset", "scene"}
             absent = [key for key in self._reads if key not in {*given.keys(), *optional}]
@@ -303,7 +310,7 @@ class SplatEnv(StateWhenAsked):
         """Do the same for some robots only, [B, 1] bool; the others keep their inputs, or 0 where there is none."""
         rows = stepping.flatten().nonzero().squeeze(1)
         held = {key: value for key, value in given.items() if isinstance(value, Tensor)}
-        fresh = self._after({key: held[key].index_select(0, rows) for key in self._reads if key in held})
+        fresh = self._after({key: held[key].index_select(0, rows) for key in self._reads if key in held}, rows)
         old = {key: value.new_zeros(self.numel(), *value.shape[1:]) for key, value in fresh.items()}
         old |= {key: held[key] for key, zeros in old.items() if key in held and _alike(held[key], zeros)}
         return dict(zip(fresh, with_rows(list(old.values()), rows, list(fresh.values())), strict=True))
@@ -336,8 +343,10 @@ class SplatEnv(StateWhenAsked):
         view = self.senses.view(self._standing(after["state"], poses), given.get("camera_offset", None))
         return {"pixels": view.pixels, **view.shown, **after}
 
-    def _stepped(self, tensordict: TensorDictBase | Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Carry out and judge steps with motion and task, and return all entries."""
+    def _stepped(
+        self, tensordict: TensorDictBase | Mapping[str, Tensor], rows: Tensor | None = None
+    ) -> dict[str, Tensor]:
+        """Carry out and judge steps with motion and task, and return all entries; see ``_after``."""
         before, action = tensordict["state"], tensordict["action"]
         scene = tensordict["scene"].squeeze(1) if self.scenes > 1 else None
         task, checker = self._at(scene)
@@ -356,7 +365,7 @@ class SplatEnv(StateWhenAsked):
         success = goals >= (task.goals_for_success or 1)
         outcome = torch.where(truncated, Outcome.TIMEOUT, outcome)
         level, done = tensordict["level"], terminated | truncated
-        self.curriculum.record(level.flatten(), done.flatten(), success.flatten())
+        self._record([level.flatten(), done.flatten(), success.flatten()], rows)
         return {
             "pixels": view.pixels,
             **view.shown,
@@ -376,6 +385,12 @@ class SplatEnv(StateWhenAsked):
             "terminated": terminated,
             "truncated": truncated,
         }
+
+    def _record(self, ends: list[Tensor], rows: Tensor | None) -> None:
+        """Let the curriculum record level, end and success of robots in some rows, [N] each; see ``_after``."""
+        if rows is not None:
+            ends = [each.new_zeros(self.numel()).index_copy(0, rows, each) for each in ends]
+        self.curriculum.record(*ends)
 
     def _standing(self, state: Tensor, body_to_world: Tensor) -> Standing:
         """Place robots in the only scene, for a task that remembers nothing."""

@@ -537,10 +537,11 @@ class StepTable:
         found: list[int],  # addresses of the results: the same without action, then outcome, free_fraction, reward,
         # success, done, terminated, truncated and [count, 4, 4] poses
         count: int,
+        rows: int,  # address of [count] int64, the rows of the batch that step; 0 for all
         max_steps: int,
         goals_for_success: int,
-        progress: int,  # address of the curriculum's progress, which is updated
-        schedule: tuple[int, int, float],  # levels, window, threshold
+        curriculum: tuple[int, int, int, int, int, int],  # addresses of the curriculum's progress [3] int64 and cohort
+        # [B] bool, which are updated; B, levels, window, and the number of successes that promotes
         /,
     ) -> bool:
         """Look up the step of each row, and count steps, returns and goals as ``SplatEnv`` does.
@@ -555,12 +556,12 @@ class StepTable:
         # free_fraction, success, done, terminated, truncated [count]
         found: list[int],  # addresses of the results: the same, and [some, 4, 4] poses
         count: int,
-        rows: int,  # address of [some] int64, the rows in which episodes begin
+        rows: int,  # address of [some] int64, the rows in which episodes begin, ascending
         some: int,
         uniform: int,  # address of [count] float64 in [0, 1), the random numbers that select the starts
         starts: int,  # address of [available, D] int64
         available: int,
-        level: int,
+        curriculum: tuple[int, int, int, int, int, int],  # see ``step``
         /,
     ) -> None:
         """Copy the entries of a batch, and begin new episodes in some of its rows.

@@ -27,25 +27,45 @@ struct Step {
     bool terminated;
 };
 
-// The curriculum's window and its rule for promotion to the next level.
-struct Schedule {
-    int64_t levels, window;
-    double threshold;
+// The curriculum's level and cohort, with the same rules as Schedule in Python.
+struct Cohort {
+    int64_t* progress;  // the level, and how many of the cohort's episodes have ended and succeeded
+    bool* members;      // [rows]
+    size_t rows;
+    int64_t levels, window, enough;
 
-    // The same as Schedule.advance in Python. progress: the level, and the episodes and successes counted at it.
-    void advance(int64_t* progress, int64_t episodes, int64_t successes) const {
-        episodes += progress[1];
-        successes += progress[2];
-        const bool full = episodes >= window;
-        if (full && double(successes) >= threshold * double(episodes) - 1e-9)
-            progress[0] = std::min(progress[0] + 1, levels - 1);
-        progress[1] = full ? 0 : episodes;
-        progress[2] = full ? 0 : successes;
+    // Count the end of the episode in a row.
+    void end(size_t row, bool success) {
+        if (!members[row]) return;
+        members[row] = false;
+        progress[1] += 1;
+        progress[2] += success;
+    }
+
+    // Promote, or begin another cohort, if this one's episodes have settled it.
+    void decide() {
+        const bool promoted = progress[2] >= enough;
+        if (!promoted && progress[1] - progress[2] <= window - enough) return;
+        progress[0] = std::min(progress[0] + promoted, levels - 1);
+        progress[1] = progress[2] = 0;
+        std::fill_n(members, rows, false);
+    }
+
+    // Take the episodes that have begun in some rows, given in ascending order, into the cohort until it is complete.
+    void begin(const int64_t* begun, size_t some) {
+        for (size_t i = 0; i < some; ++i) end(size_t(begun[i]), false);  // a member that still ran was cut off
+        decide();
+        int64_t room = window - progress[1] - std::count(members, members + rows, true);
+        for (size_t i = 0; i < some && room > 0; ++i, --room) members[begun[i]] = true;
     }
 };
 
 class StepTable {
 public:
+    // Addresses of progress and members, and the number of rows, levels and episodes in a cohort, and how many successes
+    // are enough.
+    using Curriculum = std::array<uintptr_t, 6>;
+
     StepTable(std::vector<int64_t> shape, Tensor<const int64_t, -1, -1> next, Tensor<const float, -1, -1> free_fraction,
                  Tensor<const float, -1, -1> reward, Tensor<const bool, -1, -1> terminated,
                  Tensor<const int64_t, -1, -1> outcome, Tensor<const float, -1, 4, 4> poses)
@@ -66,15 +86,15 @@ public:
 
     // Look up the step of each row. `given` holds the addresses of state, action, step_count, episode_return, level and
     // goals; `found` those of the same without action, then of outcome, free_fraction, reward, success, done,
-    // terminated, truncated and the resulting poses. Returns false, and writes nothing, if a row is off the lattice.
-    bool step(const std::array<uintptr_t, 6>& given, const std::array<uintptr_t, 13>& found, size_t count,
-              int64_t max_steps, int64_t goals_for_success, uintptr_t progress,
-              const std::array<double, 3>& schedule) const {
+    // terminated, truncated and the resulting poses. `rows` is the address of the rows of the batch that step, or 0 for
+    // all. Returns false, and writes nothing, if a row is off the lattice.
+    bool step(const std::array<uintptr_t, 6>& given, const std::array<uintptr_t, 13>& found, size_t count, uintptr_t rows,
+              int64_t max_steps, int64_t goals_for_success, const Curriculum& curriculum) const {
         const auto *state = at<const int64_t>(given[0]), *action = at<const int64_t>(given[1]);
         for (size_t row = 0; row < count; ++row)
             if (!known(state + row * shape_.size(), action[row])) return false;
-        int64_t* counts = at<int64_t>(progress);
-        int64_t episodes = 0, successes = 0;
+        Cohort cohort = cohort_of(curriculum);
+        const int64_t now = cohort.progress[0];
         for (size_t row = 0; row < count; ++row) {
             const Step& taken = steps_[number(state + row * shape_.size()) * actions_ + size_t(action[row])];
             const int64_t steps = at<const int64_t>(given[2])[row] + 1, level = at<const int64_t>(given[4])[row];
@@ -94,20 +114,22 @@ public:
             at<bool>(found[10])[row] = taken.terminated;
             at<bool>(found[11])[row] = truncated;
             std::memcpy(at<float>(found[12]) + row * POSE, &poses_[size_t(taken.state) * POSE], sizeof(float) * POSE);
-            episodes += done && level == counts[0];
-            successes += done && level == counts[0] && success;
+            if (done && level == now) cohort.end(rows ? size_t(at<const int64_t>(rows)[row]) : row, success);
         }
-        Schedule{int64_t(schedule[0]), int64_t(schedule[1]), schedule[2]}.advance(counts, episodes, successes);
+        cohort.decide();
         return true;
     }
 
-    // Copy a batch, and begin new episodes in some of its rows. `old` and `found` hold the addresses of state,
+    // Copy a batch, and begin new episodes in some of its rows, in ascending order. `old` and `found` hold the addresses of state,
     // step_count, episode_return, level, goals, outcome, free_fraction, success, done, terminated and truncated;
     // `found` also that of the poses of the rows that begin.
     void begin(const std::array<uintptr_t, 11>& old, const std::array<uintptr_t, 12>& found, size_t count, uintptr_t rows,
-               size_t some, uintptr_t uniform, uintptr_t starts, int64_t available, int64_t level) const {
+               size_t some, uintptr_t uniform, uintptr_t starts, int64_t available,
+               const Curriculum& curriculum) const {
         const size_t size = shape_.size() * sizeof(int64_t), number = sizeof(int64_t), share = sizeof(float);
         const size_t bytes[] = {size, number, share, number, number, number, share, 1, 1, 1, 1};  // per row
+        Cohort cohort = cohort_of(curriculum);
+        const int64_t level = cohort.progress[0];
         for (size_t i = 0; i < old.size(); ++i) std::memcpy(at<char>(found[i]), at<const char>(old[i]), count * bytes[i]);
         for (size_t i = 0; i < some; ++i) {
             const size_t row = size_t(at<const int64_t>(rows)[i]);
@@ -122,6 +144,7 @@ public:
             at<float>(found[6])[row] = 1.0f;
             std::memcpy(at<float>(found[11]) + i * POSE, &poses_[this->number(start) * POSE], sizeof(float) * POSE);
         }
+        cohort.begin(at<const int64_t>(rows), some);
     }
 
 private:
@@ -129,6 +152,10 @@ private:
     size_t actions_;
     std::vector<Step> steps_;  // [states, actions]
     std::vector<float> poses_;
+
+    static Cohort cohort_of(const Curriculum& of) {
+        return {at<int64_t>(of[0]), at<bool>(of[1]), size_t(of[2]), int64_t(of[3]), int64_t(of[4]), int64_t(of[5])};
+    }
 
     bool known(const int64_t* state, int64_t action) const {
         for (size_t axis = 0; axis < shape_.size(); ++axis)

@@ -109,7 +109,7 @@ class Trainer:
         try:
             self.load_state_dict(state)
         except (KeyError, RuntimeError) as error:  # what PyTorch and TensorDict raise for tensors of other shapes
-            (line, *_) = str(error).splitlines()
+            line = " ".join(part.strip() for part in str(error).splitlines()[:2]).rstrip(".")  # the second names a key
             raise ValueError(
                 f"{self.folder}: expected a training whose env and network are shaped as these settings say, "
                 f"got: {line}; settings that change shapes cannot be changed when a training is resumed"
@@ -227,8 +227,6 @@ class Trainer:
         """Continue from a ``state_dict()``."""
         self.ppo.load_state_dict(state["ppo"])
         self.history, self.best, self.seconds = unpacked(state["history"]), tuple(state["best"]), state["seconds"]
-        if any(row.get("level") == 0 for row in self.history):  # begun when histories counted levels from 0
-            self.history = [row | {"level": row["level"] + 1} for row in self.history]
 
 
 @contextmanager

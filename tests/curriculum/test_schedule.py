@@ -7,78 +7,146 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from torch import Tensor
 
 from splatrl.curriculum import Schedule
 
-Ends = list[tuple[int, bool, bool]]  # level at which the episode began, whether it ended, whether it succeeded
+ROWS = 5
+Flags = list[bool]
+Counts = tuple[Tensor, Tensor]  # progress and members
 
 
-def advance(schedule: Schedule, progress: torch.Tensor, ends: Ends) -> torch.Tensor:
-    level, finished, success = (torch.tensor(column) for column in zip(*ends, strict=True))
-    return schedule.advance(progress, level, finished, success)
+def start(schedule: Schedule, rows: int = ROWS) -> Counts:
+    return schedule.start(), torch.zeros(rows, dtype=torch.bool)
+
+
+def begun(schedule: Schedule, counts: Counts, rows: Flags) -> Counts:
+    return schedule.begin(*counts, torch.tensor(rows))
+
+
+def ended(schedule: Schedule, counts: Counts, rows: Flags, success: Flags) -> Counts:
+    return schedule.advance(*counts, torch.tensor(rows), torch.tensor(success))
 
 
 schedules = st.builds(Schedule, levels=st.integers(1, 4), threshold=st.floats(0.05, 1.0), window=st.integers(1, 12))
-batches = st.lists(
-    st.lists(st.tuples(st.integers(-1, 4), st.booleans(), st.booleans()), min_size=1, max_size=8), max_size=25
-)
+flags = st.lists(st.booleans(), min_size=ROWS, max_size=ROWS)
+turns = st.lists(st.tuples(flags, flags, flags), max_size=25)  # rows that begin, rows that end, and that succeed
 
 
-@given(schedules, batches)
-def test_progress_matches_a_tally_in_plain_python(schedule: Schedule, batches: list[Ends]) -> None:
-    progress = schedule.start()
-    level = episodes = successes = 0
-    for ends in batches:
-        progress = advance(schedule, progress, ends)
-        counted = [won for began, ended, won in ends if ended and began == level]
-        episodes, successes = episodes + len(counted), successes + sum(counted)
-        if episodes >= schedule.window:
-            enough = successes >= schedule.threshold * episodes - 1e-9
-            level = min(level + enough, schedule.levels - 1)
-            episodes = successes = 0
-        assert progress.tolist() == [level, episodes, successes]
+@given(schedules, turns)
+def test_progress_matches_a_tally_in_plain_python(schedule: Schedule, turns: list[tuple[Flags, Flags, Flags]]) -> None:
+    counts = start(schedule)
+    level, joined, results, members = 0, 0, list[bool](), set[int]()
+
+    def leave(rows: list[int], won: Flags) -> None:
+        nonlocal level, joined
+        results.extend(won[row] for row in rows if row in members)
+        members.difference_update(rows)
+        if promoted := sum(results) >= schedule.threshold * schedule.window - 1e-9:
+            level = min(level + 1, schedule.levels - 1)
+        if promoted or sum(results) + schedule.window - len(results) < schedule.threshold * schedule.window - 1e-9:
+            joined = 0
+            results.clear()
+            members.clear()
+
+    for begins, ends, won in turns:
+        counts = begun(schedule, counts, begins)
+        rows = [row for row in range(ROWS) if begins[row]]
+        leave(rows, [False] * ROWS)
+        for row in rows[: schedule.window - joined]:
+            members.add(row)
+            joined += 1
+        assert counts[0].tolist() == [level, len(results), sum(results)]
+        counts = ended(schedule, counts, ends, won)
+        leave([row for row in range(ROWS) if ends[row]], won)
+        assert counts[0].tolist() == [level, len(results), sum(results)]
+        assert counts[1].tolist() == [row in members for row in range(ROWS)]
 
 
-@given(schedules, batches)
-def test_the_level_never_falls_or_jumps_or_leaves_its_range(schedule: Schedule, batches: list[Ends]) -> None:
-    progress = schedule.start()
-    for ends in batches:
-        later = advance(schedule, progress, ends)
-        assert 0 <= later[0] - progress[0] <= 1
-        assert 0 <= later[0] < schedule.levels
-        assert 0 <= later[2] <= later[1] < schedule.window
-        progress = later
+@given(schedules, turns)
+def test_the_level_never_falls_or_jumps_or_leaves_its_range(
+    schedule: Schedule, turns: list[tuple[Flags, Flags, Flags]]
+) -> None:
+    counts = start(schedule)
+    for begins, ends, won in turns:
+        before = counts[0]
+        counts = ended(schedule, begun(schedule, counts, begins), ends, won)
+        (level, episodes, successes), members = counts
+        assert 0 <= level - before[0] <= 1 and level < schedule.levels
+        assert 0 <= successes <= episodes and episodes + members.sum() <= schedule.window
 
 
-def test_advancing_returns_a_new_tensor_and_leaves_the_given_one_unchanged() -> None:
+def test_advancing_returns_new_tensors_and_leaves_the_given_ones_unchanged() -> None:
     schedule = Schedule(levels=2, window=3)
-    progress = schedule.start()
-    advance(schedule, progress, [(0, True, True)])
-    assert progress.tolist() == [0, 0, 0]
+    first = start(schedule, 1)
+    second = begun(schedule, first, [True])
+    ended(schedule, second, [True], [True])
+    assert first[0].tolist() == second[0].tolist() == [0, 0, 0]
+    assert not first[1].any() and second[1].all()
 
 
 @given(st.integers(1, 200).flatmap(lambda window: st.tuples(st.integers(1, window), st.just(window))))
-def test_exactly_the_threshold_promotes_and_one_success_less_starts_a_new_window(counts: tuple[int, int]) -> None:
+def test_exactly_the_threshold_promotes_and_one_success_less_starts_a_new_cohort(counts: tuple[int, int]) -> None:
     wins, window = counts
     schedule = Schedule(levels=3, threshold=wins / window, window=window)
-    enough = [(0, True, True)] * wins + [(0, True, False)] * (window - wins)
-    less = [(0, True, False), *enough[1:]]
-    assert advance(schedule, schedule.start(), enough).tolist() == [1, 0, 0]
-    assert advance(schedule, schedule.start(), less).tolist() == [0, 0, 0]
+    assert schedule.enough == wins
+    enough = [True] * wins + [False] * (window - wins)
+    for won, level in ((enough, 1), ([False, *enough[1:]], 0)):
+        running = begun(schedule, start(schedule, window), [True] * window)
+        progress, members = ended(schedule, running, [True] * window, won)
+        assert progress.tolist() == [level, 0, 0] and not members.any()
+
+
+@pytest.mark.parametrize(("won", "ends", "level"), [(True, 3, 1), (False, 2, 0)])
+def test_a_cohort_is_decided_as_soon_as_it_is_certain(won: bool, ends: int, level: int) -> None:
+    schedule = Schedule(levels=3, threshold=0.75, window=4)
+    counts = begun(schedule, start(schedule, 6), [True] * 6)
+    for row in range(ends):
+        assert counts[1].tolist() == [row <= one < 4 for one in range(6)]
+        counts = ended(schedule, counts, [one == row for one in range(6)], [won] * 6)
+    assert counts[0].tolist() == [level, 0, 0] and not counts[1].any()
+    again = begun(schedule, counts, [True, False] * 3)
+    assert again[1].tolist() == [True, False] * 3
+
+
+def test_episodes_that_begin_after_the_cohort_is_complete_do_not_count() -> None:
+    schedule = Schedule(levels=3, threshold=1.0, window=2)
+    counts = begun(schedule, start(schedule, 4), [False, True, True, True])
+    assert counts[1].tolist() == [False, True, True, False]
+    counts = ended(schedule, counts, [False, False, True, True], [True] * 4)
+    assert counts[0].tolist() == [0, 1, 1]
+    assert begun(schedule, counts, [False, False, True, True])[1].tolist() == [False, True, False, False]
+
+
+def test_a_member_that_begins_anew_before_it_has_ended_has_failed() -> None:
+    schedule = Schedule(levels=3, threshold=0.5, window=4)
+    counts = begun(schedule, start(schedule, 3), [True, True, False])
+    counts = begun(schedule, counts, [True, False, True])
+    assert counts[0].tolist() == [0, 1, 0] and counts[1].all()
+
+
+def test_quick_successes_do_not_promote_while_slow_failures_still_run() -> None:
+    """Half of all episodes succeed, after one step; the others fail after fifty."""
+    schedule, generator = Schedule(levels=20), torch.Generator().manual_seed(0)
+    left = torch.zeros(1000, dtype=torch.int64)
+    counts, ends = start(schedule, 1000), torch.ones(1000, dtype=torch.bool)
+    won, quick = torch.zeros_like(ends), 0
+    for _ in range(500):
+        counts = schedule.begin(*schedule.advance(*counts, ends, won), ends)
+        draws = torch.rand(1000, generator=generator) < 0.5
+        won = torch.where(ends, draws, won)
+        left = torch.where(ends, torch.where(draws, 1, 50), left) - 1
+        ends = left == 0
+        quick += int((ends & won).sum())
+    assert quick > 1000 and counts[0][0] == 0
 
 
 def test_the_last_level_is_never_left() -> None:
     schedule = Schedule(levels=2, threshold=0.5, window=1)
-    progress = schedule.start()
-    for level in (0, 1, 1, 1):
-        progress = advance(schedule, progress, [(level, True, True)])
-    assert progress.tolist() == [1, 0, 0]
-
-
-def test_episodes_of_another_level_do_not_count() -> None:
-    schedule = Schedule(levels=3, threshold=0.5, window=2)
-    progress = advance(schedule, torch.tensor([1, 0, 0]), [(0, True, True), (-1, True, True), (2, True, True)])
-    assert progress.tolist() == [1, 0, 0]
+    counts = start(schedule, 1)
+    for _ in range(4):
+        counts = ended(schedule, begun(schedule, counts, [True]), [True], [True])
+    assert counts[0].tolist() == [1, 0, 0]
 
 
 @pytest.mark.parametrize(

@@ -69,6 +69,7 @@ def test_the_curriculum_samples_at_its_current_level() -> None:
     generator = torch.Generator().manual_seed(0)
     assert distances(curriculum.sample(500, generator)).max() == 2
     one = torch.tensor([True])
+    curriculum.begin(one)
     curriculum.record(torch.tensor([0]), one, one)
     assert curriculum.level == 1
     assert distances(curriculum.sample(500, generator)).max() == 3
@@ -87,14 +88,34 @@ def test_a_plan_with_shorter_paths_has_fewer_levels() -> None:
     assert cut.levels == 4 and distances(draw(cut, 3)).max() == 5
 
 
-def test_a_curriculum_saves_only_its_progress() -> None:
-    curriculum = Curriculum(tiny_plan(), window=1)
-    one = torch.tensor([True])
-    curriculum.record(torch.tensor([0]), one, one)
-    assert list(curriculum.state_dict()) == ["progress"]
-    other = Curriculum(tiny_plan(), window=1)
+def test_episodes_of_another_level_do_not_count() -> None:
+    curriculum, all_rows = Curriculum(tiny_plan(), threshold=1.0, window=3), torch.ones(3, dtype=torch.bool)
+    curriculum.begin(all_rows)
+    curriculum.record(torch.tensor([-1, 0, 1]), all_rows, all_rows)
+    assert curriculum.progress.tolist() == [0, 1, 1] and curriculum.cohort.tolist() == [True, False, True]
+
+
+def test_a_curriculum_saves_its_progress_and_its_cohort() -> None:
+    curriculum, rows = Curriculum(tiny_plan(), window=4), torch.tensor([True, False, True])
+    curriculum.begin(rows)
+    curriculum.record(torch.zeros(3), torch.tensor([True, False, False]), rows)
+    assert list(curriculum.state_dict()) == ["progress", "cohort"]
+    other = Curriculum(tiny_plan(), window=4)
     other.load_state_dict(curriculum.state_dict())
-    assert other.level == 1
+    assert other.progress.tolist() == [0, 1, 1] and other.cohort.tolist() == [False, False, True]
+
+
+def test_another_number_of_robots_keeps_the_level_and_begins_another_cohort() -> None:
+    curriculum, one = Curriculum(tiny_plan(), threshold=1.0, window=2), torch.ones(1, dtype=torch.bool)
+    for _ in range(3):
+        curriculum.begin(one)
+        curriculum.record(curriculum.level.clone(), one, one)
+    assert curriculum.progress.tolist() == [1, 1, 1]
+    other = Curriculum(tiny_plan(), threshold=1.0, window=2)
+    other.seat(5)
+    other.load_state_dict(curriculum.state_dict())
+    other.begin(torch.ones(5, dtype=torch.bool))
+    assert other.progress.tolist() == [1, 0, 0] and other.cohort.tolist() == [True, True, False, False, False]
 
 
 @pytest.mark.parametrize(("first", "stride"), [(0, 1), (2, 0), (None, 0)])

@@ -166,7 +166,8 @@ class EnvContract(ABC):
         other.reset()
         for own, new in zip(stateful(env), stateful(other), strict=True):
             new.load_state_dict({key: value.clone() for key, value in own.state_dict().items()})
-        assert torch.equal(base_env(other).curriculum.progress, base_env(env).curriculum.progress)
+        for key in ("progress", "cohort"):
+            assert torch.equal(*(getattr(base_env(each).curriculum, key) for each in (other, env)))
         runs = []
         for each in (env, other):
             torch.manual_seed(0)

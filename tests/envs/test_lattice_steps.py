@@ -46,6 +46,11 @@ def pair(task: str, batch: int, **curriculum: Any) -> tuple[SplatEnv, SplatEnv]:
     return envs[0], envs[1]
 
 
+def assert_same_counts(env: SplatEnv, other: SplatEnv) -> None:
+    for key in ("progress", "cohort"):
+        assert torch.equal(*(getattr(one.curriculum, key) for one in (env, other))), key
+
+
 @pytest.mark.parametrize("shaken", [False, True])
 @pytest.mark.parametrize("task", ["grid", "circle", "polar_plane", "hemisphere"])
 def test_every_looked_up_step_equals_the_computed_one(task: str, shaken: bool) -> None:
@@ -61,11 +66,13 @@ def test_every_looked_up_step_equals_the_computed_one(task: str, shaken: bool) -
     given["episode_return"] = torch.rand(count, 1, generator=generator)
     if shaken:
         given["camera_offset"] = 0.01 * torch.rand(count, 6, generator=generator)
-    looks_up, takes = pair(task, count, window=count)
+    looks_up, takes = pair(task, count, window=count, threshold=0.5)
+    for env in (looks_up, takes):
+        env.curriculum.begin(torch.ones(count, dtype=torch.bool))
     assert looks_up.lattice_steps is not None
     after, expected = (env.step(TensorDict(given, [count]))["next"] for env in (looks_up, takes))
     assert_same(after, expected)
-    assert torch.equal(looks_up.curriculum.progress, takes.curriculum.progress)
+    assert_same_counts(looks_up, takes)
     assert all(looks_up.curriculum.progress[1:] > 0)
     met = {Outcome.RUNNING, Outcome.GOAL, Outcome.COLLISION, Outcome.TIMEOUT}
     met |= {Outcome.OUT_OF_BOUNDS} if task in ("polar_plane", "hemisphere") else set()  # elsewhere walls end episodes
@@ -90,13 +97,14 @@ def test_looked_up_starts_equal_those_of_a_reset() -> None:
     envs = pair("grid", 6, first=1)
     torch.manual_seed(0)
     stepped = envs[0].step(envs[0].rand_action(envs[0].reset()))
-    envs[1].generator.set_state(envs[0].generator.get_state())
+    envs[1].load_state_dict(envs[0].state_dict())
     after = envs[0].step_mdp(stepped)
     for done in ([0, 1, 0, 0, 1, 1], [1] * 6, [0] * 6):
         after["done"] = after["terminated"] = torch.tensor(done).bool().unsqueeze(1)
         for env in envs:
             env.curriculum.progress[0] = 2
         assert_same(*(env.maybe_reset(after.clone()) for env in envs))
+        assert_same_counts(*envs)
         assert torch.equal(*(env.generator.get_state() for env in envs))
 
 
@@ -117,9 +125,27 @@ def test_looked_up_rollouts_equal_computed_ones(batch: int) -> None:
         torch.manual_seed(0)
         rollouts.append(env.rollout(200 // batch, break_when_any_done=False))
     assert_same(*rollouts)
-    assert torch.equal(envs[0].curriculum.progress, envs[1].curriculum.progress)
+    assert_same_counts(*envs)
     assert envs[0].curriculum.level > 1
     assert torch.equal(envs[0].generator.get_state(), envs[1].generator.get_state())
+
+
+@pytest.mark.parametrize("window", [3, 30])
+def test_looked_up_steps_count_robots_that_wait_or_are_cut_off_like_computed_ones(window: int) -> None:
+    envs, generator = pair("grid", 5, first=1, threshold=0.3, window=window), torch.Generator().manual_seed(0)
+    now, levels = [env.reset() for env in envs], set[int]()
+    for _ in range(60):
+        action = torch.randint(0, 6, (5,), generator=generator)
+        steps, cut = torch.rand(2, 5, 1, generator=generator) < torch.tensor([0.7, 0.2]).view(2, 1, 1)
+        for row, env in enumerate(envs):
+            after = env.step(now[row].set("action", action.clone()).set("_step", steps))
+            ended = env.step_mdp(after).exclude("_step")
+            ended["done"] |= cut
+            now[row] = env.maybe_reset(ended)
+        assert_same(*now)
+        assert_same_counts(*envs)
+        levels.add(int(envs[0].curriculum.level))
+    assert len(levels) > 1
 
 
 @pytest.mark.parametrize(
@@ -136,9 +162,9 @@ def test_looked_up_rollouts_equal_computed_ones(batch: int) -> None:
 def test_inputs_off_the_lattice_are_not_looked_up_and_change_nothing(changed: dict[str, Tensor]) -> None:
     env = tiny_env((2,), window=1)
     td = env.rand_action(env.reset())
-    before = env.curriculum.progress.clone()
+    before, running = env.curriculum.progress.clone(), env.curriculum.cohort.clone()
     assert env.lattice_steps.step(td.clone().update(changed)) is None
-    assert torch.equal(env.curriculum.progress, before)
+    assert torch.equal(env.curriculum.progress, before) and torch.equal(env.curriculum.cohort, running)
     assert env.lattice_steps.step(td) is not None
 
 

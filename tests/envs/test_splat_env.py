@@ -8,10 +8,11 @@ from typing import Any
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule
 from torch import Tensor
 from torchrl.collectors import MultiSyncCollector
 from torchrl.data import TensorSpec, Unbounded
-from torchrl.envs import ParallelEnv
+from torchrl.envs import ParallelEnv, StepCounter, TransformedEnv
 
 from splatrl import make_env
 from splatrl.building import build_world
@@ -144,11 +145,46 @@ def test_the_curriculum_counts_each_end_once_and_no_episode_placed_by_hand() -> 
     env.step(td.set("action", torch.tensor([FORWARD_X, FORWARD_X])))
     assert env.curriculum.progress.tolist() == [0, 0, 0]
     td["level"] = torch.zeros_like(td["level"])
+    env.curriculum.begin(torch.tensor([True, True]))
     env.step(td.set("action", torch.tensor([FORWARD_X, SPIN])))
     assert env.curriculum.progress.tolist() == [0, 1, 1]
+    env.step(td.set("action", torch.tensor([FORWARD_X, SPIN])))
+    assert env.curriculum.progress.tolist() == [0, 1, 1]
+    env.curriculum.begin(torch.tensor([True, False]))
     env.step(td.set("action", torch.tensor([FORWARD_X, FORWARD_X])))
     assert env.curriculum.progress.tolist() == [1, 0, 0]
     assert (env.reset()["level"] == 1).all()
+
+
+def test_an_episode_that_is_cut_off_is_a_failure_in_the_curriculum() -> None:
+    """A time limit around the env, a full reset, and given states cut episodes off."""
+    env = tiny_env([3], first=None, window=40, threshold=0.5)
+    limited = TransformedEnv(env, StepCounter(3, step_count_key="actions"))
+    policy = TensorDictModule(lambda state: torch.full(state.shape[:1], SPIN), ["state"], ["action"])
+    after = limited.rollout(7, policy, break_when_any_done=False)["next"]
+    won, ends = (after["success"] & after["done"]).sum(), after["done"].sum()
+    assert ends - won >= 4 and not after["done"][:, -1].any()
+    assert env.curriculum.progress.tolist() == [0, ends, won]
+    env.reset()
+    assert env.curriculum.progress.tolist() == [0, ends + 3, won]
+    home = torch.tensor([[1, 5, 0]] * 3)
+    mask = torch.tensor([[True], [False], [True]])
+    td = env.reset(TensorDict({"state": home, "_reset": mask}, [3]), set_state=True)
+    assert env.curriculum.progress.tolist() == [0, ends + 5, won]
+    assert env.curriculum.cohort.tolist() == [False, True, False]  # episodes from given states are no members
+    env.reset(td.set("_reset", mask))
+    assert env.curriculum.progress.tolist() == [0, ends + 5, won] and env.curriculum.cohort.all()
+
+
+def test_robots_that_wait_stay_in_the_cohort() -> None:
+    for looked_up in (True, False):
+        env = tiny_env([3], first=None, window=20, threshold=0.5, max_steps=1)
+        if not looked_up:
+            env.lattice_steps = None
+        td = env.reset().set("action", torch.full((3,), SPIN))
+        env.step(td.set("_step", torch.tensor([[False], [True], [False]])))
+        assert env.curriculum.progress.tolist() == [0, 1, 0]
+        assert env.curriculum.cohort.tolist() == [True, False, True]
 
 
 WHAT_STEPS = {

@@ -3,6 +3,7 @@
 import copy
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -120,6 +121,8 @@ def test_a_few_hundred_frames_change_the_weights_and_advance_the_curriculum(
     worlds: dict[str, World], name: str
 ) -> None:
     ppo = learner(worlds[name], memory_of(name))
+    schedule = ppo.env.curriculum.schedule
+    ppo.env.curriculum.schedule = replace(schedule, window=1000)  # so that failures alone do not begin another cohort
     before = parameters(ppo)
     reports = [ppo.iterate() for _ in range(5)]
     assert all(math.isfinite(report["loss_critic"]) and math.isfinite(report["entropy"]) for report in reports)

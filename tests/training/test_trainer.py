@@ -51,6 +51,7 @@ def test_the_history_has_a_row_per_batch_and_is_saved_as_a_table(tmp_path: Path)
         rows = list(csv.DictReader(file))
     assert [int(row["frames"]) for row in rows] == [64, 128, 192, 256, 320, 384]
     assert [row["test_success"] for row in rows] == ["", "0.4", "", "0.9", "", "0.6"]
+    assert [row["level"] for row in loop.history] == [1] * len(rows)  # levels count from one
     assert [float(row["seconds"]) for row in rows] == sorted(row["seconds"] for row in loop.history)
 
 
@@ -65,19 +66,6 @@ def test_resuming_keeps_history_best_result_and_weights(tmp_path: Path) -> None:
     assert [row["frames"] for row in again.history] == [64, 128, 192, 256, 320, 384]
     assert again.best == (0.4,)
     assert again.seconds > first.seconds
-
-
-def test_levels_count_from_one_even_in_a_history_that_began_with_zero(tmp_path: Path) -> None:
-    first = trainer(tmp_path, [0.4, 0.3], frames=64 * 3)
-    first.fit()
-    assert [row["level"] for row in first.history] == [1, 1, 1]
-    checkpoint = tmp_path / "checkpoints" / "last.pt"
-    for row, level in zip(first.history, (0, 0, 1), strict=True):
-        row["level"] = level
-    save_checkpoint(checkpoint, first.state_dict())
-    again = trainer(tmp_path, [0.3, 0.2])
-    again.resume()
-    assert [row["level"] for row in again.history] == [1, 1, 2]
 
 
 def test_resuming_in_an_empty_folder_begins_anew(tmp_path: Path) -> None:
@@ -208,3 +196,13 @@ def test_a_row_of_the_history_has_what_a_learning_curve_needs(tmp_path: Path, ke
     loop = trainer(tmp_path, [0.1], frames=64)
     loop.fit()
     assert key in loop.history[0]
+
+
+def test_a_checkpoint_that_lacks_something_is_refused_by_the_name_of_what_is_missing(tmp_path: Path) -> None:
+    trainer(tmp_path, [0.4], frames=64).fit()
+    path = tmp_path / "checkpoints" / "last.pt"
+    state = load_checkpoint(path)
+    del state["ppo"]["env"]["curriculum.cohort"]
+    save_checkpoint(path, state)
+    with pytest.raises(ValueError, match=r'got: .* Missing key.*"curriculum\.cohort"; settings that change shapes'):
+        trainer(tmp_path, []).resume()

@@ -168,6 +168,7 @@ def test_the_curriculum_advances_with_apples_eaten() -> None:
     env = painted_env(snake(max_steps=1), 3, first=1, window=1, threshold=0.3)
     td = env.reset(placed([SEEN, [-1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]], [list(PLACE)] * 3), set_state=True)
     td["level"] = torch.zeros_like(td["level"])
+    env.curriculum.begin(torch.ones(3, dtype=torch.bool))
     env.step(td.set("action", torch.tensor([FORWARD, LEFT, LEFT])))
     assert env.curriculum.level == 1
 

@@ -64,6 +64,7 @@ def test_an_episode_that_ends_during_a_repeated_action_counts_once() -> None:
     env = skipping(4, 1, first=1, window=100)
     td = placed(env, [[1, 5, 0]])
     td["level"] = torch.zeros_like(td["level"])
+    base_env(env).curriculum.begin(torch.tensor([True]))
     after = env.step(td.set("action", torch.tensor([FORWARD_X])))["next"]
     assert base_env(env).curriculum.progress.tolist() == [0, 1, 1] and after["level"].tolist() == [[0]]
 
