@@ -50,6 +50,16 @@ def test_an_env_made_by_id_equals_the_one_that_the_library_makes(tmp_path: Path)
     assert np.array_equal(seen, expected) and np.array_equal(info["state"], told["state"])
 
 
+def test_without_a_seed_envs_begin_differently(tmp_path: Path) -> None:
+    def starts(seed: int | None = None) -> list[Any]:
+        env = gymnasium.make("splatrl/Grid-v0", seed=seed, **room(tmp_path))
+        batch = gymnasium.make_vec("splatrl/Grid-v0", num_envs=2, seed=seed, **room(tmp_path))
+        return [*(env.reset()[1]["state"].tolist() for _ in range(8)), *batch.reset()[1]["state"].tolist()]
+
+    assert starts() != starts()
+    assert starts(3) == starts(3)
+
+
 def test_several_scenes_and_generated_scenes_can_be_chosen(tmp_path: Path) -> None:
     both = in_both(tmp_path)
     chosen = [each for each in both if not each.startswith(("task=", "scene="))]

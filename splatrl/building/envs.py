@@ -20,6 +20,8 @@ def make_env(
 ) -> EnvBase:
     """Make an env from names and paths alone, so that a worker process can make one too.
 
+    The curriculum begins at its easiest level in every new env, so make one for evaluation with ``curriculum=none``.
+
     Args:
         overrides: overrides in Hydra's grammar, such as ``["scene=kitchen", "scene.path=kitchen.spz"]``.
         batch_size: [B]; None takes ``env.num_envs``.
