@@ -92,6 +92,7 @@ def _seeded(seed: int | None) -> int:
 
 
 def _overrides(task: str, scene: str, overrides: Sequence[str]) -> list[str]:
-    from splatrl.configuration import quoted
+    from splatrl.configuration import check_texts, quoted
 
+    check_texts(overrides)
     return [f"task={quoted(task)}", f"scene={quoted(scene)}", *overrides]

@@ -20,6 +20,7 @@ from torchrl.envs import EnvBase
 
 from splatrl.envs.nesting import check_layers, layers
 from splatrl.faults import Faulty
+from splatrl.values import checked_seed
 
 Pixels = npt.NDArray[np.uint8]
 Observation = Pixels | dict[str, npt.NDArray[Any]]
@@ -148,7 +149,7 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
         """Restart all episodes, or only those that ``options={"reset_mask": [B] bool}`` selects."""
         chosen = self._chosen(options)
         several = isinstance(seed, (Sequence, np.ndarray))
-        seeds = [None if one is None else int(one) for one in seed] if several else None  # type: ignore[union-attr]
+        seeds = [None if one is None else checked_seed(one) for one in seed] if several else None  # type: ignore[union-attr]
         if seeds is not None and len(seeds) != self.num_envs:
             raise ValueError(f"seed: expected one number, or a list of {self.num_envs}, got {seeds}")
         together = seed if seeds is None else _together(seeds)

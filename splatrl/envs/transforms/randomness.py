@@ -8,6 +8,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, Transform
 
 from splatrl.envs.nesting import layers
+from splatrl.values import checked_seed
 
 
 class RandomTransform(Transform):
@@ -30,7 +31,7 @@ class RandomTransform(Transform):
 
     def __init__(self, seed: int = 0, out_keys: Sequence[str] = (), in_keys: Sequence[str] = ()):
         super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
-        self._own = torch.Generator().manual_seed(seed)
+        self._own = torch.Generator().manual_seed(checked_seed(seed))
 
     @property
     def env(self) -> EnvBase | None:
