@@ -9,7 +9,7 @@ from torchrl.envs import EnvBase
 
 from splatrl.building.instantiation import instantiate
 from splatrl.building.worlds import build_world
-from splatrl.configuration import load_config
+from splatrl.configuration import check_texts, load_config
 from splatrl.envs.given import check_batch_size, check_default_dtype
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.values import checked_seed, require_number
@@ -62,9 +62,10 @@ def env_makers(
         seed: base seed; the seed of each worker's env is derived from it and from the worker's number.
 
     Raises:
-        ValueError: for fewer than one worker, or a seed that is negative or not an integer.
+        ValueError: for fewer than one worker, anything but a list of overrides, or a seed that is no whole number.
     """
     require_number("workers", workers, 1, whole=True)
+    check_texts(overrides)
     base = checked_seed(seed)
     return [partial(make_env, overrides, batch_size, worker_seed(base, worker)) for worker in range(workers)]
 

@@ -85,6 +85,11 @@ def test_an_invalid_number_of_workers_or_seed_is_refused(workers: int, seed: int
         env_makers(workers, seed=seed)
 
 
+def test_overrides_that_are_no_list_are_refused_before_a_worker_starts() -> None:
+    with pytest.raises(ValueError, match=r"^overrides: expected a list of texts such as .*, got 'task=grid'$"):
+        env_makers(2, "task=grid")
+
+
 def test_each_worker_has_a_curriculum_of_its_own(tmp_path: Path) -> None:
     env = SerialEnv(2, env_makers(2, [*tiny_overrides(tmp_path), "curriculum.window=1"], (1,)))
     env.reset()
