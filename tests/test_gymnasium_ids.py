@@ -93,6 +93,8 @@ def test_gymnasium_can_import_the_package_by_itself(tmp_path: Path) -> None:
     [
         ({"scene": "nowhere.ply"}, "scene: expected one of backyard.*or an existing path, got nowhere.ply"),
         ({"overrides": ["seed=-1"]}, "seed: expected a whole number"),
+        ({"overrides": ["robot.fov=70"]}, r"robot\.fov: no such key, did you mean robot\.fov_deg"),
+        ({"overrides": "robot.fov_deg=70"}, "overrides: expected a list of texts"),
     ],
 )
 def test_invalid_arguments_are_refused_by_name(arguments: dict[str, Any], message: str) -> None:

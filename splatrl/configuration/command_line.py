@@ -291,7 +291,7 @@ def _check_run(override: Override) -> None:
 
 
 def _check_choice(key: str, choice: str) -> None:
-    group, choice = key.partition("@")[0], choice.replace("\\:", ":")  # undo the escaping
+    group, choice = key.partition("@")[0], bare(choice).replace("\\:", ":")  # undo quoting and escaping
     valid = options(group)
     if choice in valid or choice in ("null", ""):
         return

@@ -320,7 +320,7 @@ def _act(env: EnvBase, present: TensorDictBase, space: gymnasium.Space[Any], act
     if not space.contains(actions):
         raise ValueError(f"action: expected an action in {space}, got {actions}")
     spec = env.action_spec
-    action = torch.as_tensor(actions, device=env.device).reshape(spec.shape)
+    action = torch.as_tensor(actions, dtype=spec.dtype, device=env.device).reshape(spec.shape)
     if continuous:
         action = torch.lerp(spec.low, spec.high, (action + 1) / 2)
     return present.set("action", action)

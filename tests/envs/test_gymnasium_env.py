@@ -121,6 +121,14 @@ def test_sensor_readings_are_observed_beside_the_pixels() -> None:
     assert ends > 0
 
 
+def test_discrete_actions_may_be_of_any_integer_type() -> None:
+    single, several = make_tiny(), vector(tiny_env([2]))
+    for kind in (np.int64, np.int32, np.uint8):
+        for env, action in ((single, kind(SPIN)), (several, np.full(2, SPIN, kind))):
+            env.reset(options={"state": np.zeros((env.unwrapped.env.numel(), 3))})
+            assert (env.step(action)[4]["state"] == [0, 0, 1]).all()
+
+
 def test_later_steps_do_not_change_an_earlier_observation() -> None:
     env = make_tiny()
     observation, _ = env.reset(seed=0)
