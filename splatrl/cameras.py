@@ -33,6 +33,9 @@ class Cameras:
     height: int
 
     def __post_init__(self) -> None:
+        for name in ("camera_to_world", "K"):
+            if not isinstance(value := getattr(self, name), Tensor):
+                raise ValueError(f"{name}: expected a tensor, got {value!r:.80}")
         if self.camera_to_world.ndim != 3 or self.camera_to_world.shape[1:] != (4, 4):
             raise ValueError(f"camera_to_world: expected shape [B, 4, 4], got {list(self.camera_to_world.shape)}")
         batch = self.camera_to_world.shape[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -37,7 +38,7 @@ def make_one(
     task: str,
     scene: str = "backyard",
     overrides: Sequence[str] = (),
-    seed: int = 0,
+    seed: int | None = None,
     render_mode: Literal["rgb_array"] | None = None,
 ) -> GymnasiumEnv:
     """Make an env with one robot, for ``gymnasium.make``.
@@ -46,7 +47,8 @@ def make_one(
         task: name of a task.
         scene: name of a scene, a splat file, or a scene's folder.
         overrides: settings in Hydra's grammar, as on the command line: ``["robot.height=0.4"]``.
-        seed: seed of the starts until ``reset(seed=...)`` sets another.
+        seed: seed of the starts until ``reset(seed=...)`` sets another; None draws one from the operating system's
+            entropy, as Gymnasium's own envs do.
         render_mode: what ``render`` returns: the current view for ``rgb_array``, nothing for None.
 
     Raises:
@@ -55,7 +57,7 @@ def make_one(
     from splatrl.building import make_env
     from splatrl.envs.gymnasium_env import GymnasiumEnv
 
-    return GymnasiumEnv(make_env(_overrides(task, scene, overrides), [1], seed), render_mode)
+    return GymnasiumEnv(make_env(_overrides(task, scene, overrides), [1], _seeded(seed)), render_mode)
 
 
 def make_batch(
@@ -63,7 +65,7 @@ def make_batch(
     task: str,
     scene: str = "backyard",
     overrides: Sequence[str] = (),
-    seed: int = 0,
+    seed: int | None = None,
     max_episode_steps: int | None = None,
     **options: Any,
 ) -> GymnasiumVectorEnv:
@@ -85,11 +87,16 @@ def make_batch(
     from splatrl.envs.gymnasium_env import GymnasiumVectorEnv
 
     limit = [] if max_episode_steps is None else [f"task.max_steps={max_episode_steps}"]
-    chosen = _overrides(task, scene, [*overrides, *limit])
-    return GymnasiumVectorEnv(make_env(chosen, [num_envs], seed), **options)
+    chosen = [*_overrides(task, scene, overrides), *limit]
+    return GymnasiumVectorEnv(make_env(chosen, [num_envs], _seeded(seed)), **options)
+
+
+def _seeded(seed: int | None) -> int:
+    return secrets.randbits(63) if seed is None else seed
 
 
 def _overrides(task: str, scene: str, overrides: Sequence[str]) -> list[str]:
-    from splatrl.configuration import quoted
+    from splatrl.configuration import check_texts, quoted
 
+    check_texts(overrides)
     return [f"task={quoted(task)}", f"scene={quoted(scene)}", *overrides]

@@ -4,7 +4,11 @@ import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from numbers import Integral
 from typing import Any
+
+MOST_SEED = 2**64 - 1
+"""The largest seed that PyTorch's generators take."""
 
 
 def require_number(
@@ -42,6 +46,14 @@ def require_number(
         limit = f" from {low} to {high}"
     kind = ("whole number" if whole else "number") + (f" of {unit}" if unit else "")
     raise ValueError(f"{name}: expected a {kind}{limit}, got {value!r:.80}")
+
+
+def checked_seed(seed: object, name: str = "seed") -> int:
+    """Return a seed as a Python integer, after refusing anything but a whole number of 64 bits with a ValueError."""
+    value = int(seed) if isinstance(seed, Integral) and not isinstance(seed, bool) else seed  # NumPy's integers, too
+    require_number(name, value, 0, MOST_SEED, whole=True)
+    assert isinstance(value, int)
+    return value
 
 
 def are_numbers(values: Any, count: int) -> bool:

@@ -66,6 +66,10 @@ def test_wrong_shapes_are_refused_by_name() -> None:
     poses, K = torch.eye(4).repeat(3, 1, 1), intrinsics(1.0, 8, 6)
     with pytest.raises(ValueError, match=r"camera_to_world: expected shape \[B, 4, 4\], got \[4, 4\]"):
         Cameras(torch.eye(4), K, 8, 6)
+    with pytest.raises(ValueError, match="camera_to_world: expected a tensor, got 1"):
+        Cameras(1, 2, 3, 4)
+    with pytest.raises(ValueError, match="K: expected a tensor, got None"):
+        Cameras(poses, None, 8, 6)
     with pytest.raises(ValueError, match=r"K: expected shape \[3, 3, 3\]"):
         Cameras(poses, K.repeat(2, 1, 1), 8, 6)
     with pytest.raises(ValueError, match="height: expected a whole number of pixels from 1 to 65536"):

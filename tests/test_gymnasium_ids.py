@@ -51,6 +51,16 @@ def test_an_env_made_by_id_equals_the_one_that_the_library_makes(tmp_path: Path)
     assert np.array_equal(seen, expected) and np.array_equal(info["state"], told["state"])
 
 
+def test_without_a_seed_envs_begin_differently(tmp_path: Path) -> None:
+    def starts(seed: int | None = None) -> list[Any]:
+        env = gymnasium.make("splatrl/Grid-v0", seed=seed, **room(tmp_path))
+        batch = gymnasium.make_vec("splatrl/Grid-v0", num_envs=2, seed=seed, **room(tmp_path))
+        return [*(env.reset()[1]["state"].tolist() for _ in range(8)), *batch.reset()[1]["state"].tolist()]
+
+    assert starts() != starts()
+    assert starts(3) == starts(3)
+
+
 def test_several_scenes_and_generated_scenes_can_be_chosen(tmp_path: Path) -> None:
     both = in_both(tmp_path)
     chosen = [each for each in both if not each.startswith(("task=", "scene="))]
@@ -106,6 +116,8 @@ def test_gymnasium_can_import_the_package_by_itself(tmp_path: Path) -> None:
     [
         ({"scene": "nowhere.ply"}, "scene: expected one of backyard.*or an existing path, got nowhere.ply"),
         ({"overrides": ["seed=-1"]}, "seed: expected a whole number"),
+        ({"overrides": ["robot.fov=70"]}, r"robot\.fov: no such key, did you mean robot\.fov_deg"),
+        ({"overrides": "robot.fov_deg=70"}, "overrides: expected a list of texts"),
     ],
 )
 def test_invalid_arguments_are_refused_by_name(arguments: dict[str, Any], message: str) -> None:

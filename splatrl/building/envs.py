@@ -9,16 +9,18 @@ from torchrl.envs import EnvBase
 
 from splatrl.building.instantiation import instantiate
 from splatrl.building.worlds import build_world
-from splatrl.configuration import load_config
-from splatrl.envs.given import check_default_dtype
+from splatrl.configuration import check_texts, load_config
+from splatrl.envs.given import check_batch_size, check_default_dtype
 from splatrl.envs.stateful_env import StatefulEnv
-from splatrl.values import require_number
+from splatrl.values import checked_seed, require_number
 
 
 def make_env(
     overrides: Sequence[str] = (), batch_size: Sequence[int] | None = None, seed: int | None = None
 ) -> EnvBase:
     """Make an env from names and paths alone, so that a worker process can make one too.
+
+    The curriculum begins at its easiest level in every new env, so make one for evaluation with ``curriculum=none``.
 
     Args:
         overrides: overrides in Hydra's grammar, such as ``["scene=kitchen", "scene.path=kitchen.spz"]``.
@@ -28,17 +30,17 @@ def make_env(
             do not depend on how processes are numbered.
 
     Raises:
-        ValueError: for a batch size of another shape, a config that is refused, or another default dtype of PyTorch
-            than float32.
+        ValueError: for a batch size or seed that is not whole numbers, overrides that the command line would refuse,
+            or another default dtype of PyTorch than float32.
     """
     check_default_dtype()
-    if batch_size is not None and (isinstance(batch_size, int) or len(batch_size) != 1 or batch_size[0] < 1):
-        raise ValueError(f"batch_size: expected a list with one whole number of at least 1, or None, got {batch_size}")
+    if batch_size is not None:
+        check_batch_size(batch_size)
+    place = current_process()._identity  # (2,) in the second child of the main process
+    seed = (worker_seed(0, *place) if place else 0) if seed is None else checked_seed(seed)
     cfg = load_config(overrides)
     world = build_world(cfg)
     curriculum = instantiate(cfg.curriculum)([one.plan for one in world.worlds])
-    place = current_process()._identity  # (2,) in the second child of the main process
-    seed = (worker_seed(0, *place) if place else 0) if seed is None else seed
     env = world.env(cfg.env.num_envs if batch_size is None else batch_size[0], curriculum, seed)
     return env if isinstance(env, StatefulEnv) else StatefulEnv(env)  # TorchRL's collectors keep its state
 
@@ -60,11 +62,12 @@ def env_makers(
         seed: base seed; the seed of each worker's env is derived from it and from the worker's number.
 
     Raises:
-        ValueError: for fewer than one worker, or a seed that is negative or not an integer.
+        ValueError: for fewer than one worker, anything but a list of overrides, or a seed that is no whole number.
     """
     require_number("workers", workers, 1, whole=True)
-    require_number("seed", seed, 0, whole=True)
-    return [partial(make_env, overrides, batch_size, worker_seed(seed, worker)) for worker in range(workers)]
+    check_texts(overrides)
+    base = checked_seed(seed)
+    return [partial(make_env, overrides, batch_size, worker_seed(base, worker)) for worker in range(workers)]
 
 
 def worker_seed(seed: int, *worker: int) -> int:

@@ -17,7 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from splatrl.commands.entries import experiment as main
 from splatrl.commands.faults import in_one_line
 from splatrl.commands.stopping import stoppable
-from splatrl.configuration import conf_dir, load_config, quoted
+from splatrl.configuration import UserError, conf_dir, load_config, quoted
 from splatrl.experiments import Run, Selection, budget, check_settings, planned, report_all, score, statement, train_all
 from splatrl.experiments.machine import machine
 from splatrl.native.threads import usable_cores
@@ -164,7 +164,7 @@ def _absent(overrides: Sequence[str]) -> str | None:
 def _compose(overrides: Sequence[str]) -> dict[str, Any]:
     try:
         return _plain(load_config(overrides))
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, UserError) as error:
         raise ValueError(f"{' '.join(overrides)}: {error}") from error
 
 

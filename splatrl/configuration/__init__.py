@@ -21,7 +21,7 @@ from splatrl.configuration.run_files import (
     with_absolute_paths,
     with_values,
 )
-from splatrl.configuration.scene_choice import job_config, load_config, with_scene_paths
+from splatrl.configuration.scene_choice import check_texts, job_config, load_config, with_scene_paths
 from splatrl.configuration.search_path import conf_dir, is_group, options
 
 __all__ = [
@@ -33,6 +33,7 @@ __all__ = [
     "check_constructors",
     "check_files",
     "check_new",
+    "check_texts",
     "command_line",
     "conf_dir",
     "config_elsewhere",

@@ -97,6 +97,17 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
     return list(map(passed, result))
 
 
+def check_words(name: str, words: Sequence[str]) -> None:
+    """Refuse overrides that do not fit the configs, as the command line does, with a ``UserError``.
+
+    Args:
+        name: name of the root config.
+        words: overrides in Hydra's grammar.
+    """
+    _check_words(name, words)
+    _check_chosen(name, with_scene_chosen(words, name))
+
+
 def _check_chosen(name: str, words: Sequence[str]) -> None:
     """Refuse overrides that do not fit the configs, in words in which the scene is chosen."""
     overrides = _plain(words)
@@ -280,7 +291,7 @@ def _check_run(override: Override) -> None:
 
 
 def _check_choice(key: str, choice: str) -> None:
-    group, choice = key.partition("@")[0], choice.replace("\\:", ":")  # undo the escaping
+    group, choice = key.partition("@")[0], bare(choice).replace("\\:", ":")  # undo quoting and escaping
     valid = options(group)
     if choice in valid or choice in ("null", ""):
         return

@@ -35,8 +35,29 @@ def load_config(overrides: Sequence[str] = (), name: str = "train") -> DictConfi
         overrides: overrides in Hydra's grammar, such as ``task=fps`` or ``task.max_steps=100``; ``scene=`` also takes a
             path.
         name: name of the root config.
+
+    Raises:
+        ValueError: for anything but a list of overrides, or for some that do not fit the configs, in the words of the
+            command line.
+        HydraException: for overrides that fit no config, and that the command line leaves to Hydra.
     """
-    return composed(with_scene_paths([readable(override) for override in overrides], name), name)
+    check_texts(overrides)
+    words = [readable(override) for override in overrides]
+    try:
+        return composed(with_scene_paths(words, name), name)
+    except HydraException as error:
+        refused = error
+    from splatrl.configuration.command_line import check_words  # which imports this module
+
+    check_words(name, words)
+    raise refused
+
+
+def check_texts(overrides: Sequence[str]) -> None:
+    """Refuse anything but a list of texts, such as a single override, with a ValueError."""
+    several = isinstance(overrides, Sequence) and not isinstance(overrides, str)
+    if not several or not all(isinstance(one, str) for one in overrides):
+        raise ValueError(f"overrides: expected a list of texts such as ['task=fps'], got {overrides!r:.80}")
 
 
 def job_config(cfg: DictConfig, overrides: Sequence[str]) -> DictConfig:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from splatrl.envs.world import World, Worlds
 
-AFTER = ("state", "reward", "done", "terminated", "truncated", "outcome")
+AFTER = ("state", "reward", "done", "terminated", "truncated", "outcome", "success")
 """Keys of a step's result that are stored, under ``"next"``."""
 
 

@@ -19,7 +19,7 @@ from splatrl.files import checked_name, require_room
 from splatrl.values import require_number
 
 FACTS, MEMMAP = "demonstrations.json", "memmap"
-VERSION = 2
+VERSION = 3
 MAX_HEADER = 2**20
 """Maximum size of a JSON file in the folder, bytes."""
 DTYPES = {str(kind): kind for kind in (torch.uint8, torch.int64, torch.float32, torch.float64, torch.bool)}
@@ -136,7 +136,7 @@ def _tensor(folder: Path, key: str, entry: Mapping[str, Any], header: Path) -> T
 def _check_kinds(folder: Path, values: Mapping[str, Any]) -> None:
     """Refuse tensors whose shapes or dtypes are not those of frames."""
     after = values["next"]
-    flags = (after[name] for name in ("done", "terminated", "truncated"))
+    flags = (after[name] for name in ("done", "terminated", "truncated", "success"))
     right = (
         values["pixels"].ndim == 4
         and values["pixels"].shape[-1] == 3

@@ -15,7 +15,6 @@ from torch import Tensor
 
 from splatrl.datasets.demonstrations import Demonstrations
 from splatrl.documents import write_json
-from splatrl.envs.tasks.base import Outcome
 from splatrl.evaluation.video import encode
 from splatrl.extras import require
 
@@ -34,7 +33,7 @@ def write_lerobot(folder: Path, demonstrations: Demonstrations, task: str, robot
 
     Features: ``observation.images.front``, ``observation.state``, ``action``, ``next.reward``, ``next.done`` and
     ``next.success``; and ``observation.<key>`` for everything else that is sensed or remembered. Three-channel images
-    become videos, ``observation.images.<key>``.
+    become videos, ``observation.images.<key>``. ``next.success`` is the env's ``success``: the goals so far are enough.
 
     Args:
         folder: the folder to write to; create it with ``new_folder``, so that it appears complete or not at all.
@@ -106,7 +105,7 @@ def _columns(demonstrations: Demonstrations) -> dict[str, Tensor]:
         **{f"observation.{key}": value.squeeze(1) if value[0].numel() == 1 else value for key, value in others.items()},
         "next.reward": after["reward"].squeeze(1),
         "next.done": after["done"].squeeze(1),
-        "next.success": (after["outcome"] == Outcome.GOAL).squeeze(1),
+        "next.success": after["success"].squeeze(1),
         "timestamp": frames["frame"].float() / demonstrations.fps,
         "frame_index": frames["frame"],
         "episode_index": frames["episode"],

@@ -43,7 +43,9 @@ def given_state(given: TensorDictBase, spec: TensorSpec, only: Tensor | None) ->
     Raises:
         ValueError: for a state outside the spec.
     """
-    state = given["state"]
+    state = given.get("state", None)
+    if state is None:
+        raise ValueError(f"state: expected {spec.dtype} {_size(spec)} with set_state=True, got none")
     spec, asked = spec.to(state.device), state if only is None else state[only]
     if not spec.expand(len(asked), *spec.shape).is_in(asked):
         wrong = [row for row, one in enumerate(asked) if not spec.is_in(one)]
@@ -76,14 +78,28 @@ def check_memory(
         alike = (value.dtype, value.shape[1:]) == (spec.dtype, spec.shape)
         if not alike or not spec.expand(len(asked), *spec.shape).is_in(asked):
             limits = f" from {spec.low.min().item()} to {spec.high.max().item()}" if isinstance(spec, Bounded) else ""
-            wanted = f"{spec.dtype} [{', '.join(map(str, ('B', *spec.shape)))}]{limits}"
+            wanted = f"{spec.dtype} {_size(spec)}{limits}"
             raise ValueError(f"{key}: expected {wanted}, got {value.dtype} {list(value.shape)}, {_shown(asked)}")
+
+
+def check_batch_size(batch_size: Sequence[int]) -> None:
+    """Refuse anything but a list with one whole number of at least 1, with a ValueError."""
+    one = isinstance(batch_size, Sequence) and len(batch_size) == 1
+    if not one or not isinstance(batch_size[0], int) or isinstance(batch_size[0], bool) or batch_size[0] < 1:
+        raise ValueError(f"batch_size: expected a list with one whole number of at least 1, got {batch_size!r:.80}")
 
 
 def check_seeds(seeds: Sequence[int | None], count: int) -> None:
     """Refuse seeds of robots that are not ``count`` whole numbers or None, with a ValueError."""
     if len(seeds) != count or not all(one is None or type(one) is int for one in seeds):
         raise ValueError(f"seeds: expected {count} whole numbers or None, got {list(seeds)!r:.80}")
+
+
+def check_kind(action: Tensor, spec: TensorSpec) -> None:
+    """Refuse actions of another dtype or shape than [B, ...], without looking at their values, with a ValueError."""
+    if (action.dtype, action.shape[1:]) != (spec.dtype, spec.shape):
+        got = f"{action.dtype} {list(action.shape)}"
+        raise ValueError(f"action: expected {spec.dtype} {_size(spec)}, got {got}")
 
 
 def check_actions(action: Tensor, spec: TensorSpec) -> None:
@@ -98,6 +114,11 @@ def check_default_dtype() -> None:
     """Refuse another default dtype than float32, with a ValueError: new tensors would not fit those that are kept."""
     if (found := torch.get_default_dtype()) != torch.float32:
         raise ValueError(f"torch.set_default_dtype: expected torch.float32, got {found}")
+
+
+def _size(spec: TensorSpec) -> str:
+    """Write the shape of a batch of what a spec of one robot describes."""
+    return f"[{', '.join(map(str, ('B', *spec.shape)))}]"
 
 
 def _shown(values: Tensor) -> str:

@@ -20,6 +20,7 @@ from torchrl.envs import EnvBase
 
 from splatrl.envs.nesting import check_layers, layers
 from splatrl.faults import Faulty
+from splatrl.values import checked_seed
 
 Pixels = npt.NDArray[np.uint8]
 Observation = Pixels | dict[str, npt.NDArray[Any]]
@@ -38,9 +39,11 @@ class GymnasiumEnv(gymnasium.Env[Observation, Action]):
     Action: the task's, ``Discrete``; for continuous control a ``Box`` of float32 in [-1, 1], as Gymnasium's clients
         expect, mapped linearly onto the task's limits: ``drive`` stands still at (-1/3, 0), not at 0.
     Info: ``outcome`` (int, an ``Outcome``), ``goals`` (int, number reached so far), ``success`` (bool), ``state`` (the
-        task's state, an array) and, with several scenes, ``scene`` (int, the scene in which the episode takes place).
+        task's state, an array), ``level`` (int, the curriculum's level, from 0, at which the episode began; -1 at a
+        given state) and, with several scenes, ``scene`` (int, the scene in which the episode takes place).
     Reset: ``reset(seed=...)`` seeds the starts, ``reset(options={"state": ...})`` begins at the given task state; with
         several scenes ``options`` must hold its ``scene``, too.
+    Curriculum: begins at its easiest level in every new env, so make one for evaluation with ``curriculum=none``.
 
     Example:
         >>> import splatrl
@@ -96,21 +99,22 @@ class GymnasiumEnv(gymnasium.Env[Observation, Action]):
 class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
     """A batch of robots as a Gymnasium vector env.
 
-    Depending on ``autoreset_mode``, a robot whose episode ends begins the next one either in the same step, or in the
-    following step, in which its action is ignored and its reward is 0.
+    Depending on ``autoreset_mode``, a robot whose episode ends begins the next one in the same step; in the following
+    step, in which its action is ignored and its reward is 0; or when the client resets it.
 
     Observation: [B, H, W, 3] uint8; with ``sensors`` a dictionary, see ``GymnasiumEnv``.
     Action: [B] int64, or [B, n] float32 in [-1, 1] for continuous control; see ``GymnasiumEnv``.
-    Info: ``outcome``, ``goals``, ``success``, ``state`` and, with several scenes, ``scene`` that belong to the
-        observation, [B, ...] each. With same-step resets, ``final_obs`` and ``final_info`` hold the last observation
-        and info of robots whose episode ended. Each entry has a mask, [B] bool, under ``_<name>``.
+    Info: ``outcome``, ``goals``, ``success``, ``state``, ``level`` and, with several scenes, ``scene`` that belong to
+        the observation, [B, ...] each. With same-step resets, ``final_obs`` and ``final_info`` hold the last
+        observation and info of robots whose episode ended. Each entry has a mask, [B] bool, under ``_<name>``.
     Reset: a single seed is used for the whole batch. With a list of seeds, each robot's start depends only on its own
         seed, and everything drawn later depends on all of them; robots with None draw from the env's generator as
-        before.
+        before. ``options={"reset_mask": ...}``, [B] bool, restarts only some of the robots.
+    Curriculum: see ``GymnasiumEnv``.
 
     Args:
         env: a ``SplatEnv``, bare or under transforms.
-        autoreset_mode: ``SAME_STEP`` or ``NEXT_STEP``; some of Gymnasium's wrappers require the latter.
+        autoreset_mode: ``SAME_STEP``; ``NEXT_STEP``, which some of Gymnasium's wrappers require; or ``DISABLED``.
         render_mode: ``"rgb_array"`` makes ``render`` return the current views; None disables it.
 
     Raises:
@@ -126,10 +130,10 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
     ):
         if env.ndim != 1:
             raise ValueError(f"env: expected batch size [B], got {list(env.batch_size)}")
-        modes = {mode.value: mode for mode in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP)}
+        modes = {mode.value: mode for mode in AutoresetMode}
         named = getattr(autoreset_mode, "value", autoreset_mode)
         if named not in modes:
-            raise ValueError(f"autoreset_mode: expected {' or '.join(modes)}, got {named}")
+            raise ValueError(f"autoreset_mode: expected one of {', '.join(modes)}, got {named}")
         self.autoreset_mode = modes[named]
         self.metadata = {**_METADATA, "autoreset_mode": self.autoreset_mode}
         self.env, self.num_envs, self.render_mode = env, env.numel(), _checked_mode(render_mode)
@@ -142,16 +146,42 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, Infos]:
-        """Restart all episodes."""
+        """Restart all episodes, or only those that ``options={"reset_mask": [B] bool}`` selects."""
+        chosen = self._chosen(options)
         several = isinstance(seed, (Sequence, np.ndarray))
-        seeds = [None if one is None else int(one) for one in seed] if several else None  # type: ignore[union-attr]
+        seeds = [None if one is None else checked_seed(one) for one in seed] if several else None  # type: ignore[union-attr]
         if seeds is not None and len(seeds) != self.num_envs:
             raise ValueError(f"seed: expected one number, or a list of {self.num_envs}, got {seeds}")
         together = seed if seeds is None else _together(seeds)
         super().reset(seed=together)  # type: ignore[arg-type]
-        self._present = _begin(self.env, together, options, seeds)  # type: ignore[arg-type]
-        self._over[:] = False
-        return _observed(self.env, self._present), self._told()
+        if chosen is None:
+            self._present = _begin(self.env, together, options, seeds)  # type: ignore[arg-type]
+        else:
+            if together is not None:
+                self.env.set_seed(int(together))  # type: ignore[arg-type]
+            self._present = self._restarted(self._present, chosen, {} if seeds is None else {"seeds": seeds})
+        self._over[... if chosen is None else chosen] = False
+        return _observed(self.env, self._present), self._told(chosen)
+
+    def _chosen(self, options: dict[str, Any] | None) -> npt.NDArray[np.bool_] | None:
+        """Return the robots that a reset is to restart, [B] bool; None for all."""
+        if not options or "reset_mask" not in options:
+            return None
+        if self._present is None:
+            raise gymnasium.error.ResetNeeded("reset: expected a call without reset_mask first")
+        mask = np.asarray(options["reset_mask"])
+        if len(options) > 1 or (mask.dtype, mask.shape) != (bool, (self.num_envs,)) or not mask.any():
+            wanted = f"'reset_mask' alone, [{self.num_envs}] bool with at least one True"
+            raise ValueError(f"options: expected {wanted}, got {options!r:.120}")
+        return mask
+
+    def _restarted(
+        self, present: TensorDictBase | None, rows: npt.NDArray[np.bool_], settings: dict[str, Any]
+    ) -> TensorDictBase:
+        """Return the batch with new episodes for some robots, [B] bool; ``settings`` are further ones of the reset."""
+        assert present is not None
+        mask = torch.as_tensor(rows, device=self.env.device).unsqueeze(1)
+        return self.env.reset(present.set("_reset", mask), select_reset_only=True, **settings)
 
     def step(
         self, actions: Actions
@@ -166,6 +196,8 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
         """
         if self._present is None:
             raise gymnasium.error.ResetNeeded("step: expected a call to reset() first")
+        if self._over.any() and self.autoreset_mode == AutoresetMode.DISABLED:
+            raise gymnasium.error.ResetNeeded("step: expected a reset of the robots whose episode has ended first")
         acted = _act(self.env, self._present, self.action_space, actions)
         return (self._step_over if self._over.any() else self._step)(acted)
 
@@ -193,7 +225,7 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
         acted["level"] = torch.where(mask, -1, acted["level"])  # the curriculum counts an ended episode only once
         step, present = self._stepped(acted)
         _raise_faults(self.env)
-        self._present = self.env.reset(present.set("_reset", mask), select_reset_only=True)
+        self._present = self._restarted(present, over, {})
         after = step["next"]
         terminated, truncated = (_column(after, key) & ~over for key in ("terminated", "truncated"))
         self._over = terminated | truncated
@@ -204,10 +236,10 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
         step = self.env.step(acted)
         return step, self.env.step_mdp(step)
 
-    def _told(self) -> Infos:
-        """Return the infos that belong to the current observation."""
+    def _told(self, rows: npt.NDArray[np.bool_] | None = None) -> Infos:
+        """Return the infos that belong to the current observation, of all robots or of some, [B] bool."""
         assert self._present is not None
-        return _masked(_infos(self._present), np.ones(self.num_envs, dtype=bool))
+        return _masked(_infos(self._present), np.ones(self.num_envs, dtype=bool) if rows is None else rows)
 
     def render(self) -> tuple[Pixels, ...] | None:
         """Return the current views, [H, W, 3] uint8 each; None without a render mode."""
@@ -288,7 +320,7 @@ def _act(env: EnvBase, present: TensorDictBase, space: gymnasium.Space[Any], act
     if not space.contains(actions):
         raise ValueError(f"action: expected an action in {space}, got {actions}")
     spec = env.action_spec
-    action = torch.as_tensor(actions, device=env.device).reshape(spec.shape)
+    action = torch.as_tensor(actions, dtype=spec.dtype, device=env.device).reshape(spec.shape)
     if continuous:
         action = torch.lerp(spec.low, spec.high, (action + 1) / 2)
     return present.set("action", action)
@@ -308,10 +340,10 @@ def _observed_keys(env: EnvBase) -> list[str]:
 
 def _observed(env: EnvBase, td: TensorDictBase) -> Observation:
     """Return the observations of a batch of robots."""
-    keys = _observed_keys(env)
-    if len(keys) == 1:
-        return _pixels(td)
-    arrays = {key: td[key].cpu().numpy() for key in keys}
+    read = set(env.state_spec.keys())  # by the next step, such as stacked views; clients may edit what they are given
+    arrays = {key: (td[key].clone() if key in read else td[key]).cpu().numpy() for key in _observed_keys(env)}
+    if len(arrays) == 1:
+        return arrays["pixels"]
     return {key: each.astype(np.int8) if each.dtype == bool else each for key, each in arrays.items()}
 
 
@@ -335,7 +367,7 @@ def _column(td: TensorDictBase, key: str) -> npt.NDArray[Any]:
 
 def _infos(td: TensorDictBase) -> Infos:
     held = set(td.keys())
-    columns = {key: _column(td, key) for key in ("outcome", "goals", "success", "scene") if key in held}
+    columns = {key: _column(td, key) for key in ("outcome", "goals", "success", "level", "scene") if key in held}
     return {**columns, "state": td["state"].cpu().numpy().copy()}  # clients may edit it
 
 

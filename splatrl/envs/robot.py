@@ -41,6 +41,8 @@ class Robot:
     )
 
     def __post_init__(self) -> None:
+        if not isinstance(self.body, Body):
+            raise ValueError(f"robot.body: expected a Box, Sphere or Capsule, got {self.body!r:.80}")
         require_number("robot.height", self.height, -1e6, 1e6)
         require_number("robot.pitch_deg", self.pitch_deg, -180, 180)
         require_number("robot.fov_deg", self.fov_deg, 1, 179)

@@ -17,7 +17,16 @@ from splatrl.collision.nothing import NoChecker
 from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum.starts import Curriculum
 from splatrl.envs.drawing.base import Drawing
-from splatrl.envs.given import check_actions, check_default_dtype, check_memory, check_seeds, given_scene, given_state
+from splatrl.envs.given import (
+    check_actions,
+    check_batch_size,
+    check_default_dtype,
+    check_kind,
+    check_memory,
+    check_seeds,
+    given_scene,
+    given_state,
+)
 from splatrl.envs.lattice_steps import LatticeSteps, Taken, suits
 from splatrl.envs.restart import StateWhenAsked, maybe_reset, with_rows
 from splatrl.envs.robot import Robot
@@ -27,6 +36,7 @@ from splatrl.envs.specs import env_specs
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks.base import NOTHING, Anywhere, Outcome, Step, Task
 from splatrl.faults import Faulty
+from splatrl.values import checked_seed
 
 
 class SplatEnv(StateWhenAsked):
@@ -98,8 +108,7 @@ class SplatEnv(StateWhenAsked):
         sensors: Mapping[str, Sensor] | None = None,
     ):
         check_default_dtype()
-        if len(batch_size) != 1 or batch_size[0] < 1:
-            raise ValueError(f"batch_size: expected one number of at least 1, got {list(batch_size)}")
+        check_batch_size(batch_size)
         super().__init__(device=device, batch_size=torch.Size(batch_size))
         self.drawing, self.checker, self.robot = drawing, checker, robot
         self.scenes = len(checker.checkers) if isinstance(checker, SeveralCheckers) else 1
@@ -107,6 +116,7 @@ class SplatEnv(StateWhenAsked):
         self.curriculum.seat(self.numel())
         self.made_by: Callable[..., SplatEnv] | None = None
         self.generator = torch.Generator(self.device)
+        self._action = task.motion.action_spec  # of one robot
         self._task_keys, self._sensor_keys = tuple(task.memory_spec), tuple(self.senses.memory_spec())
         specs = env_specs(task, self.senses, self.scenes, self.batch_size, self.device)
         self.observation_spec, self.state_spec, self.action_spec, self.reward_spec, self.done_spec = specs
@@ -290,6 +300,8 @@ class SplatEnv(StateWhenAsked):
 
     def _after(self, given: TensorDictBase | Mapping[str, Tensor], rows: Tensor | None = None) -> dict[str, Tensor]:
         """Carry out a step in some rows, [N] int64 or None for all, and return all its entries: [N, ...] by key."""
+        if (action := given.get("action", None)) is not None:
+            check_kind(action, self._action)
         try:
             taken = None if self.lattice_steps is None else self.lattice_steps.step(given, rows)
             return self._stepped(given, rows) if taken is None else self._shown(taken, given)
@@ -422,6 +434,10 @@ class SplatEnv(StateWhenAsked):
             [N, ...].
         """
         return self.curriculum.anywhere(self.numel() if count is None else count, generator or self.generator, scene)
+
+    def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
+        """Seed the env's generator; see ``EnvBase.set_seed``. None draws a seed, and others are refused by name."""
+        return super().set_seed(None if seed is None else checked_seed(seed), static_seed)
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is None:

@@ -22,8 +22,10 @@ class StableBaselinesVecEnv(VecEnv):
 
     Observation and action are those of ``GymnasiumVectorEnv``. A robot whose episode ends begins the next one in the
     same step; its info then holds ``terminal_observation``, ``TimeLimit.truncated`` and ``is_success``, and the final
-    values of ``outcome``, ``goals``, ``success`` and ``state``. Wrap it in ``VecMonitor`` to record episode returns and
-    lengths. ``seed(s)`` gives the robots the seeds s, s + 1, … for the next reset.
+    values of ``outcome``, ``goals``, ``success``, ``state`` and ``level``. Wrap it in ``VecMonitor`` to record episode
+    returns and lengths. ``seed(s)`` gives the robots the seeds s, s + 1, … for the next reset.
+
+    The curriculum begins at its easiest level in every new env, so make one for evaluation with ``curriculum=none``.
 
     Example:
         >>> import splatrl
@@ -125,5 +127,7 @@ def _together(options: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
 
 def _row(infos: Infos, row: int) -> Infos:
     """Return the info of one robot, with scalars as Python numbers."""
-    values = {key: infos[key][row] for key in ("outcome", "goals", "success", "state", "scene") if key in infos}
+    values = {
+        key: infos[key][row] for key in ("outcome", "goals", "success", "state", "level", "scene") if key in infos
+    }
     return {key: value.item() if value.ndim == 0 else value for key, value in values.items()}

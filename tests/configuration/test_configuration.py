@@ -4,13 +4,12 @@ import re
 import sys
 from itertools import zip_longest
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
-from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from torchrl.envs import EnvBase, RewardScaling
 
@@ -20,6 +19,7 @@ from splatrl.building.places import constructor
 from splatrl.collision import CudaChecker, NativeChecker, NoChecker
 from splatrl.commands.evaluate import evaluate_run
 from splatrl.configuration import (
+    UserError,
     check_config,
     command_line,
     conf_dir,
@@ -451,12 +451,40 @@ def test_a_hydra_that_is_already_initialised_is_left_unchanged(tmp_path: Path) -
     with initialize_config_dir(str(tmp_path), version_base="1.3"):
         outer = GlobalHydra.instance().hydra
         assert load_config(["task=fps"]).task._target_ == "splatrl.envs.tasks.Fps"
-        with pytest.raises(HydraException):
+        with pytest.raises(UserError):
             load_config(["task=nothing"])
         assert GlobalHydra.instance().hydra is outer
         assert compose("other", ["size=4"]).size == 4
     load_config()
     assert not GlobalHydra.instance().is_initialized()
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ("task=grid", r"overrides: expected a list of texts such as \['task=fps'\], got 'task=grid'"),
+        ({"task": "grid"}, "overrides: expected a list of texts"),
+        ([1], r"overrides: expected a list of texts .*, got \[1\]"),
+        (3, "overrides: expected a list of texts"),
+    ],
+)
+def test_anything_but_a_list_of_overrides_is_refused(overrides: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}"):
+        load_config(overrides)
+
+
+@pytest.mark.parametrize("typed", ["robot.fov=70", "ppo.gama=1", "task=nope", "grid", "task=[a", "task.max_steps=1,2"])
+def test_the_library_refuses_an_override_in_the_words_of_the_command_line(typed: str) -> None:
+    with pytest.raises(SystemExit) as said:
+        command_line("train", [typed])
+    with pytest.raises(ValueError, match=r"expected|no such key") as error:
+        load_config([typed])
+    assert f"splatrl-train: {error.value}" == said.value.code and "\n" not in str(error.value)
+
+
+def test_of_two_choices_from_a_group_the_last_one_holds() -> None:
+    assert load_config(command_line("train", ["task=grid", "task=fps"])) == load_config(["task=grid", "task=fps"])
+    assert load_config(["task=grid", "task=fps"]) == load_config(["task=fps"])
 
 
 class Wander(TaskModule):

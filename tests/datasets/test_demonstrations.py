@@ -198,7 +198,7 @@ def edit(name: str, change: Callable[[dict], object]) -> Callable[[Path], None]:
     ("damage", "message"),
     [
         (lambda folder: (folder / "demonstrations.json").unlink(), "expected a folder of demonstrations"),
-        (edit("demonstrations.json", lambda facts: facts.update(version=1)), "version 2, got 1; record them again"),
+        (edit("demonstrations.json", lambda facts: facts.update(version=1)), "version 3, got 1; record them again"),
         (edit("demonstrations.json", lambda facts: facts.update(action_names=3)), "a list of names under action_names"),
         (
             edit("demonstrations.json", lambda facts: facts.update(fps=0)),

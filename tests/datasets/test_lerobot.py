@@ -11,6 +11,7 @@ import torch
 from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.datasets import Demonstrations, planner_episodes, write_lerobot
+from splatrl.envs.tasks import Outcome
 from splatrl.images import open_video
 from tests.tiny import tiny_overrides
 
@@ -69,6 +70,15 @@ def test_tables_hold_the_bytes_of_states_and_actions(shown: Demonstrations, fold
     assert np.allclose(found["timestamp"].to_numpy(), shown.frames["frame"] / 10)
     success = np.array(found["next.success"].to_pylist())
     assert success.sum() == 9 and np.array_equal(success, found["next.done"].to_numpy())
+
+
+def test_success_is_what_the_env_calls_success(shown: Demonstrations, tmp_path: Path) -> None:
+    frames = shown.frames.clone()  # a task that goes on after its goals, of which the first is not enough
+    frames["next", "outcome"] = torch.full_like(frames["next", "outcome"], Outcome.GOAL)
+    frames["next", "success"] = frames["frame"].unsqueeze(1) > 0
+    write_lerobot(tmp_path, Demonstrations(frames, shown.action_names), "x")
+    found = table(tmp_path, info(tmp_path)["data_path"])["next.success"].to_pylist()
+    assert found == frames["next", "success"].flatten().tolist() and any(found) and not all(found)
 
 
 def test_each_sensor_is_a_feature(shown: Demonstrations, folder: Path) -> None:

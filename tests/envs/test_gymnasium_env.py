@@ -19,11 +19,13 @@ from torchrl.envs.transforms import RewardScaling, TransformedEnv
 
 from splatrl.envs.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
 from splatrl.envs.stateful_env import StatefulEnv
-from splatrl.envs.tasks import Outcome
+from splatrl.envs.tasks import ImageNav, Outcome
 from splatrl.envs.transforms import Appearance
 from splatrl.envs.transforms.frame_stack import FrameStack
 from tests.envs.rooms import coarse_apple, drive_env, painted_env
 from tests.envs.sensors.test_sensors import sensing_env
+from tests.envs.tasks.test_navigation import LEFT as TURN_LEFT
+from tests.envs.tasks.test_navigation import env_of, task_of
 from tests.envs.transforms.views import transformed
 from tests.tiny import tiny_env
 
@@ -119,6 +121,14 @@ def test_sensor_readings_are_observed_beside_the_pixels() -> None:
     assert ends > 0
 
 
+def test_discrete_actions_may_be_of_any_integer_type() -> None:
+    single, several = make_tiny(), vector(tiny_env([2]))
+    for kind in (np.int64, np.int32, np.uint8):
+        for env, action in ((single, kind(SPIN)), (several, np.full(2, SPIN, kind))):
+            env.reset(options={"state": np.zeros((env.unwrapped.env.numel(), 3))})
+            assert (env.step(action)[4]["state"] == [0, 0, 1]).all()
+
+
 def test_later_steps_do_not_change_an_earlier_observation() -> None:
     env = make_tiny()
     observation, _ = env.reset(seed=0)
@@ -170,9 +180,14 @@ def unbounded_env() -> EnvBase:
             r"seed: expected one number, or a list of 2, got \[1, 2, 3\]",
         ),
         (
-            lambda env: GymnasiumVectorEnv(tiny_env([2]), AutoresetMode.DISABLED),
+            lambda env: GymnasiumVectorEnv(tiny_env([2]), "Never"),
             ValueError,
-            "autoreset_mode: expected SameStep or NextStep, got Disabled",
+            "autoreset_mode: expected one of NextStep, SameStep, Disabled, got Never",
+        ),
+        (
+            lambda env: GymnasiumVectorEnv(tiny_env([2])).reset(options={"reset_mask": np.array([True, False])}),
+            gymnasium.error.ResetNeeded,
+            "reset: expected a call without reset_mask first",
         ),
     ],
 )
@@ -344,6 +359,36 @@ def test_episode_statistics_are_right_in_each_autoreset_mode(mode: AutoresetMode
     assert len(lengths) > 10 and max(lengths) == 6 and set(lengths) <= set(range(1, 7))
 
 
+def test_without_autoreset_the_client_resets_robots_whose_episode_ended() -> None:
+    env = RecordEpisodeStatistics(GymnasiumVectorEnv(tiny_env([3]), AutoresetMode.DISABLED))
+    env.reset(seed=1, options={"state": [[1, 5, 0], [0, 0, 0], [1, 3, 0]]})
+    seen, _, terminated, _, info = env.step(np.array([FORWARD_X, SPIN, FORWARD_X]))
+    assert info["state"].tolist() == [[2, 5, 0], [0, 0, 1], [1, 3, 0]] and info["episode"]["l"].tolist() == [1, 0, 1]
+    with pytest.raises(gymnasium.error.ResetNeeded, match="the robots whose episode has ended"):
+        env.step(np.full(3, SPIN))
+    shown, info = env.reset(seed=[7, 8, 9], options={"reset_mask": terminated})
+    assert np.array_equal(shown[1], seen[1]) and info["_state"].tolist() == [True, False, True]
+    assert info["outcome"].tolist() == [Outcome.RUNNING] * 3 and info["state"][1].tolist() == [0, 0, 1]
+    alone = [make_tiny().reset(seed=seed) for seed in (7, 9)]
+    for row, (view, told) in zip((0, 2), alone, strict=True):
+        assert np.array_equal(shown[row], view) and info["state"][row].tolist() == told["state"].tolist()
+    _, reward, *_, info = env.step(np.full(3, SPIN))
+    assert (reward != 0).all() and info["state"][1].tolist() == [0, 0, 2]
+    for mask in (np.zeros(3, dtype=bool), np.ones(2, dtype=bool), np.array([0, 1, 0])):
+        with pytest.raises(ValueError, match=r"options: expected 'reset_mask' alone, \[3\] bool"):
+            env.unwrapped.reset(options={"reset_mask": mask})
+    with pytest.raises(ValueError, match="'reset_mask' alone"):
+        env.unwrapped.reset(options={"reset_mask": np.ones(3, dtype=bool), "state": [[0, 0, 0]] * 3})
+
+
+def test_infos_tell_the_level_at_which_an_episode_began() -> None:
+    single, several = tiny_env([1], first=1, window=1), vector(tiny_env([2]))
+    single.curriculum.record(torch.zeros(1), torch.ones(1, dtype=torch.bool), torch.ones(1, dtype=torch.bool))
+    assert GymnasiumEnv(single).reset()[1]["level"] == 1
+    assert GymnasiumEnv(single).reset(options={"state": [0, 0, 0]})[1]["level"] == -1
+    assert several.reset()[1]["level"].tolist() == [0, 0]
+
+
 def test_wrappers_that_need_next_step_autoreset_accept_it() -> None:
     with pytest.raises(ValueError, match="NEXT_STEP"):
         NormalizeObservation(vector())
@@ -396,6 +441,18 @@ def test_clients_may_edit_infos_and_pictures_without_moving_robots() -> None:
         np.asarray(env.render()[0])[:] = 0
         assert torch.equal(env._present["state"], before) and env._present["pixels"].any()
         env.step(action)
+
+
+@pytest.mark.parametrize("adapt", [GymnasiumEnv, GymnasiumVectorEnv])
+def test_clients_may_edit_observations_without_changing_later_ones(adapt: Callable[[EnvBase], Any]) -> None:
+    edited, other = (adapt(StatefulEnv(env_of(task_of(ImageNav)), FrameStack(2))) for _ in range(2))
+    for step in range(4):
+        action = np.full(edited.action_space.shape, TURN_LEFT)
+        seen, expected = ((env.step(action) if step else env.reset(seed=5))[0] for env in (edited, other))
+        assert seen.keys() == {"pixels", "imagegoal"}
+        for key, value in seen.items():
+            assert np.array_equal(value, expected[key]), (step, key)
+            value //= 2
 
 
 def test_stacked_views_are_shown_by_the_latest_one() -> None:

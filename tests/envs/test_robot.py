@@ -82,3 +82,8 @@ def test_an_offset_moves_along_the_worlds_axes_whatever_the_heading() -> None:
 def test_a_height_that_is_not_finite_is_refused() -> None:
     with pytest.raises(ValueError, match=r"robot\.height: expected a number from .*, got nan"):
         Robot(Sphere(0.1), math.nan)
+
+
+def test_a_body_that_is_no_shape_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"^robot\.body: expected a Box, Sphere or Capsule, got 1$"):
+        Robot(1, 1.0)

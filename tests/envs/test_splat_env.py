@@ -1,10 +1,12 @@
 """``SplatEnv``: its contract, and tests specific to it."""
 
+import re
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -15,7 +17,7 @@ from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs import ParallelEnv, StepCounter, TransformedEnv
 
 from splatrl import make_env
-from splatrl.building import build_world
+from splatrl.building import build_world, env_makers
 from splatrl.cameras import Cameras
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
@@ -23,10 +25,11 @@ from splatrl.envs import SplatEnv, World
 from splatrl.envs.drawing import SceneDrawing
 from splatrl.envs.tasks import Grid, Outcome
 from splatrl.envs.tasks.base import Anywhere, Memory
+from splatrl.envs.transforms import PoseNoise
 from splatrl.renderers import Parts
 from tests.curriculum.graph import successors
 from tests.envs.contract import EnvContract
-from tests.envs.rooms import coarse_apple, painted_env
+from tests.envs.rooms import coarse_apple, drive_env, painted_env
 from tests.tiny import (
     BlockChecker,
     CountingRenderer,
@@ -251,9 +254,9 @@ def test_a_camera_offset_goes_to_its_own_row_on_a_partial_reset() -> None:
     torch.testing.assert_close(recorder.cameras.camera_to_world[1:, 2, 3], torch.tensor([0.7, 0.8]))
 
 
-@pytest.mark.parametrize("batch_size", [[], [0], [2, 3]])
+@pytest.mark.parametrize("batch_size", [[], [0], [2, 3], [2.0], "8", [True], 8])
 def test_a_batch_that_is_not_one_positive_number_is_refused(batch_size: list[int]) -> None:
-    with pytest.raises(ValueError, match="batch_size: expected one number"):
+    with pytest.raises(ValueError, match="batch_size: expected a list with one whole number"):
         tiny_env(batch_size)
 
 
@@ -342,6 +345,54 @@ def test_an_action_that_does_not_exist_is_refused(action: int) -> None:
         td = env.reset().set("action", torch.tensor([0, action]))
         with pytest.raises(ValueError, match=rf"action: expected whole numbers from 0 to \d, got {action}"):
             env.step(td)
+
+
+WRONG_KINDS = {
+    "torch.float32 [2]": torch.tensor([0.0, 1.0]),
+    "torch.int32 [2]": torch.tensor([0, 1], dtype=torch.int32),
+    "torch.uint8 [2]": torch.tensor([0, 1], dtype=torch.uint8),
+    "torch.bool [2]": torch.tensor([True, False]),
+    "torch.int64 [2, 1]": torch.tensor([[0], [1]]),
+    "torch.int64 [2, 6]": torch.eye(6, dtype=torch.int64)[:2],
+}
+
+
+@pytest.mark.parametrize("got", WRONG_KINDS)
+def test_an_action_of_another_dtype_or_shape_is_refused(got: str) -> None:
+    for env in (tiny_env([2]), painted_env(coarse_apple(), 2)):
+        td = env.reset().set("action", WRONG_KINDS[got])
+        with pytest.raises(ValueError, match=rf"^action: expected torch\.int64 \[B\], got {re.escape(got)}$"):
+            env.step(td)
+
+
+def test_a_continuous_action_of_another_dtype_or_shape_is_refused() -> None:
+    env = drive_env()
+    td = env.reset()
+    for action in (torch.zeros(1, 2, dtype=torch.float64), torch.zeros(1), torch.zeros(1, 3)):
+        with pytest.raises(ValueError, match=r"^action: expected torch\.float32 \[B, 2\], got torch\.float"):
+            env.step(td.set("action", action))
+
+
+def test_a_reset_to_no_state_is_refused() -> None:
+    env = tiny_env([2])
+    with pytest.raises(ValueError, match=r"^state: expected torch\.int64 \[B, 3\] with set_state=True, got none"):
+        env.reset(env.reset().exclude("state"), set_state=True)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "a", True, 2**64])
+def test_a_seed_that_is_no_whole_number_of_64_bits_is_refused(seed: Any) -> None:
+    env = tiny_env([2])
+    for call in (env.set_seed, TransformedEnv(env).set_seed, partial(tiny_env, [2]), PoseNoise, env_makers):
+        given = {"workers": 2} if call is env_makers else {}
+        with pytest.raises(ValueError, match=rf"^seed: expected a whole number from 0 to {2**64 - 1}, got"):
+            call(seed=seed, **given)
+
+
+def test_numpys_whole_numbers_are_seeds() -> None:
+    first, second = tiny_env([8], seed=np.int64(3)), tiny_env([8], seed=4)
+    assert second.set_seed(np.int64(3)) == tiny_env([8]).set_seed(3)
+    assert torch.equal(first.reset()["state"], second.reset()["state"])
+    tiny_env([2], seed=2**64 - 1).reset()
 
 
 @pytest.mark.parametrize("task", ["drive", "push"])

@@ -77,10 +77,17 @@ def test_worker_seeds_differ_and_fit_into_63_bits() -> None:
     assert worker_seed(0, 1) == worker_seed(0, 1)
 
 
-@pytest.mark.parametrize(("workers", "seed", "key"), [(0, 0, "workers"), (2, -1, "seed"), (2, 0.5, "seed")])
+@pytest.mark.parametrize(
+    ("workers", "seed", "key"), [(0, 0, "workers"), (1.5, 0, "workers"), (2, -1, "seed"), (2, 0.5, "seed")]
+)
 def test_an_invalid_number_of_workers_or_seed_is_refused(workers: int, seed: int, key: str) -> None:
-    with pytest.raises(ValueError, match=f"{key}: expected a whole number of at least"):
+    with pytest.raises(ValueError, match=f"{key}: expected a whole number"):
         env_makers(workers, seed=seed)
+
+
+def test_overrides_that_are_no_list_are_refused_before_a_worker_starts() -> None:
+    with pytest.raises(ValueError, match=r"^overrides: expected a list of texts such as .*, got 'task=grid'$"):
+        env_makers(2, "task=grid")
 
 
 def test_each_worker_has_a_curriculum_of_its_own(tmp_path: Path) -> None:

@@ -390,6 +390,7 @@ def frames(count: int, side: int) -> tuple[dict[str, Any], dict[str, Any]]:
         "truncated": np.zeros((count, 1), bool),
         "reward": np.ones((count, 1), np.float32),
         "outcome": np.zeros((count, 1), np.int64),
+        "success": np.zeros((count, 1), bool),
         "state": np.zeros((count, 3), np.float32),
     }
     return of_frames, after

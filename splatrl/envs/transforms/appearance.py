@@ -8,6 +8,7 @@ from torch import Tensor
 from splatrl.envs.transforms.episode_look import EpisodeLook
 from splatrl.envs.transforms.native_images import cores_for, in_core
 from splatrl.native import _core
+from splatrl.values import require_number
 
 NEUTRAL = (0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
 """The appearance that leaves images unchanged."""
@@ -58,8 +59,7 @@ class Appearance(EpisodeLook):
             "noise": (noise, 1),
         }
         for name, (value, limit) in limits.items():
-            if not 0 <= value <= limit:
-                raise ValueError(f"appearance.{name}: expected a number in [0, {limit}], got {value}")
+            require_number(f"appearance.{name}", value, 0, limit)
         ranges = [brightness, contrast, white_balance, white_balance, white_balance, blur, noise]
         self.reach = math.ceil(2.5 * blur)  # radius of the blur kernel, pixels
         self.noisy = noise > 0

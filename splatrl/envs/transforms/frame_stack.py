@@ -6,6 +6,8 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite
 from torchrl.envs import Compose, Transform
 
+from splatrl.values import require_number
+
 
 class FrameStack(Transform):
     """Stacks the last N views along the channel axis, oldest first; an episode begins with its first view repeated.
@@ -21,13 +23,14 @@ class FrameStack(Transform):
         dim: channel axis; only -1, the last one, is supported.
 
     Raises:
-        ValueError: for any other axis, a transform outside that changes the views, or an input without the stack of
-            earlier views.
+        ValueError: for fewer than one view, any other axis, a transform outside that changes the views, or an input
+            without the stack of earlier views.
     """
 
     def __init__(self, N: int, in_keys: tuple[str, ...] = ("pixels",), dim: int = -1):
         if dim != -1:
             raise ValueError(f"stack.dim: expected -1, the channel axis, got {dim}")
+        require_number("stack.N", N, 1, whole=True)
         super().__init__(in_keys=list(in_keys), out_keys=list(in_keys))
         self.N = N
 

@@ -7,7 +7,6 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
-from torchrl.envs import ParallelEnv
 
 from splatrl.envs.transforms.randomness import RandomTransform
 from splatrl.values import require_number
@@ -30,8 +29,7 @@ class PoseNoise(RandomTransform):
     uniform noise maps it through the normal cumulative distribution function, so that each single offset is distributed
     as with ``smooth=0``. The process has no state other than ``camera_offset``.
 
-    Without an env it changes nothing, since recorded images cannot be rendered again. It does not work around a
-    ``ParallelEnv``: put it around each worker's env instead.
+    Without an env it changes nothing, since recorded images cannot be rendered again.
 
     Args:
         height: size of the noise in the camera's height, metres: the maximum offset of uniform noise, or the standard
@@ -46,7 +44,7 @@ class PoseNoise(RandomTransform):
         seed: seed of the transform's own generator (``RandomTransform``).
 
     Raises:
-        ValueError: for a size or time that is negative or not finite, any other distribution, or a ``ParallelEnv``.
+        ValueError: for a size or time that is negative or not finite, or any other distribution.
     """
 
     sizes: Tensor  # [6] float32, in the order and units of ``camera_offset``
@@ -121,11 +119,6 @@ class PoseNoise(RandomTransform):
 
     def transform_state_spec(self, state_spec: Composite) -> Composite:
         """Read ``camera_offset`` from the input of a step or a reset."""
-        if isinstance(self.env, ParallelEnv):
-            raise ValueError(
-                "PoseNoise: expected the env that renders, got a ParallelEnv, which does not forward camera_offset; "
-                "put PoseNoise around the env of each worker"
-            )
         return self._with_offset(state_spec)
 
     def _with_offset(self, spec: Composite) -> Composite:

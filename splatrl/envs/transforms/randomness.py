@@ -5,16 +5,18 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torchrl.envs import EnvBase, Transform
+from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, Transform
 
 from splatrl.envs.nesting import layers
+from splatrl.values import checked_seed
 
 
 class RandomTransform(Transform):
     """A transform with a seeded generator, whose state is part of ``state_dict()``.
 
-    Around a ``SplatEnv`` it draws from the env's generator, so ``env.set_seed`` seeds both. Without an env, or around
-    one without a generator, such as a ``SerialEnv``, it draws from its own.
+    Around a ``SplatEnv`` it draws from the env's generator, so ``env.set_seed`` seeds both. Without an env it draws
+    from its own. It does not work around a ``SerialEnv`` or ``ParallelEnv``, whose ``set_seed`` would not reach it: put
+    it around each worker's env instead.
 
     Attributes:
         remembered: keys with which, given to a reset, an episode can be repeated; demonstrations store them.
@@ -29,7 +31,7 @@ class RandomTransform(Transform):
 
     def __init__(self, seed: int = 0, out_keys: Sequence[str] = (), in_keys: Sequence[str] = ()):
         super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
-        self._own = torch.Generator().manual_seed(seed)
+        self._own = torch.Generator().manual_seed(checked_seed(seed))
 
     @property
     def env(self) -> EnvBase | None:
@@ -42,8 +44,14 @@ class RandomTransform(Transform):
 
     @property
     def generator(self) -> torch.Generator:
-        """The generator from which the transform draws."""
+        """The generator from which the transform draws; a ValueError around the envs of workers."""
         env = self.env
+        if isinstance(env, (SerialEnv, ParallelEnv)):
+            name, around = type(self).__name__, type(env).__name__
+            raise ValueError(
+                f"{name}: expected the env that renders, got a {around}, whose set_seed does not reach transforms "
+                f"around it; put {name} around the env of each worker"
+            )
         shared = None if env is None else env.__dict__.get("generator", None)
         return shared if isinstance(shared, torch.Generator) else self._own
 

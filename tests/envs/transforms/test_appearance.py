@@ -171,6 +171,7 @@ def test_a_robot_that_is_reset_after_its_episode_gets_another_appearance_though_
     [
         ({"brightness": -0.1}, "appearance.brightness"),
         ({"contrast": 1.5}, "appearance.contrast"),
+        ({"brightness": "a"}, "appearance.brightness"),
         ({"white_balance": float("nan")}, "appearance.white_balance"),
         ({"blur": 100.0}, "appearance.blur"),
         ({"noise": float("inf")}, "appearance.noise"),

@@ -1,5 +1,7 @@
 """Frame stacking: views of several steps in one observation, which travel in the TensorDict."""
 
+from typing import Any
+
 import pytest
 import torch
 from torchrl.envs import Compose, EnvBase, ParallelEnv, StepCounter, ToTensorImage, TransformedEnv
@@ -80,3 +82,9 @@ def test_an_input_without_the_stack_is_refused() -> None:
     outer = TransformedEnv(stacked(), ToTensorImage(in_keys=["pixels"]), auto_unwrap=False)
     with pytest.raises(ValueError, match=wanted + r"torch\.float32 \[3, 9, 12, 16\]"):
         outer.rollout(2)
+
+
+@pytest.mark.parametrize("views", [0, -2, 1.5, "a", True])
+def test_a_number_of_views_that_is_none_is_refused(views: Any) -> None:
+    with pytest.raises(ValueError, match=r"^stack\.N: expected a whole number of at least 1, got"):
+        FrameStack(views)

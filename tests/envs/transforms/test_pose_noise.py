@@ -6,7 +6,7 @@ import pytest
 import torch
 from hydra.utils import instantiate
 from torch import Tensor
-from torchrl.envs import ParallelEnv, TransformedEnv
+from torchrl.envs import TransformedEnv
 
 from splatrl.configuration import load_config
 from splatrl.envs.transforms import PoseNoise
@@ -128,13 +128,6 @@ def test_a_given_offset_does_not_change_the_start_that_a_reset_draws() -> None:
     state = free.reset()["state"]
     td = free.reset().select("camera_offset")
     assert torch.equal(given.reset(td, set_state=False)["state"], state)
-
-
-def test_around_a_parallel_env_an_error_says_where_it_belongs() -> None:
-    env = ParallelEnv(2, seeing_env, mp_start_method="fork")
-    with pytest.raises(ValueError, match="around the env of each worker"):
-        TransformedEnv(env, PoseNoise()).input_spec  # noqa: B018
-    env.close(raise_if_closed=False)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Each transform works everywhere that TorchRL tests its own transforms."""
 
+from collections.abc import Callable
 from functools import partial
 
 import pytest
@@ -40,11 +41,12 @@ def test_a_transform_works_around_each_env_of_a_serial_env(name: str) -> None:
 
 
 @every
-def test_a_transform_works_around_a_serial_env(name: str) -> None:
-    env = TransformedEnv(SerialEnv(2, [partial(seeing_env, (3,), seed) for seed in (0, 1)]), make_transform(name))
-    check_env_specs(env, break_when_any_done="both", seed=0)
-    batch = env.rollout(12, break_when_any_done=False)
-    assert batch["next", "done"].any() and WRITTEN[name] in set(batch.keys())
+@pytest.mark.parametrize("kind", [SerialEnv, partial(ParallelEnv, mp_start_method="fork")])
+def test_around_the_envs_of_workers_an_error_says_where_it_belongs(name: str, kind: Callable[..., EnvBase]) -> None:
+    workers = kind(2, seeing_env)
+    with pytest.raises(ValueError, match=f"put {name} around the env of each worker"):
+        TransformedEnv(workers, make_transform(name)).reset()
+    workers.close(raise_if_closed=False)
 
 
 def test_transforms_work_around_each_env_of_a_parallel_env() -> None:
@@ -121,15 +123,3 @@ def test_the_seed_of_the_env_also_seeds_the_transform(name: str) -> None:
     key = WRITTEN[name]
     other = seeded_rollout(transformed((3,), 0, (name,), sprite=False), 12, 8)
     assert not torch.equal(other[key], runs[0][key])
-
-
-@pytest.mark.parametrize("name", ["PoseNoise", "Appearance"])
-def test_over_an_env_without_a_generator_the_state_dict_restores_the_random_numbers(name: str) -> None:
-    def make() -> EnvBase:
-        return TransformedEnv(SerialEnv(2, partial(seeing_env, (3,))), make_transform(name))
-
-    env, other = make(), make()
-    env.rollout(4)
-    other.load_state_dict({key: value.clone() for key, value in env.state_dict().items()})
-    assert torch.equal(other.reset()[WRITTEN[name]], env.reset()[WRITTEN[name]])
-    assert not torch.equal(make().reset()[WRITTEN[name]], env.reset()[WRITTEN[name]])
