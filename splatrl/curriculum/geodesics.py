@@ -1,5 +1,6 @@
 """Geodesic distances from any place on the ground to goals, along the shortest way that a body fits through."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +12,7 @@ from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 from torch import Tensor, nn
 
+from splatrl.bodies import Box
 from splatrl.collision.base import Checker
 from splatrl.motions.planar import PlanarMotion
 
@@ -26,7 +28,7 @@ NEAR = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """Grid nodes where a body fits, connected where it fits all the way from one to the other.
+    """Grid nodes where a body fits at every heading, connected where it fits all the way from one to the other.
 
     Attributes:
         corner: [2] float64, x and y of the first node, metres.
@@ -72,7 +74,9 @@ class Ground:
 def ground(
     motion: PlanarMotion, checker: Checker, cell: float, fits: Callable[[Tensor], Tensor] | None = None
 ) -> Ground:
-    """Find where a body fits, and between which neighbouring places it fits when it faces the way it goes.
+    """Find where a body fits at every heading, and between which of these places when it faces the way it goes.
+
+    A robot can then turn wherever a path leads it.
 
     Args:
         motion: defines where robots may be, and converts states to poses.
@@ -96,12 +100,17 @@ def ground(
 
     stand = poses(index, 0.0)
     free = ~checker.collides(stand)
+    if isinstance(checker.body, Box):  # other bodies are round about z
+        for turn in range(3):  # half a turn covers all headings of a box
+            rows = free.nonzero().squeeze(1)
+            before, after = (poses(index[rows.cpu()], part * math.pi / 3) for part in (turn, turn + 1))
+            free[rows] = ~checker.sweeps(before, after)
     free_nodes = (free if fits is None else free & fits(stand)).cpu().numpy()
     if not free_nodes.any():
         (left, bottom), (right, top) = lower.tolist(), upper.tolist()
         raise ValueError(
-            f"expected places where the robot fits, found none for x from {left:.3g} to {right:.3g} and y from "
-            f"{bottom:.3g} to {top:.3g} m; try other task.motion.lower and upper, or a smaller robot.body"
+            f"expected places where the robot fits at every heading, found none for x from {left:.3g} to {right:.3g} "
+            f"and y from {bottom:.3g} to {top:.3g} m; try other task.motion.lower and upper, or a smaller robot.body"
         )
     ends: list[NDArray[np.int64]] = []
     lengths: list[NDArray[np.float64]] = []
