@@ -64,6 +64,24 @@ def test_the_path_around_a_wall_passes_its_end() -> None:
     assert found == pytest.approx(expected, rel=0.02)
 
 
+def test_past_obstacles_a_path_is_at_most_2_cells_longer_than_on_a_fine_grid() -> None:
+    obstacles = Occupancy.from_boxes(
+        [[-0.5, -0.6, 0.0], [0.3, -0.2, 0.0], [-0.7, 0.5, 0.0], [0.2, 0.75, 0.0]],
+        [[0.0, 0.0, 1.0], [0.35, 0.4, 1.0], [-0.2, 0.55, 1.0], [0.6, 1.1, 1.0]],
+        0.05,
+    )
+    places = torch.rand(4000, 2, generator=torch.Generator().manual_seed(0)) * torch.tensor([2.0, 3.0])
+    stand = torch.cat([places - torch.tensor([1.0, 1.5]), torch.zeros(4000, 1)], 1)
+    free = stand[~checker(obstacles).collides(MOTION.body_to_world(stand)), :2].tolist()
+    coarse, fine = (
+        Geodesics.drawn(ground(MOTION, checker(obstacles), cell), for_training=1, for_tests=1, seed=0)
+        for cell in (0.05, 0.0125)
+    )
+    for goal in ([0.8, -1.3], [-0.1, 0.3]):
+        found, best = to(free, coarse, goal), to(free, fine, goal)
+        assert (found <= 1.013 * best + 2 * 0.05).all() and (found >= best / 1.013 - 0.025).all()
+
+
 def test_no_path_leads_through_a_gap_that_is_too_narrow_for_the_body() -> None:
     gap = Occupancy.from_boxes([[-1.5, -0.05, 0.0], [0.65, -0.05, 0.0]], [[0.5, 0.05, 1.0], [1.5, 0.05, 1.0]], 0.05)
     place = ground(MOTION, checker(gap), 0.05)
@@ -98,7 +116,7 @@ def test_a_box_fits_at_every_heading_at_the_nodes_that_are_open() -> None:
     place = ground(MOTION, check, 0.05)
     spots = torch.from_numpy(place.place(np.flatnonzero(place.open))).float()
     for yaw in torch.linspace(0.0, math.pi, 19):
-        turned = MOTION.body_to_world(torch.cat([spots, yaw.expand(len(spots), 1)], 1))
+        turned = MOTION.body_to_world(torch.cat([spots, yaw.expand(len(places), 1)], 1))
         assert not check.collides(turned).any()
     along = ground(
         MOTION, NativeChecker(wall_with_a_door(), Sphere(0.28)), 0.05
