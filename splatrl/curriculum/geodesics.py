@@ -129,6 +129,8 @@ class Geodesics(nn.Module):
     def distance(self, place: Tensor, goal: Tensor) -> Tensor:
         """Return the length of the shortest path from places to goals, interpolated between nodes.
 
+        Paths lead over nodes, so those past obstacles are longer than the true ones, by up to about two cells.
+
         Args:
             place: [B, 2] float32, metres.
             goal: [B] int64, rows of goals.

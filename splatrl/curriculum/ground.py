@@ -1,5 +1,6 @@
 """The ground of a scene: the places where a body fits, and the ways between them."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from torch import Tensor
 
+from splatrl.bodies import Box
 from splatrl.collision.base import Checker
 from splatrl.motions.planar import PlanarMotion
 from splatrl.native import _core
@@ -27,7 +29,7 @@ MOST_NODES = 4_000_000
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """Grid nodes where a body fits, connected where it fits all the way from one to the other.
+    """Grid nodes where a body fits at every heading, connected where it fits all the way from one to the other.
 
     Attributes:
         corner: [2] float64, x and y of the first node, metres.
@@ -82,7 +84,9 @@ class Ground:
 def ground(
     motion: PlanarMotion, checker: Checker, cell: float, fits: Callable[[Tensor], Tensor] | None = None
 ) -> Ground:
-    """Find where a body fits, and between which neighbouring places it fits when it faces the way it goes.
+    """Find where a body fits at every heading, and between which of these places when it faces the way it goes.
+
+    A robot can then turn wherever a path leads it.
 
     Args:
         motion: defines where robots may be, and converts states to poses.
@@ -106,12 +110,17 @@ def ground(
 
     stand = poses(index, 0.0)
     free = ~checker.collides(stand)
+    if isinstance(checker.body, Box):  # other bodies are round about z
+        for turn in range(3):  # half a turn covers all headings of a box
+            rows = free.nonzero().squeeze(1)
+            before, after = (poses(index[rows.cpu()], part * math.pi / 3) for part in (turn, turn + 1))
+            free[rows] = ~checker.sweeps(before, after)
     free_nodes = (free if fits is None else free & fits(stand)).cpu().numpy()
     if not free_nodes.any():
         (left, bottom), (right, top) = lower.tolist(), upper.tolist()
         raise ValueError(
-            f"expected places where the robot fits, found none for x from {left:.3g} to {right:.3g} and y from "
-            f"{bottom:.3g} to {top:.3g} m; try other task.motion.lower and upper, or a smaller robot.body"
+            f"expected places where the robot fits at every heading, found none for x from {left:.3g} to {right:.3g} "
+            f"and y from {bottom:.3g} to {top:.3g} m; try other task.motion.lower and upper, or a smaller robot.body"
         )
     ways = np.zeros(x * y, np.uint16)
     for bit, way in enumerate(WAYS):

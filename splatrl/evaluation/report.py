@@ -5,7 +5,6 @@ from typing import Any
 
 from torch import Tensor
 
-from splatrl.envs.tasks import Outcome
 from splatrl.evaluation.rollouts import Episodes
 
 
@@ -19,18 +18,16 @@ def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None) -> d
             if episodes do not end at a goal.
 
     Returns:
-        Rates in [0, 1], mean numbers of goals, mean returns and mean lengths; for navigation tasks also the measures
-        of ``Episodes.navigation``; with shortest paths also ``step_spl`` and their mean length. Keys for ``argmax``
-        end in ``_argmax``.
+        Rates in [0, 1] (``Episodes.mishaps``), mean numbers of goals, mean returns and mean lengths; for navigation
+        tasks also the measures of ``Episodes.navigation``; with shortest paths also ``step_spl`` and their mean length.
+        Keys for ``argmax`` end in ``_argmax``.
     """
     summary: dict[str, float] = {}
     for suffix, episodes in (("", sampled), ("_argmax", argmax)):
         summary |= {
             f"success_rate{suffix}": episodes.success.double().mean().item(),
             f"mean_goals{suffix}": episodes.goals.double().mean().item(),
-            f"collision_rate{suffix}": episodes.rate(Outcome.COLLISION),
-            f"out_of_bounds_rate{suffix}": episodes.rate(Outcome.OUT_OF_BOUNDS),
-            f"timeout_rate{suffix}": episodes.rate(Outcome.TIMEOUT),
+            **{f"{key}{suffix}": value for key, value in episodes.mishaps().items()},
             f"mean_return{suffix}": episodes.episode_return.mean().item(),
             f"mean_length{suffix}": episodes.length.double().mean().item(),
         }
@@ -57,7 +54,7 @@ def by_scene(names: Sequence[str], sampled: Episodes, argmax: Episodes) -> list[
             "scene": name,
             "success_rate": own.success.double().mean().item(),
             "success_rate_argmax": argmax.of(number).success.double().mean().item(),
-            "collision_rate": own.rate(Outcome.COLLISION),
+            "collision_rate": own.mishaps()["collision_rate"],
             "episodes": len(own.outcome),
         }
         for number, name in enumerate(names)

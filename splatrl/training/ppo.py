@@ -160,12 +160,13 @@ class PPO:
 
 def _episodes(batch: TensorDictBase) -> dict[str, float]:
     ended = batch["next"][batch["next", "done"].squeeze(-1)]
-    outcome = ended["outcome"]
+    counted = ended.get("collisions", None)  # by tasks whose episodes a collision does not end
+    collided = ended["outcome"] == Outcome.COLLISION if counted is None else counted > 0
     return {
         "episodes": len(ended),
         "success": ended["success"].float().mean().item(),
         "goals": ended["goals"].float().mean().item(),
-        "collision": (outcome == Outcome.COLLISION).float().mean().item(),
+        "collision": collided.float().mean().item(),
         "return": ended["episode_return"].mean().item(),
         "length": ended["step_count"].float().mean().item(),
     }

@@ -65,6 +65,24 @@ def test_the_path_around_a_wall_passes_its_end() -> None:
     assert found == pytest.approx(expected, rel=0.02)
 
 
+def test_past_obstacles_a_path_is_at_most_2_cells_longer_than_on_a_fine_grid() -> None:
+    obstacles = Occupancy.from_boxes(
+        [[-0.5, -0.6, 0.0], [0.3, -0.2, 0.0], [-0.7, 0.5, 0.0], [0.2, 0.75, 0.0]],
+        [[0.0, 0.0, 1.0], [0.35, 0.4, 1.0], [-0.2, 0.55, 1.0], [0.6, 1.1, 1.0]],
+        0.05,
+    )
+    places = torch.rand(4000, 2, generator=torch.Generator().manual_seed(0)) * torch.tensor([2.0, 3.0])
+    stand = torch.cat([places - torch.tensor([1.0, 1.5]), torch.zeros(4000, 1)], 1)
+    free = stand[~checker(obstacles).collides(MOTION.body_to_world(stand)), :2].tolist()
+    coarse, fine = (
+        Geodesics.drawn(ground(MOTION, checker(obstacles), cell), for_training=1, for_tests=1, seed=0)
+        for cell in (0.05, 0.0125)
+    )
+    for goal in ([0.8, -1.3], [-0.1, 0.3]):
+        found, best = to(free, coarse, goal), to(free, fine, goal)
+        assert (found <= 1.013 * best + 2 * 0.05).all() and (found >= best / 1.013 - 0.025).all()
+
+
 def test_no_path_leads_through_a_gap_that_is_too_narrow_for_the_body() -> None:
     gap = Occupancy.from_boxes([[-1.5, -0.05, 0.0], [0.65, -0.05, 0.0]], [[0.5, 0.05, 1.0], [1.5, 0.05, 1.0]], 0.05)
     place = ground(MOTION, checker(gap), 0.05)
@@ -76,12 +94,34 @@ def test_no_path_leads_through_a_gap_that_is_too_narrow_for_the_body() -> None:
         Geodesics.drawn(place, 1, 1, 0).with_goals(np.zeros((1, 2)), np.zeros(1, np.int64))
 
 
-def test_a_long_box_fits_through_a_lane_because_it_faces_its_direction_of_travel() -> None:
-    lane = Occupancy.from_boxes([[-1.5, 0.2, 0.0], [-1.5, -0.3, 0.0]], [[1.5, 0.3, 1.0], [1.5, -0.2, 1.0]], 0.05)
-    long = NativeChecker(lane, Box((0.6, 0.1, 0.2)))
-    place = ground(NavigateMotion(HEIGHT, lower=(-1.0, -0.1), upper=(1.0, 0.1)), long, 0.05)
+def lane(width: float) -> Occupancy:
+    """Make two walls along x, with a lane between them."""
+    half = 0.5 * width
+    return Occupancy.from_boxes([[-1.5, half, 0.0], [-1.5, -2.0, 0.0]], [[1.5, 2.0, 1.0], [1.5, -half, 1.0]], 0.05)
+
+
+@pytest.mark.parametrize(("body", "width"), [(Box((0.4, 0.4, 0.2)), 0.56), (Box((0.6, 0.1, 0.2)), 0.6)])
+def test_a_box_is_led_only_where_it_can_turn(body: Box, width: float) -> None:
     middle = torch.stack([torch.linspace(-1.0, 1.0, 21), torch.zeros(21)], 1)
-    assert place.connected(middle).all()  # although the box would not fit across the lane
+    wide = ground(MOTION, NativeChecker(lane(width + 0.1), body), 0.05)
+    assert wide.connected(middle).all()
+    narrow = NativeChecker(lane(width - 0.06), body)
+    straight = torch.cat([middle, torch.zeros(21, 1)], 1)
+    assert not narrow.collides(MOTION.body_to_world(straight)).any()  # where it can stand along the lane
+    with pytest.raises(ValueError, match="expected places where the robot fits at every heading, found none"):
+        ground(MOTION, narrow, 0.05)
+
+
+def test_a_box_fits_at_every_heading_at_the_nodes_that_are_open() -> None:
+    check = NativeChecker(wall_with_a_door(), Box((0.5, 0.2, 0.2)))
+    place = ground(MOTION, check, 0.05)
+    spots = torch.from_numpy(place.place(np.flatnonzero(place.open))).float()
+    for yaw in torch.linspace(0.0, math.pi, 19):
+        turned = MOTION.body_to_world(torch.cat([spots, yaw.expand(len(spots), 1)], 1))
+        assert not check.collides(turned).any()
+    round_one = ground(MOTION, NativeChecker(wall_with_a_door(), Sphere(0.28)), 0.05)  # over half the box's diagonal
+    assert not (round_one.open & ~place.open).any()
+    assert place.open.sum() < 1.1 * round_one.open.sum()
 
 
 def test_goals_are_free_seeded_and_drawn_at_the_requested_distance() -> None:
@@ -150,6 +190,6 @@ def test_too_many_goals_or_nodes_are_refused(monkeypatch: pytest.MonkeyPatch) ->
         ground(MOTION, checker(), 0.001)
     full = Occupancy.from_boxes([[-2.0, -2.0, 0.0]], [[2.0, 2.0, 1.0]], 0.05)
     with pytest.raises(
-        ValueError, match=r"expected places where the robot fits, found none for x from .* to .* and y from"
+        ValueError, match=r"where the robot fits at every heading, found none for x from .* to .* and y from"
     ):
         ground(MOTION, checker(full), 0.05)

@@ -1,10 +1,13 @@
 """Summaries of episodes, and the JSON files that hold them."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from splatrl.envs.tasks import Outcome
 from splatrl.evaluation import Episodes, summarise
+from splatrl.evaluation.report import by_scene
 
 
 def episodes(outcomes: list[Outcome], lengths: list[int]) -> Episodes:
@@ -26,3 +29,21 @@ def test_rates_are_over_all_episodes_and_each_episode_has_the_shortest_path_of_i
         0.5,
         0.5,
     )
+
+
+def test_where_collisions_are_counted_their_rate_is_the_share_of_episodes_with_any() -> None:
+    touched = torch.tensor([[0, 3, 1, 0], [0, 0, 0, 2]])
+    metres = {key: torch.ones(4) for key in ("distance_to_goal", "start_distance", "path_length")}
+    sampled, argmax = (
+        replace(
+            episodes([Outcome.GOAL, Outcome.GOAL, Outcome.TIMEOUT, Outcome.STOPPED], [2, 9, 6, 1]),
+            measures={**metres, "collisions": count},
+            scene=torch.tensor([0, 0, 0, 1]),
+        )
+        for count in touched
+    )
+    summary = summarise(sampled, argmax, None)
+    assert (summary["collision_rate"], summary["collision_rate_argmax"], summary["collisions"]) == (0.5, 0.25, 1.0)
+    assert summary["timeout_rate"] == 0.25
+    assert not any(key.startswith("out_of_bounds_rate") for key in summary)  # robots cannot leave
+    assert [row["collision_rate"] for row in by_scene(["one", "other"], sampled, argmax)] == [2 / 3, 0.0]

@@ -13,8 +13,9 @@ from torchrl.envs import EnvBase
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
+import splatrl
 from splatrl.training import PPO, LossSettings, OptimSettings, actor_critic, load_checkpoint, save_checkpoint
-from tests.tiny import tiny_env
+from tests.tiny import tiny_env, tiny_overrides
 from tests.training.toys import Match
 
 LOSS = LossSettings(
@@ -169,6 +170,16 @@ def test_the_report_counts_the_episodes_of_the_batch() -> None:
     assert report["collision"] == pytest.approx((ended["free_fraction"] < 1).float().mean().item())
     assert report["return"] == pytest.approx(ended["episode_return"].mean().item())
     assert report["success"] > 0 and report["collision"] > 0  # else this shows too little
+
+
+def test_the_report_counts_episodes_with_collisions_where_these_do_not_end_them(tmp_path: Path) -> None:
+    few = ["task.goals=5", "task.test_goals=4", "task.nearest=0.3", "task.cell=0.1", "robot.body.radius=0.1"]
+    envs = [splatrl.make_env([*tiny_overrides(tmp_path, "pointnav"), *few], [16], seed=0) for _ in range(2)]
+    batch = learner(envs[0], frames_per_batch=512).collect()
+    report = learner(envs[1], frames_per_batch=512).iterate()  # the same batch
+    ended = batch["next"][batch["next", "done"].squeeze(-1)]
+    assert report["episodes"] == len(ended)
+    assert 0 < report["collision"] == pytest.approx((ended["collisions"] > 0).float().mean().item())
 
 
 @pytest.mark.parametrize("anneal", [True, False])

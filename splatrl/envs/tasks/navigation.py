@@ -228,7 +228,10 @@ class NavigationTask(TaskModule):
         return {**episodes, "goal_row": episodes["goal_row"] + self.geodesics.begins[scene].cpu()}
 
     def with_goals(self, state: Tensor, goal: Tensor, scene: Tensor) -> "tuple[NavigationTask, Memory]":
-        """Return a copy that knows the shortest paths to further goals, and its memory; see ``GoalTask``."""
+        """Return a copy that knows the shortest paths to further goals, and its memory; see ``GoalTask``.
+
+        Goals stay where they are, while distances lead to the nearest node.
+        """
         task = copy.copy(self)
         task._modules = dict(self._modules)
         task.geodesics, rows = self.geodesics.with_goals(goal[:, :2].double().numpy(), scene.numpy())
@@ -236,7 +239,7 @@ class NavigationTask(TaskModule):
         if cut_off := (~task.geodesics.reachable(place, rows)).nonzero().flatten().tolist():
             got = [round(value, 3) for value in place[cut_off[0]].tolist()]
             raise ValueError(f"episode {cut_off[0]}: expected a start from which its goal can be reached, got {got}")
-        return task, task.episode(state, rows, goal[:, 2:])
+        return task, task.episode(state, rows, goal[:, 2:]) | {"goal": goal}
 
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
         """Judge a step; see ``Task.judge``."""

@@ -1,6 +1,7 @@
 """Sensors, against readings worked out by hand and under the env contract."""
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import pytest
@@ -27,8 +28,10 @@ from splatrl.envs.sensors import (
     PointGoal,
     Sensor,
 )
+from splatrl.geometry import axis_rotations, rigid
 from splatrl.motions import PhysicsMotion
 from splatrl.renderers import NativeRenderer
+from splatrl.scenes import Gaussians
 from tests.envs.contract import EnvContract
 from tests.tiny import BLOCK, BODY, HEIGHT, tiny_gaussians, tiny_overrides, tiny_plan, tiny_robot, tiny_task
 
@@ -134,6 +137,27 @@ def test_the_depth_of_a_wall_is_its_distance() -> None:
     assert float(td["depth"][0, 6, 8, 0]) == pytest.approx(0.4, abs=0.06)  # the red object at x = 1.4
     pixels = sensing_env((1,), heading=Heading()).reset(TensorDict({"state": state}, [1]), set_state=True)["pixels"]
     assert torch.equal(td["pixels"], pixels)
+
+
+@pytest.mark.parametrize(("yaw", "least", "most"), [(0.0, 0.0, 0.001), (0.4, 0.02, 0.05), (-0.5, 0.02, 0.05)])
+def test_walls_seen_at_an_angle_appear_nearer_than_they_are(yaw: float, least: float, most: float) -> None:
+    side = torch.arange(-3.0, 3.0, 0.075)
+    means = torch.cartesian_prod(torch.tensor([2.0]), side, side)  # a wall at x = 2
+    wall = Gaussians(
+        means=means,
+        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(len(means), 1),
+        scales=torch.tensor([0.002, 0.06, 0.06]).repeat(len(means), 1),
+        opacities=torch.full((len(means),), 0.999),
+        sh=torch.zeros(len(means), 1, 3),
+        batch_size=[len(means)],
+    )
+    robot = replace(tiny_robot(), image_width=64, image_height=48)
+    cameras = robot.cameras(rigid(axis_rotations(2, torch.tensor([yaw])), torch.zeros(1, 3)))
+    found = NativeRenderer(wall).render(cameras).depth[0, 24, 32 - 8 : 32 + 8]  # near the optical axis
+    K = cameras.K[0]
+    right = (torch.arange(24, 40) + 0.5 - K[0, 2]) / K[0, 0]
+    true = 2.0 / (math.cos(yaw) + right * math.sin(yaw))
+    assert least <= float((true - found).mean()) <= most
 
 
 def test_lidar_beams_go_counter_clockwise_from_behind() -> None:

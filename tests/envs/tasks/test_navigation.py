@@ -233,6 +233,16 @@ def test_episodes_are_given_only_from_starts_with_a_path_to_their_goal() -> None
         task.with_goals(state, goal, torch.zeros(3, dtype=torch.int64))
 
 
+def test_goals_that_are_given_stay_where_they_are_and_distances_lead_to_the_nearest_node() -> None:
+    state, goal = torch.tensor([[-0.8, 1.0, 0.0]]).expand(2, 3), torch.tensor([[0.523, 1.018, 1.2], [0.5, 1.0, 1.2]])
+    task, memory = task_of().with_goals(state, goal, torch.zeros(2, dtype=torch.int64))
+    assert torch.equal(memory["goal"], goal) and memory["goal_row"].unique().numel() == 1
+    assert memory["start_distance"].flatten().tolist() == pytest.approx([1.3, 1.3], abs=1e-5)
+    td = env_of(task, (2,)).reset(TensorDict({"state": state, **memory}, [2]), set_state=True)
+    told = torch.tensor([[math.hypot(1.323, 0.018), math.atan2(0.018, 1.323)], [1.3, 0.0]])
+    torch.testing.assert_close(td["pointgoal_with_gps_compass"], told, atol=1e-5, rtol=0)
+
+
 def test_a_nearest_distance_beyond_the_longest_path_is_refused() -> None:
     longest = task_of().geodesics.longest
     assert 3 < longest < 9
