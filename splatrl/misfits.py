@@ -107,7 +107,7 @@ def warn_of_no_floor(scene: Scene, paths: Plan, occupancy: Voxels) -> None:
     elif (lacking := int((~starts).sum())) > 0.5 * len(starts):
         missing = f"{lacking:,} of {len(starts):,} starts; narrower task.motion.lower and upper leave them out"
     if missing is not None and floor[free].any():
-        warnings.warn(f"{scene.name}: no floor was captured below {missing}", stacklevel=2)
+        warnings.warn(f"{scene.name}: nothing solid, such as a floor, is below {missing}", stacklevel=2)
 
 
 def _above_floor(places: NDArray[np.float64], height: float, occupancy: Voxels) -> NDArray[np.bool_]:

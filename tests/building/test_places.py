@@ -96,12 +96,15 @@ def test_a_warning_tells_of_a_goal_and_of_starts_without_a_floor(tmp_path: Path)
     around_goal = (x > 0.2)[:, None] & (y > 0.2)  # the goal is at (0.5, 1)
     for kept, missing in ((~(x > -0.6)[:, None] | (y < -9), "the goal; type"), (around_goal, r"\d+ of \d+ starts")):
         occupied = solid.occupied & ~((inside & ~kept)[:, :, None] & (z < 0.5))
-        with pytest.warns(UserWarning, match=f"tiny: no floor was captured below {missing}"):
+        with pytest.warns(UserWarning, match=f"tiny: nothing solid, such as a floor, is below {missing}"):
             warn_of_no_floor(place.scene, place.plan, Voxels(occupied, solid.origin_key, solid.resolution))
 
 
 def test_building_a_place_whose_goal_has_no_floor_causes_a_warning(tmp_path: Path) -> None:
     beside = ["landmarks.goal=[2.5,0.0,0.0]", "task.motion.upper=[3.0,2.0]", "scene.bounds=[[-1.5,-2,0],[3,2,1.2]]"]
-    with pytest.warns(UserWarning, match="tiny: no floor was captured below the goal"), warnings.catch_warnings():
+    with (
+        pytest.warns(UserWarning, match="tiny: nothing solid, such as a floor, is below the goal"),
+        warnings.catch_warnings(),
+    ):
         warnings.filterwarnings("ignore", "tiny: (robots may go|.* free poses cannot)")
         built(tmp_path, *beside, "collision.occupancy.fill=null")
