@@ -1,14 +1,19 @@
 """Checks that scene, robot and goal fit together; errors name the key to change, before anything is trained."""
 
+import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
+from scipy import ndimage
 from torch import Tensor
 
 from splatrl.collision.base import Checker
 from splatrl.collision.voxel_grid import widened
+from splatrl.collision.voxels import Voxels
 from splatrl.curriculum import Plan
 from splatrl.envs.tasks.base import Task
 from splatrl.motions import OrbitMotion
@@ -16,6 +21,10 @@ from splatrl.scenes.scene import Bounds, Scene
 
 CUT_OFF = 0.1
 """Fraction of the free poses that may be cut off from the goal without a warning."""
+HOLE = 0.3
+"""Maximum distance from a place to the floor below it, across, metres: captured floors have holes."""
+LOW = 1.0
+"""Maximum height of robots whose floor is expected to have been captured, metres."""
 
 
 def check_height(bounds: Bounds, task: Task) -> None:
@@ -73,6 +82,46 @@ def warn_of_uncaptured(scene: Scene, task: Task, solid: Checker) -> None:
             "task.motion.lower and upper keep them out",
             stacklevel=2,
         )
+
+
+def warn_of_no_floor(scene: Scene, paths: Plan, occupancy: Voxels) -> None:
+    """Warn if nothing solid is below the goal, or below most starts, as beside a room that was captured from inside.
+
+    Left out are robots that orbit an object or whose height varies, robots at more than ``LOW``, since films at eye
+    level show little floor, and scenes without any floor below the robots, such as cropped ones.
+
+    Args:
+        scene: the scene.
+        paths: free poses and shortest paths.
+        occupancy: what is solid in the scene.
+    """
+    motion = paths.motion
+    if motion.height is None or motion.height > LOW or isinstance(motion, OrbitMotion):
+        return
+    places = motion.planar(paths.states)[:, :2].double().cpu().numpy()
+    floor = _above_floor(places, motion.height, occupancy)
+    free, starts = paths.free.cpu().numpy(), floor[paths.start_rows.cpu().numpy()]
+    goal = free & (paths.distance == 0).cpu().numpy() & (paths.field is not None)
+    missing = None
+    if goal.any() and not floor[goal].any():
+        missing = "the goal; type another landmarks.goal"
+    elif (lacking := int((~starts).sum())) > 0.5 * len(starts):
+        missing = f"{lacking:,} of {len(starts):,} starts; narrower task.motion.lower and upper leave them out"
+    if missing is not None and floor[free].any():
+        warnings.warn(f"{scene.name}: nothing solid, such as a floor, is below {missing}", stacklevel=2)
+
+
+def _above_floor(places: NDArray[np.float64], height: float, occupancy: Voxels) -> NDArray[np.bool_]:
+    """Return whether anything solid is below places [N, 2] at a height, or as far as ``HOLE`` beside it: [N] bool."""
+    edge, reach = occupancy.resolution, math.ceil(HOLE / occupancy.resolution)
+    layers = max(0, math.floor(height / edge) - occupancy.origin_key[2])
+    below = np.pad(occupancy.occupied[:, :, :layers].any(2), reach + 1)
+    if not below.any():
+        return np.zeros(len(places), bool)
+    near = ndimage.distance_transform_edt(~below) <= reach
+    keys = np.floor(places / edge).astype(np.int64) - np.array(occupancy.origin_key[:2]) + reach + 1
+    result: NDArray[np.bool_] = near[tuple(np.clip(keys, 0, np.array(near.shape) - 1).T)]
+    return result
 
 
 def warn_of_cut_off(scene: Scene, paths: Plan) -> None:

@@ -26,7 +26,14 @@ from splatrl.envs.robot import Robot
 from splatrl.envs.sensors import Sensor
 from splatrl.envs.tasks import Task
 from splatrl.envs.world import World, Worlds
-from splatrl.misfits import check_goal, check_height, starts_in_reach, warn_of_cut_off, warn_of_uncaptured
+from splatrl.misfits import (
+    check_goal,
+    check_height,
+    starts_in_reach,
+    warn_of_cut_off,
+    warn_of_no_floor,
+    warn_of_uncaptured,
+)
 from splatrl.motions import Site
 from splatrl.native.threads import threads_of
 from splatrl.scenes.scene import Bounds, Scene, content_of
@@ -112,7 +119,9 @@ def _build_place(cfg: DictConfig, device: torch.device, repeats: int) -> Place:
     except NoPath as error:
         raise ValueError(f"{error}; {task.ways_out}") from error
     warn_of_cut_off(scene, paths)
-    return Place(scene, occupancy, checker, robot, task, starts_in_reach(scene, task, paths))
+    paths = starts_in_reach(scene, task, paths)
+    warn_of_no_floor(scene, paths, occupancy)
+    return Place(scene, occupancy, checker, robot, task, paths)
 
 
 def check_place(cfg: DictConfig, bounds: Bounds) -> None:

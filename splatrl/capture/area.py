@@ -51,6 +51,7 @@ class Area:
         robot_height: height of the robot's camera; in a capture, the median height of its cameras.
         occupancy: what is solid within the bounds and, in a capture, in a margin around them.
         free: voxels that the Gaussians make solid but that are free: cameras see surfaces behind them.
+        floor: voxels of the floor on which robots may stand, one layer; None where the path of the cameras tells.
     """
 
     bounds: Bounds
@@ -59,6 +60,7 @@ class Area:
     robot_height: float
     occupancy: Occupancy
     free: Voxels
+    floor: Voxels | None = None
 
 
 def survey_area(gaussians: Gaussians, placed: Placed, known: Tensor | None = None) -> Area:

@@ -39,6 +39,10 @@ class ScenePictures:
         """Draw what is free and solid, and a view from inside; return the files."""
         return draw_scene(scene, occupancy, floor, height, self.folder, self.antialiased)
 
+    def view(self, scene: Scene) -> Path:
+        """Return the file with the view from inside that ``of_scene`` draws."""
+        return self.folder / f"{scene.name}-view.png"
+
     def of_goals(self, scene: Scene, goals: Sequence[Goal], height: float) -> list[Path]:
         """Draw the view from each goal, if there are any; return the files."""
         if not goals:

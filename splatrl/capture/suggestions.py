@@ -5,14 +5,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splatrl.bodies import Sphere
 from splatrl.capture.area import GRID, Area
 from splatrl.capture.world import Placed
-from splatrl.collision import NativeChecker
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import OPAQUE
 from splatrl.spherical_harmonics import C0
@@ -24,6 +21,8 @@ Goal = tuple[float, float, float]
 ROOM = (0.35, 0.3, 0.2, 0.1, 0.05)
 """Free space around a robot, metres; the first value that leaves enough places is taken."""
 ENOUGH = 6
+FARTHEST = 1.0
+"""Largest clearance, metres, that is told from a larger one."""
 NEAR = (0.4, 2.5)
 """Range of distances to what a goal sees, metres, where steps are ``GRID``; longer steps scale it up."""
 HALF_VIEW = math.radians(35.0)
@@ -112,7 +111,7 @@ def suggest(seen: Seen, area: Area) -> Suggestions:
         if len(goals) == COUNT:
             break
     middle = 0.5 * np.add(*area.walk)
-    wide = np.minimum(clearance, 1.0) - 0.15 * np.linalg.norm(places - middle, axis=1)
+    wide = clearance - 0.15 * np.linalg.norm(places - middle, axis=1)
     x, y = places[int(wide.argmax())].tolist()
     return Suggestions(goals, (round(x, 3), round(y, 3), area.robot_height))
 
@@ -141,18 +140,39 @@ def _free_places(area: Area) -> tuple[Floats, Floats]:
     lower, upper = np.array(area.walk)
     axes = [low + edge * np.arange(round((high - low) / edge) + 1) for low, high in zip(lower, upper, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
-    places = np.concatenate([grid, np.full((*grid.shape[:2], 1), area.robot_height)], -1).reshape(-1, 3)
-    checker = NativeChecker(area.occupancy, Sphere(0.05))
-    clearance = checker.clearance(torch.from_numpy(places).float()).double().numpy().reshape(grid.shape[:2])
-    bounded = np.minimum(clearance, 10.0)
-    part = np.zeros(grid.shape[:2], bool)
+    part, clearance = np.zeros(grid.shape[:2], bool), np.zeros(grid.shape[:2])
     for room in ROOM:
+        clearance = _clearance(area, grid, room)
         labels, count = ndimage.label(clearance >= room)
         if count:
             part = labels == 1 + int(np.bincount(labels.reshape(-1))[1:].argmax())
         if part.sum() >= ENOUGH:
             break
-    return grid[part], bounded[part]
+    return grid[part], clearance[part]
+
+
+def _clearance(area: Area, places: Floats, room: float) -> Floats:
+    """Return how far places [X, Y, 2] are from what is no floor or is solid near the robot's height: [X, Y], metres.
+
+    The distance is measured across the floor, a lower bound, at most ``FARTHEST``. Near are ``room`` above the robot's
+    height and below it, but no more than half-way down to z = 0: the floor itself leaves a robot its room.
+    """
+    solid, edge, height = area.occupancy, area.occupancy.resolution, area.robot_height
+    low, high = height - min(room, 0.5 * height), height + room
+    layers = np.arange(math.floor(low / edge), math.floor(high / edge) + 1) - solid.origin_key[2]
+    layers = layers[(layers >= 0) & (layers < solid.occupied.shape[2])]
+    free = ~np.pad(solid.occupied[:, :, layers].any(2), 1)
+    origin = np.array(solid.origin_key[:2]) - 1
+    if area.floor is not None:
+        columns = (np.indices(free.shape).reshape(2, -1).T + origin + 0.5) * edge
+        level = (area.floor.origin_key[2] + 0.5) * area.floor.resolution
+        free &= area.floor.contains(np.insert(columns, 2, level, axis=1)).reshape(free.shape)
+    if free.all():
+        return np.full(places.shape[:2], FARTHEST)
+    across = np.minimum((ndimage.distance_transform_edt(free) - 1.0) * edge, FARTHEST)
+    index = np.clip(np.floor(places / edge).astype(np.int64) - origin, 0, np.array(free.shape) - 1)
+    result: Floats = across[tuple(np.moveaxis(index, -1, 0))]
+    return result
 
 
 def _scores(seen: Seen, varied: Floats, place: Floats, height: float, wider: float) -> Floats:

@@ -78,7 +78,8 @@ def walkable_area(scene: Scene, occupancy: Occupancy, floor: float, height: floa
     voxel = float(f"{max(VOXEL, diagonal / MOST_VOXELS):.2g}")
     solid = Occupancy.from_gaussians(scene.gaussians, voxel, crop=bounds)
     nothing = Voxels(np.zeros((0, 0, 0), bool), (0, 0, 0), voxel)
-    return Area(bounds, walk, step, round(floor + height, 3), solid, nothing)
+    ground = Voxels(part[:, :, None], (*occupancy.origin_key[:2], math.floor(floor / edge)), edge)
+    return Area(bounds, walk, step, round(floor + height, 3), solid, nothing, ground)
 
 
 def _crowded(scene: Scene, occupancy: Occupancy, floor: float, height: float) -> NDArray[np.float64]:

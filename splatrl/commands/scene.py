@@ -24,7 +24,7 @@ from splatrl.scenes.scene import Scene, captured_bounds
 from splatrl.scenes.sources import read_scene, splat_file, splat_name
 from splatrl.scenes.stated import StatedFrame, described_upright, typed_frame
 from splatrl.scenes.survey import survey
-from splatrl.scenes.upright import GIVEN, UNKNOWN
+from splatrl.scenes.upright import GIVEN, GUESS, UNKNOWN
 from splatrl.values import require_number
 
 STILL_TO_TYPE = {"robot_height": "robot.height=0.4", "goal": "'landmarks.goal=[x,y,yaw]'"}
@@ -98,7 +98,7 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
     if proposed.settings and proposed.settings.get("goal") is None:
         print("goals       none: nothing to recognise near a free place")
     proposals = {} if drawn is None else {"antialiased": drawn}
-    proposals |= {"metric": False} if upright.units_guess.confidence == UNKNOWN else {}
+    proposals |= {"metric": False} if upright.units_guess.confidence in (UNKNOWN, GUESS) else {}
     proposals |= proposed.settings
     if target.converts:
         show(target.write(scene, proposed.bounds, proposals))
@@ -108,7 +108,11 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
         print(f"not fit to train in: {rounded}")
         return
     words = [word for key, word in STILL_TO_TYPE.items() if proposals.get(key) is None]
-    print(" ".join(["train in it: splatrl-train", shlex.quote(f"scene={target.path}/"), *words]))
+    train = " ".join(["train in it: splatrl-train", shlex.quote(f"scene={target.path}/"), *words])
+    if GUESS in (upright.axis_guess.confidence, upright.sign_guess.confidence):
+        view = pictures.view(scene)
+        train = f"look at {view}: if the place lies on its side there, or upside down, pass --up; if not, {train}"
+    print(train)
 
 
 def look_again(options: argparse.Namespace, folder: Path, target: SceneFolder) -> None:

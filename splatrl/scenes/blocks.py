@@ -240,7 +240,7 @@ def write_blocks(
     lines = [f"name: {json.dumps(name, ensure_ascii=False)}  # for captions and file names"]
     if bounds is not None:
         lines.append(f"bounds: {_written(bounds)}  # lower and upper corner of the scene, world frame, metres")
-    lines += [f"{key}: {json.dumps(value)}" for key, value in (proposals or {}).items()]
+    lines += [f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in (proposals or {}).items()]
     lines.append(
         "blocks:  # splat files in this folder, the bounds of each, and world_from_splat as in scene.yaml if needed"
     )

@@ -27,7 +27,7 @@ COMMENTS = {
     "translation": "metres, added last",
     "matrix": "from file coordinates to world metres: rotation, uniform scale and translation",
     "antialiased": "whether to render antialiased, as in the splat's training; false: classic 3DGS images",
-    "metric": "whether lengths are metres; false: the scale is unknown",
+    "metric": "whether lengths are metres; false: the scale is unknown or only a guess",
     "robot_height": "height of the robot's camera, metres",
     "walk": "lower and upper corner of the walkable area, x and y in metres",
     "step": "length of a step and spacing of the starts, metres; null keeps the task's value",
@@ -37,6 +37,7 @@ COMMENTS = {
     "goal": "free pose with something to see: x, y in metres and yaw in degrees",
     "object": "free position for an object to find: x, y, z in metres",
     "object_size": "width of the object drawn there, metres; null keeps the task's value",
+    "source": "where the splat is from: author, licence, address",
     "quality": "quality measures of the capture, for people to read",
 }
 
@@ -126,7 +127,9 @@ def write_description(
     else:
         lines.append(("bounds: null", "null: the bounding box of the opaque Gaussians"))
     for key, value in (proposals or {}).items():
-        lines += [(f"{key}:" if isinstance(value, dict) else f"{key}: {json.dumps(value)}", COMMENTS[key])]
+        lines += [
+            (f"{key}:" if isinstance(value, dict) else f"{key}: {json.dumps(value, ensure_ascii=False)}", COMMENTS[key])
+        ]
         if isinstance(value, dict):
             lines += [(f"  {figure}: {json.dumps(each)}", "") for figure, each in value.items()]
     text = "".join(f"{line}  # {comment}\n" if comment else f"{line}\n" for line, comment in lines)

@@ -20,6 +20,8 @@ _LEANS = np.cos(np.radians(15.0))
 _ASTRAY = np.cos(np.radians(3.0))
 _KEPT = 0.9
 _FEWEST = 10
+_EDGE = 1.0 + 1e-6
+"""Factor on a layer's thickness, so that rounding cuts no perfectly flat floor that lies exactly on its edge."""
 _SLENDER = 0.01
 
 
@@ -77,7 +79,7 @@ def layer_at(points: Floats, normals: Floats, weights: Floats, normal: Floats, t
     sums = np.convolve(np.bincount(bins, mass[inside]), np.ones(4))  # four bins cover both sides of the plane
     best = int(sums.argmax())  # the sum over bins best - 3 … best
     center = low + (best - 1) * 0.5 * thickness
-    within = np.abs(heights - center) <= thickness
+    within = np.abs(heights - center) <= _EDGE * thickness
     if not within.any():
         return Layer(normal, float(center), thickness, 0.0)
     order = heights[within].argsort()

@@ -35,7 +35,9 @@ def warn_of_unknowns(place: Path, stated: Mapping[str, Any]) -> None:
     metric, quality = stated.get("metric", True), stated.get("quality", {})
     unknown = [name for name, key in ERRORS.items() if quality.get(key, 0) is None and (metric or name != "its scale")]
     if not metric:
-        warnings.warn(f"{place}: not metric: its scale is unknown, so its lengths are not metres", stacklevel=3)
+        warnings.warn(
+            f"{place}: not metric: its scale is unknown or only a guess, so its lengths are not metres", stacklevel=3
+        )
     if unknown:
         warnings.warn(f"{place}: {' and '.join(unknown)} may be far off; see the capture's report.html", stacklevel=3)
 
@@ -79,6 +81,7 @@ PROPOSALS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "object_size": ("a positive, finite number of metres", _positive),
     "antialiased": ("true or false", lambda value: isinstance(value, bool)),
     "metric": ("true or false", lambda value: isinstance(value, bool)),
+    "source": ("text", lambda value: isinstance(value, str)),
     "quality": ("measures by name, each a number, text, true or false", _figures),
 }
 """For each key, its valid values in words, and a function that tests whether a value is valid."""

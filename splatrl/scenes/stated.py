@@ -8,6 +8,7 @@ import numpy as np
 from torch import Tensor
 
 from splatrl.files import expanded
+from splatrl.scenes.formats.ply_header import read_ply_header
 from splatrl.scenes.frame import AXES, similarity
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.nerfstudio import DATAPARSER, stands, transform_beside
@@ -33,6 +34,7 @@ class StatedFrame:
         scale: metres per unit; if a transform is given, it is rescaled about the world's origin.
         translation: [3] metres, added last.
         rough_up: [3] up direction in the file to within about 15°, to be refined by the guess.
+        vertical: [3] direction that the file itself calls vertical, which need not be true; helps the guess.
 
     Raises:
         ValueError: for axes that ``similarity`` refuses, a transform beside axes or a translation, or a scale that is
@@ -44,6 +46,7 @@ class StatedFrame:
     scale: float | None = None
     translation: Sequence[float] | None = None
     rough_up: Sequence[float] | None = None
+    vertical: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
         if self.transform is not None and (self.axes is not None or self.translation is not None):
@@ -61,7 +64,8 @@ class StatedFrame:
     def beside(self, splat: Path) -> tuple["StatedFrame", list[str]]:
         """Add the transform that nerfstudio left beside a splat file, if the frame leaves the file's place open.
 
-        Only its scale is added if ``rough_up`` states the orientation, or if nerfstudio's frame is not z-up.
+        Only its scale is added if ``rough_up`` states the orientation, or if nerfstudio's frame is not z-up. Without a
+        transform, the axis that the file calls vertical is added.
 
         Returns:
             The frame, and a line that says what was added, if anything.
@@ -73,7 +77,7 @@ class StatedFrame:
             return self, []
         transform = transform_beside(splat)
         if transform is None:
-            return self, []
+            return replace(self, vertical=vertical_axis(splat)), []
         if stands(transform) and self.rough_up is None:
             return replace(self, transform=transform), [f"frame       from {DATAPARSER} next to the file"]
         scale = float(transform[2, :3].norm()) if self.scale is None else self.scale
@@ -88,7 +92,7 @@ class StatedFrame:
             origin: [3] point in the file's frame.
         """
         roughly = self.rough_up is not None
-        upright = guess_upright(gaussians, self.rough_up if roughly else self.up(), roughly)
+        upright = guess_upright(gaussians, self.rough_up if roughly else self.up(), roughly, self.vertical)
         upright = replace(upright, origin=origin)
         scale = self.scale
         if scale is None and self.transform is not None:
@@ -106,6 +110,23 @@ class StatedFrame:
         if self.transform is None:
             return upright_frame(upright, self.axes, self.scale, self.translation)
         return matrix_frame(self.transform if self.scale is None else rescaled(self.transform, self.scale))
+
+
+def vertical_axis(splat: Path) -> list[float] | None:
+    """Return the direction that a PLY file's comment ``Vertical axis:`` states, [3], up or down; None without one.
+
+    nerfstudio names an axis, and Brush states three numbers where it knows them. Brush's bare ``y`` says nothing: it
+    writes that for every frame.
+    """
+    comments = read_ply_header(splat).comments if splat.suffix.lower() == ".ply" else ()
+    for comment in comments:
+        key, _, text = comment.partition(":")
+        if key.lower() == "vertical axis" and text.strip().lower() != "y":
+            try:
+                return _direction("comment", text.strip().lower())
+            except ValueError:
+                return None
+    return None
 
 
 def typed_frame(
@@ -164,7 +185,7 @@ def described_upright(gaussians: Gaussians, metric: bool) -> Upright:
 
     Args:
         gaussians: the scene's Gaussians, world frame.
-        metric: False if ``scene.yaml`` says that nothing determined the scale.
+        metric: False if ``scene.yaml`` says that the scale is unknown or only a guess.
     """
     guessed = guess_upright(gaussians, [0.0, 0.0, 1.0])
     seen = f"the opaque layer is at {round(guessed.floor, 3) + 0.0:g} m ({guessed.floor_guess.confidence})"
@@ -175,7 +196,7 @@ def described_upright(gaussians: Gaussians, metric: bool) -> Upright:
         sign_guess=Guess(GIVEN, "z in scene.yaml"),
         floor_guess=Guess(GIVEN, f"z = 0 in scene.yaml; {seen}"),
         metres_per_unit=1.0,
-        units_guess=Guess(GIVEN, "scene.yaml states the scale" + ("" if metric else ", and that it is unknown")),
+        units_guess=Guess(GIVEN, "scene.yaml states the scale" + ("" if metric else ", and that it is uncertain")),
     )
 
 

@@ -16,6 +16,7 @@ Floats = NDArray[np.float64]
 
 SURE, LIKELY, GUESS, GIVEN = "fairly sure", "likely", "only a guess", "given"
 UNKNOWN = "unknown"
+IF_WRONG = "; if wrong, pass --up"
 
 _SAMPLE = 20_000
 _THICKNESS = 0.02
@@ -26,6 +27,10 @@ _SNAP = math.cos(math.radians(1.0))
 _NEAR_AXIS = math.cos(math.radians(15.0))
 _PREFERENCE = 2.0
 """Factor on the evidence of a layer whose normal is within 15° of a file axis: most files stand nearly upright."""
+_STATED = 3.0
+"""Factor on that of a layer whose normal is within 15° of the axis that the file itself calls vertical."""
+_CORRIDOR = (0.4, 2.0)
+"""Minimum ratio of a corridor's width to its height, or the reverse, and of its length to the larger of both."""
 _BARE = 0.05
 """Added to the fraction that stands upright on a layer, so that a bare floor counts as a floor."""
 _ACROSS = math.cos(math.radians(78.0))
@@ -39,6 +44,8 @@ _CELLS = 12
 """Cells per side of the scene, seen from above."""
 _OPPOSITE = 0.6
 """Minimum ratio of a ceiling's cells to its floor's, or the reverse: shelves and worktops cover less."""
+_END = 0.15
+"""Fraction of a corridor's height or width, from either end, within which surfaces belong to floor, ceiling or wall."""
 
 
 @dataclass(frozen=True)
@@ -104,26 +111,33 @@ def axis_name(direction: ArrayLike) -> str | None:
     return ("-" if vector[axis] < 0 else "") + "xyz"[axis]
 
 
-def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None, roughly: bool = False) -> Upright:
+def guess_upright(
+    gaussians: Gaussians,
+    up: ArrayLike | None = None,
+    roughly: bool = False,
+    vertical: ArrayLike | None = None,
+) -> Upright:
     """Guess up, the floor and the units from the positions and orientations of opaque Gaussians.
 
     The ground is the layer that holds the most Gaussians, mainly those that lie flat in it, and on which the most
     stands upright; directions near a file axis are preferred. Rival layers lower the confidence. The upper side of the
     ground is the one that things stand on or, if that is unclear, the one with the file's origin, which structure from
     motion puts near the cameras. The guess fails for scenes without ground. A layer is as thick as the captured place
-    suggests, without sky and other surroundings that are far larger.
+    suggests, without sky and other surroundings that are far larger. In what could be a corridor, which looks much the
+    same on its side, the axis is only a guess unless the file states which one is vertical.
 
     Args:
         gaussians: Gaussians in the file's frame.
         up: [3] the up direction, if it is known; then only the floor and the units are guessed.
         roughly: whether ``up`` is known only to about 15°; it is then refined to fit floors and walls.
+        vertical: [3] direction that the file states to be up or down, which decides between similar layers.
     """
     points, normals, weights = _surfaces(gaussians)
     place = captured(gaussians).means.detach().double().cpu().numpy()
     near = ((points >= place.min(0)) & (points <= place.max(0))).all(1)
     size = float(np.linalg.norm(np.subtract(*np.quantile(points[near], [0.99, 0.01], axis=0)))) or 1.0
     if up is None:
-        layer, axis_guess = _ground(points, normals, weights, _THICKNESS * size)
+        layer, axis_guess = _ground(points, normals, weights, _THICKNESS * size, vertical)
     else:
         given = np.asarray(up, np.float64)
         layer = layer_at(points, normals, weights, given / np.linalg.norm(given), _THICKNESS * size)
@@ -136,6 +150,8 @@ def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None, roughly: bo
     if near[np.abs(heights - layer.height) <= layer.thickness].mean() < 0.5:  # the place is an object on wide ground
         near = np.ones_like(near)
     other = _opposite(points[near], normals[near], layer)
+    if up is None and not _along(layer, vertical):
+        axis_guess = _doubted(axis_guess, points[near], normals[near], layer)
     evidence, reason = _sign(heights, weights, layer, other, size)
     sign_guess = axis_guess
     if up is None:
@@ -156,26 +172,56 @@ def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None, roughly: bo
     return Upright(sign * layer.normal, ends[0], ceiling, scale, axis_guess, sign_guess, floor_guess, units_guess)
 
 
-def _ground(points: Floats, normals: Floats, weights: Floats, thickness: float) -> tuple[Layer, Guess]:
+def _ground(
+    points: Floats, normals: Floats, weights: Floats, thickness: float, vertical: ArrayLike | None
+) -> tuple[Layer, Guess]:
     """Return the layer with the most evidence of being the ground, and how clearly it beats its rivals."""
     layers = [
         leaning_layer(points, normals, weights, layer) for layer in heavy_layers(points, normals, weights, thickness)
     ]
-    evidence = [_evidence(normals, weights, layer) for layer in layers]
+    evidence = [_evidence(normals, weights, layer, vertical) for layer in layers]
     order = np.argsort(evidence)[::-1]
     ratio = evidence[order[0]] / max(evidence[order[1]] if len(order) > 1 else 0.0, 1e-9)
     guess = Guess(
         SURE if ratio > _SURE else LIKELY if ratio > _LIKELY else GUESS,
-        f"evidence for a ground layer is {min(ratio, 99):.1f} times that of the next direction; if wrong, pass --up",
+        f"evidence for a ground layer is {min(ratio, 99):.1f} times that of the next direction"
+        f"{', also because the file calls it vertical' if _along(layers[order[0]], vertical) else ''}{IF_WRONG}",
     )
     return _snapped(points, normals, weights, layers[order[0]], lean=False), guess
 
 
-def _evidence(normals: Floats, weights: Floats, layer: Layer) -> float:
+def _along(layer: Layer, vertical: ArrayLike | None) -> bool:
+    """Return whether a layer's normal is within 15° of the direction that a file calls vertical, if it does."""
+    if vertical is None:
+        return False
+    stated = np.asarray(vertical, np.float64)
+    return bool(abs(layer.normal @ stated) > _NEAR_AXIS * np.linalg.norm(stated))
+
+
+def _doubted(guess: Guess, points: Floats, normals: Floats, layer: Layer) -> Guess:
+    """Return a guess at the axis, lowered where the layer and its opposite bound a corridor, perhaps on its side."""
+    across = points @ np.linalg.svd(layer.normal[None])[2][1:].T
+    across -= across.mean(0)
+    across = across @ np.linalg.eigh(across.T @ across)[1]
+    heights = points @ layer.normal
+    bottom, top = np.quantile(heights, [0.02, 0.98])
+    width, length = np.subtract(*np.quantile(across, [0.98, 0.02], axis=0))
+    narrow, wide = sorted((float(width), float(top - bottom)))
+    if narrow == 0.0 or narrow < _CORRIDOR[0] * wide or length < _CORRIDOR[1] * wide:
+        return guess
+    share = (heights[np.abs(normals @ layer.normal) > ALIGNED] - bottom) / (top - bottom)
+    fewer, more = sorted((int((share < _END).sum()), int((share > 1.0 - _END).sum())))
+    if fewer < _OPPOSITE * more:
+        return guess
+    return Guess(GUESS, f"this could be a corridor, whose floor and walls are alike{IF_WRONG}")
+
+
+def _evidence(normals: Floats, weights: Floats, layer: Layer, vertical: ArrayLike | None) -> float:
     """Return the evidence that a layer is the ground, from its weight and that of the surfaces perpendicular to it."""
     flatness = np.linalg.norm(normals, axis=1)
     across = (np.abs(normals @ layer.normal) < _ACROSS * flatness) & (flatness > 0.5)
     prefers = _PREFERENCE if np.abs(layer.normal).max() > _NEAR_AXIS else 1.0
+    prefers *= _STATED if _along(layer, vertical) else 1.0
     return prefers * layer.weight**2 * (_BARE + float(weights[across].sum()))
 
 

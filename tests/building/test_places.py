@@ -3,13 +3,15 @@
 import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from splatrl.building.instantiation import instantiate
 from splatrl.building.places import Place, build_places, start_region
+from splatrl.collision.voxels import Voxels
 from splatrl.configuration import load_config
-from splatrl.misfits import check_height
+from splatrl.misfits import check_height, warn_of_no_floor
 from tests.tiny import tiny_overrides
 
 WIDE = ["task.motion.lower=[-2.0,-2.5]", "task.motion.upper=[2.0,2.5]"]
@@ -77,3 +79,32 @@ def test_what_is_solid_is_known_as_far_as_the_task_lets_robots_go() -> None:
         assert upper[:2] == pytest.approx([value + beside for value in highest[:2]])
         if task == "gates":  # up to the ceiling
             assert (lower[2], upper[2]) == pytest.approx((1.0 - body.radius, 2.0 + body.radius))
+
+
+def test_a_warning_tells_of_a_goal_and_of_starts_without_a_floor(tmp_path: Path) -> None:
+    place = built(tmp_path)
+    solid = place.occupancy
+    x, y, z = (
+        (np.arange(count) + 0.5 + first) * solid.resolution
+        for count, first in zip(solid.occupied.shape, solid.origin_key, strict=True)
+    )
+    inside = (np.abs(x) < 1.4)[:, None] & (np.abs(y) < 1.9)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        warn_of_no_floor(place.scene, place.plan, solid)
+        warn_of_no_floor(place.scene, place.plan, solid.without(solid))  # nothing is known of the floor
+    around_goal = (x > 0.2)[:, None] & (y > 0.2)  # the goal is at (0.5, 1)
+    for kept, missing in ((~(x > -0.6)[:, None] | (y < -9), "the goal; type"), (around_goal, r"\d+ of \d+ starts")):
+        occupied = solid.occupied & ~((inside & ~kept)[:, :, None] & (z < 0.5))
+        with pytest.warns(UserWarning, match=f"tiny: nothing solid, such as a floor, is below {missing}"):
+            warn_of_no_floor(place.scene, place.plan, Voxels(occupied, solid.origin_key, solid.resolution))
+
+
+def test_building_a_place_whose_goal_has_no_floor_causes_a_warning(tmp_path: Path) -> None:
+    beside = ["landmarks.goal=[2.5,0.0,0.0]", "task.motion.upper=[3.0,2.0]", "scene.bounds=[[-1.5,-2,0],[3,2,1.2]]"]
+    with (
+        pytest.warns(UserWarning, match="tiny: nothing solid, such as a floor, is below the goal"),
+        warnings.catch_warnings(),
+    ):
+        warnings.filterwarnings("ignore", "tiny: (robots may go|.* free poses cannot)")
+        built(tmp_path, *beside, "collision.occupancy.fill=null")

@@ -2,6 +2,7 @@ import gzip
 import re
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from splatrl.scenes import Gaussians, read_gaussians, read_scene, similarity, wr
 from splatrl.scenes.blocks import BlockScene
 from splatrl.scenes.description import read_description
 from splatrl.scenes.scene import FreeSpace
+from splatrl.scenes.upright import GUESS, SURE, Guess, Upright, guess_upright
 from tests.preloaded import start
 from tests.scenes.places import place, turned
 from tests.scenes.samples import sog_entries
@@ -104,7 +106,7 @@ def test_a_folder_is_surveyed_again_in_the_frame_that_its_yaml_states(
     said = capsys.readouterr().out
     assert "up          z" in said
     assert "floor       at 0 units along up; given: z = 0 in scene.yaml; the opaque layer is at" in said
-    assert "given: scene.yaml states the scale, and that it is unknown" in said
+    assert "given: scene.yaml states the scale, and that it is uncertain" in said
     assert description.read_text() == edited
     with pytest.raises(SystemExit, match=r"edit its scene\.yaml"):
         main([str(splat.parent), "--scale", "2"])
@@ -364,6 +366,32 @@ def test_the_kitchen_is_in_metres_with_its_floor_at_zero(shared_scenes: Path, tm
     assert ((opaque[:, 2].abs() < 0.03).float().mean()) > 0.2  # the floor is at least a fifth of the opaque Gaussians
 
 
+@pytest.mark.usefixtures("unproposed")
+@pytest.mark.parametrize(
+    ("sign", "said"), [(GUESS, "look at {}: if the place lies on its side"), (SURE, "train in it")]
+)
+def test_the_view_is_to_be_looked_at_where_up_is_only_a_guess(
+    splat: Path, sign: str, said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def guessed(*args: object) -> Upright:
+        return replace(guess_upright(*args), sign_guess=Guess(sign, "by the test"))  # type: ignore[arg-type]
+
+    monkeypatch.setattr("splatrl.scenes.stated.guess_upright", guessed)
+    main([str(splat)])
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith(said.format(splat.with_name("yard-view.png"))) and "train in it: splatrl-train" in last
+
+
+@pytest.mark.usefixtures("unproposed")
+def test_a_place_whose_scale_is_only_guessed_is_not_called_metric(tmp_path: Path) -> None:
+    for height, metric in ((2.5, None), (12.0, False)):
+        walls = [(0, 0, 0, 6, 0, height), (0, 0, 0, 0, 4, height), (6, 0, 0, 6, 4, height)]
+        hall = surfaces([FLOOR, *BOXES, *walls, (0.0, 0.0, height, 6.0, 4.0, height)])
+        write_gaussians(tmp_path / "hall.ply", hall)
+        main([str(tmp_path / "hall.ply"), "--up", "z", "--force"])
+        assert read_description(tmp_path).get("metric") is metric
+
+
 def test_an_out_path_that_ends_in_spz_makes_a_folder_with_a_compressed_splat(
     splat: Path,
     tmp_path: Path,
@@ -383,14 +411,15 @@ def test_an_out_path_that_ends_in_spz_makes_a_folder_with_a_compressed_splat(
     with pytest.raises(SystemExit, match="--force"):
         main([str(splat), "--out", str(tmp_path / "small.spz")])
     description = splat.with_name("scene.yaml")
-    said = "\nmetric: true\nantialiased: false\nfree: free.ply\n"
+    said = "\nmetric: true\nantialiased: false\nfree: free.ply\nsource: Zoë, CC BY 4.0\n"
     description.write_text(description.read_text() + said)
     write_points(splat.with_name("free.ply"), torch.rand(5, 3))
     main([str(splat.parent), "--out", str(tmp_path / "again.spz")])
     again = read_scene(tmp_path / "again")
     torch.testing.assert_close(again.gaussians.means, large.gaussians.means, atol=2e-4, rtol=0)
     stated = read_description(tmp_path / "again")
-    assert (stated["metric"], stated["antialiased"]) == (True, False)
+    assert (stated["metric"], stated["antialiased"], stated["source"]) == (True, False, "Zoë, CC BY 4.0")
+    assert "Zoë" in (tmp_path / "again" / "scene.yaml").read_text(encoding="utf-8")
     kept = ("robot_height", "walk", "step", "goal", "object", "voxel_size")
     assert [stated.get(key) for key in kept] == [read_description(splat.parent).get(key) for key in kept]
     assert (tmp_path / "again" / "free.ply").read_bytes() == splat.with_name("free.ply").read_bytes()

@@ -22,6 +22,7 @@ PROPOSALS = {
     "cutoff": 0.8,
     "goal": [0.5, 1.0, 0.0],
     "object": [0.75, 1.0, 0.5],
+    "source": "Zoë, CC BY 4.0, https://example.org/garden",
     "quality": {"psnr": 27.5, "scale_from": "marker", "trusted": True, "ssim": None},
 }
 SMALL = ["device=cpu", "robot.image_width=16", "robot.image_height=12", "network.pool=1"]
@@ -151,7 +152,7 @@ def test_invalid_values_in_a_scene_folder_are_refused(line: str, message: str, g
     [
         ("true", "null", "null", ["up and its scale may be far off; see the capture's report.html"]),
         ("true", "null", "0.05", ["up may be far off; see the capture's report.html"]),
-        ("false", "1.5", "null", ["not metric: its scale is unknown, so its lengths are not metres"]),
+        ("false", "1.5", "null", ["not metric: its scale is unknown or only a guess, so its lengths are not metres"]),
         ("true", "1.5", "0.05", []),
     ],
 )

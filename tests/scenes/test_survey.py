@@ -12,6 +12,7 @@ from torch import Tensor
 from splatrl.geometry import axis_rotations, rigid
 from splatrl.scenes import Gaussians, read_gaussians, read_scene, similarity, write_gaussians
 from splatrl.scenes.description import write_description
+from splatrl.scenes.layers import layer_at
 from splatrl.scenes.placement import (
     STANDING,
     matrix_frame,
@@ -20,8 +21,9 @@ from splatrl.scenes.placement import (
     rescaled,
     upright_frame,
 )
+from splatrl.scenes.stated import StatedFrame, vertical_axis
 from splatrl.scenes.survey import floats, survey
-from splatrl.scenes.upright import SURE, axis_name, guess_upright
+from splatrl.scenes.upright import GUESS, SURE, axis_name, guess_upright
 from tests.scenes.places import KINDS, place, turned
 
 FLOOR, BOXES = (0.0, 0.0, 0.0, 6.0, 4.0, 0.0), [(1.0, 1.0, 0.0, 2.0, 1.5, 0.8), (4.0, 2.0, 0.0, 4.5, 3.5, 1.2)]
@@ -256,6 +258,60 @@ def test_a_guess_called_fairly_sure_is_right_in_19_of_20_generated_places(first:
             sure += 1
             right += degrees_between(guess.up, up.numpy()) < 2.0
     assert sure >= 0.5 * count and right >= 0.95 * sure
+
+
+def corridor(ceiling: bool = True) -> Gaussians:
+    """Return a corridor of 10 × 1.6 m that is 2.5 m high, with boxes along a wall."""
+    walls = [(0, 0, 0, 10, 0, 2.5), (0, 1.6, 0, 10, 1.6, 2.5), (10, 0, 0, 10, 1.6, 2.5)]
+    boxes = [(x, 1.3, 0, x + 0.4, 1.6, 0.9) for x in (1.0, 4.0, 7.0)]
+    result = surfaces([(0, 0, 0, 10, 1.6, 0), *walls, *boxes, *([(0, 0, 2.5, 10, 1.6, 2.5)] if ceiling else [])])
+    return result.transformed(similarity(translation=[-5.0, -0.8, -1.4]))
+
+
+@pytest.mark.parametrize("ceiling", [True, False])
+def test_which_of_a_corridors_walls_is_its_floor_is_only_a_guess(ceiling: bool) -> None:
+    guess = guess_upright(corridor(ceiling))
+    assert guess.axis_guess.confidence == GUESS
+    assert axis_name(guess.up) in ("z", "-z") or "corridor" in guess.axis_guess.reason
+    assert guess_upright(room()).axis_guess.confidence != GUESS
+
+
+def test_the_axis_that_a_file_calls_vertical_decides_in_a_corridor_and_not_against_a_clear_floor() -> None:
+    guess = guess_upright(corridor(), vertical=[0.1, 0.0, 1.0])
+    assert axis_name(guess.up) in ("z", "-z") and "calls it vertical" in guess.axis_guess.reason
+    assert axis_name(guess_upright(yard(), vertical=[0.0, 1.0, 0.0]).up) == "z"
+
+
+@pytest.mark.parametrize(
+    ("comment", "vertical"),
+    [
+        ("Vertical Axis: z", [0.0, 0.0, 1.0]),  # of nerfstudio
+        ("Vertical axis: 0.1 -0.9 0.2", [0.1, -0.9, 0.2]),
+        ("Vertical axis: y", None),  # Brush writes it for every frame
+        ("Vertical axis: up", None),
+        ("made by hand", None),
+    ],
+)
+def test_the_axis_that_a_file_calls_vertical_is_in_a_comment(
+    tmp_path: Path, comment: str, vertical: list[float] | None
+) -> None:
+    path = tmp_path / "yard.ply"
+    write_gaussians(path, yard())
+    head, rest = path.read_bytes().split(b"\n", 1)
+    path.write_bytes(head + b"\ncomment " + comment.encode() + b"\n" + rest)
+    assert vertical_axis(path) == vertical
+    frame, lines = StatedFrame().beside(path)
+    assert (frame.vertical, lines) == (vertical, [])
+    assert vertical_axis(tmp_path / "yard.spz") is None
+
+
+def test_a_perfectly_flat_floor_counts_as_a_whole_although_it_lies_on_the_edge_of_its_layer() -> None:
+    wall = np.linspace(0.0, 2.5, 50)
+    for floor in np.linspace(-1.7, -1.1, 13):
+        points = np.zeros((250, 3))
+        points[:, 2] = floor + np.concatenate([np.zeros(200), wall])
+        flat = np.where(np.arange(250)[:, None] < 200, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+        assert layer_at(points, flat, np.full(250, 1 / 250), np.array([0.0, 0.0, 1.0]), 0.13).weight > 0.8
 
 
 def test_a_roughly_stated_axis_is_aligned_with_floor_and_walls() -> None:
