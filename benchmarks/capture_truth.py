@@ -158,9 +158,8 @@ def among_boxes(truth: Truth, video: Path, occupancy: Occupancy, placed: Placed,
         return share_hit(occupancy, places.double() @ from_truth[:3, :3].T + from_truth[:3, 3], cube, turn, scale)
 
     real = Occupancy.from_scene(truth.scene, resolution=FINE)
-    begun = rigid(
-        turn.T @ starts[:, :3, :3], (starts[:, :3, 3].double() @ to_truth[:3, :3].T + to_truth[:3, 3]).float()
-    )
+    places = starts[:, :3, 3].double() @ to_truth[:3, :3].T + to_truth[:3, 3]
+    begun = rigid(turn.T @ starts[:, :3, :3], places.float())
 
     def touch(narrower: float) -> float:
         length, width, height = (scale * side for side in BODY)
