@@ -4,6 +4,8 @@
     python benchmarks/capture_truth.py redkitchen red
     splatrl-capture SCENES/videos/kitchen_m.mp4 --out kitchen
     python benchmarks/capture_truth.py kitchen kitchen
+    splatrl-capture SCENES/videos/backyard_m.mp4 --out yard
+    python benchmarks/capture_truth.py backyard yard
 
 The capture is aligned with the truth by the similarity that fits its cameras best. Nothing else of the truth is used,
 so the source of the capture's scale does not matter.
@@ -13,8 +15,11 @@ pixels that the sensor measured. Free space consists of the voxels of the captur
 images look through, ending 10 cm and 5 % before the measured depth (whichever is more), and that are more than a voxel
 away from everything that any image measured. Recall is that of a 0.1 m cube centred on places that the sensor measured.
 
-kitchen is compared with hand-made boxes. False hits are those of a 0.1 m cube in the free middle, recall is that of a
-0.2 m cube centred on surfaces of the counters that at least two cameras of the capture saw.
+kitchen is compared with hand-made boxes, backyard with those of its generator. False hits are those of a 0.1 m cube in
+the free middle, recall is that of a 0.2 m cube centred on known surfaces that at least two cameras of the capture saw.
+Starts are the poses in which ``splatrl-train`` lets a robot begin whose body's centre is ``--height`` above the floor.
+They touch something where its body meets solid voxels of the true scene, of 2 cm, and do so deeply where it still does
+when 10 cm narrower on every side.
 """
 
 import argparse
@@ -25,13 +30,14 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from occupancy_truth import kitchen_truth
+from occupancy_truth import Truth, kitchen_truth, yard_truth
 from PIL import Image
 from scenes import SCENES
 from scipy import ndimage
 from torch import Tensor
 
 from splatrl.bodies import Box
+from splatrl.building import build_one_world
 from splatrl.cameras import Cameras, depths_at
 from splatrl.capture.base import Reconstruction
 from splatrl.capture.pipeline import reconstruct
@@ -40,13 +46,21 @@ from splatrl.capture.truth import closest_similarity, read_truth, true_poses
 from splatrl.capture.world import Placed, moved
 from splatrl.collision import DensitySettings, NativeChecker, Occupancy
 from splatrl.collision.point_clouds import read_points
+from splatrl.configuration import load_config
 from splatrl.geometry import rigid
 from splatrl.renderers import NativeRenderer
 from splatrl.scenes import Scene, read_scene
 from splatrl.scenes.description import PATH, read_description
 
 SMALL, LARGE = Box((0.1, 0.1, 0.1)), Box((0.2, 0.2, 0.2))
-VIDEOS = {"redkitchen": SCENES / "videos" / "redkitchen" / "video.mp4", "kitchen": SCENES / "videos" / "kitchen_m.mp4"}
+VIDEOS = {
+    "redkitchen": SCENES / "videos" / "redkitchen" / "video.mp4",
+    "kitchen": SCENES / "videos" / "kitchen_m.mp4",
+    "backyard": SCENES / "videos" / "backyard_m.mp4",
+}
+BODY, DEEP, FINE = (0.4, 0.4, 0.1), 0.1, 0.02
+"""Body of the robot whose starts are tested, by how much narrower on every side it is for a deep touch, and the edge of
+the true scene's voxels, metres."""
 POSES = 20_000
 SENSOR_K = torch.tensor([[585.0, 0, 320], [0, 585, 240], [0, 0, 1]], dtype=torch.float64)
 NO_DEPTH = 65535
@@ -132,11 +146,9 @@ def looked_through(occupancy: Occupancy, poses: Tensor, measured: Tensor, scale:
     return free
 
 
-def kitchen(scene: Scene, occupancy: Occupancy, placed: Placed) -> dict[str, float]:
-    """Compare the occupancy with hand-made boxes."""
-    truth = kitchen_truth()
-    assert truth is not None
-    to_truth, scale = aligned(placed, true_poses(placed.reconstruction, read_truth(VIDEOS["kitchen"])))
+def among_boxes(truth: Truth, video: Path, occupancy: Occupancy, placed: Placed, starts: Tensor) -> dict[str, float]:
+    """Compare the occupancy, and a robot's first poses [N, 4, 4], with a scene whose solid parts are known."""
+    to_truth, scale = aligned(placed, true_poses(placed.reconstruction, read_truth(video)))
     from_truth = to_truth.inverse()
     surface = truth.surface(POSES)
     surface = surface[seen(truth.scene, surface.double(), moved(placed.reconstruction, to_truth.numpy())) >= 2]
@@ -145,11 +157,30 @@ def kitchen(scene: Scene, occupancy: Occupancy, placed: Placed) -> dict[str, flo
     def hit(places: Tensor, cube: Box) -> float:
         return share_hit(occupancy, places.double() @ from_truth[:3, :3].T + from_truth[:3, 3], cube, turn, scale)
 
+    real = Occupancy.from_scene(truth.scene, resolution=FINE)
+    places = starts[:, :3, 3].double() @ to_truth[:3, :3].T + to_truth[:3, 3]
+    begun = rigid(turn.T @ starts[:, :3, :3], places.float())
+
+    def touch(narrower: float) -> float:
+        length, width, height = (scale * side for side in BODY)
+        body = Box((length - 2 * narrower, width - 2 * narrower, height))
+        return float(NativeChecker(real, body).collides(begun).double().mean())
+
     return {
         "false hits": hit(truth.free(POSES), SMALL),
         "recall": hit(surface, LARGE),
         "surface seen": len(surface) / len(truth.surface(POSES)),
+        "starts": len(starts),
+        "starts that touch something": touch(0.0),
+        "starts that touch it deeply": touch(DEEP),
     }
+
+
+def starting_poses(folder: Path, height: float, cutoff: float) -> Tensor:
+    """Return the poses [N, 4, 4] in a capture's world in which training lets a robot of this height begin."""
+    words = [f"scene={folder.resolve()}", f"robot.height={height}", f"collision.occupancy.density.cutoff={cutoff}"]
+    world = build_one_world(load_config(words))
+    return world.task.motion.body_to_world(world.plan.starts)
 
 
 def seen(scene: Scene, places: Tensor, capture: Reconstruction) -> Tensor:
@@ -177,13 +208,20 @@ def main() -> None:
     parser.add_argument("place", choices=list(VIDEOS))
     parser.add_argument("folder", type=Path, help="folder of the capture of that place's video")
     parser.add_argument("--cutoff", type=float, help="fraction of light that solid voxels absorb; default scene.yaml's")
+    parser.add_argument("--height", type=float, default=0.3, help="height of the robot whose starts are tested, metres")
     arguments = parser.parse_args()
     placed = captured(arguments.place, arguments.folder)
     scene = read_scene(arguments.folder)
     stated = read_description(arguments.folder)
-    density = DensitySettings(cutoff=arguments.cutoff or stated["cutoff"])
-    occupancy = Occupancy.from_scene(scene, resolution=stated["voxel_size"], density=density)
-    found = {"redkitchen": redkitchen, "kitchen": kitchen}[arguments.place](scene, occupancy, placed)
+    cutoff = arguments.cutoff or stated["cutoff"]
+    occupancy = Occupancy.from_scene(scene, resolution=stated["voxel_size"], density=DensitySettings(cutoff=cutoff))
+    if arguments.place == "redkitchen":
+        found = redkitchen(scene, occupancy, placed)
+    else:
+        truth = kitchen_truth() if arguments.place == "kitchen" else yard_truth()
+        assert truth is not None
+        starts = starting_poses(arguments.folder, arguments.height, cutoff)
+        found = among_boxes(truth, VIDEOS[arguments.place], occupancy, placed, starts)
     print(json.dumps({name: round(value, 5) for name, value in found.items()}, indent=1))
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
-from splatrl.capture.drift import leap
+from splatrl.capture.drift import below_floor, leap
 from splatrl.capture.kept import kept_depths, kept_moving, recipe_of
 from splatrl.capture.mapping import NEARLY
 from splatrl.capture.masks import in_view, masks_of, write_masks
@@ -98,9 +98,14 @@ def _worse(again: Poses, before: Poses) -> str | None:
     """Return in what poses are worse than those before; None where they are not."""
     if len(again.placed.reconstruction.paths) < NEARLY * len(before.placed.reconstruction.paths):
         return "too few images"
-    return leap(again.placed) if _doubt(again.placed) > _doubt(before.placed) else None
+    return _torn(again.placed) if _doubt(again.placed) > _doubt(before.placed) else None
+
+
+def _torn(placed: Placed) -> str | None:
+    """Return a warning where parts of a film seem to have been joined wrongly; None where nothing suggests that."""
+    return leap(placed) or below_floor(placed)
 
 
 def _doubt(placed: Placed) -> int:
-    """Return 0 where the camera does not seem to leap, 1 where it does, and 2 where no floor was found, either."""
-    return 0 if leap(placed) is None else 2 if placed.up_from == "cameras" else 1
+    """Return 0 where nothing seems to be joined wrongly, 1 where it does, and 2 where no floor was found, either."""
+    return 0 if _torn(placed) is None else 2 if placed.up_from == "cameras" else 1

@@ -112,6 +112,28 @@ def much_below(ground: Ground, centers: Floats, points: Floats, above: float) ->
     return int((below & near).sum()) > MUCH * int((on_floor & near).sum())
 
 
+def sunk(centers: Floats, points: Floats, up: Floats, floor: float, above: float) -> NDArray[np.bool_]:
+    """Return which cameras are below a floor that is seen near them: none can be.
+
+    Args:
+        centers: [N, 3] positions of the cameras.
+        points: [P, 3].
+        up: [3] unit vector.
+        floor: height along ``up`` of the floor on which people seem to have stood.
+        above: mean height of the cameras above it.
+
+    Returns:
+        [N] bool.
+    """
+    below = centers @ up < floor
+    on_floor = _flattened(points[np.abs(points @ up - floor) <= NEAR * above], up)
+    if len(on_floor) < ON_FLOOR or not below.any():
+        return np.zeros(len(centers), bool)
+    away = cKDTree(on_floor).query(_flattened(centers, up), ON_FLOOR)[0][:, -1]
+    found: NDArray[np.bool_] = below & (away <= REACH * above)
+    return found
+
+
 def from_path(centers: Floats, points: Floats, up: Floats) -> Floats:
     """Return the distances of points from the nearest camera, seen from above.
 

@@ -4,12 +4,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from splatrl.capture.beneath import AROUND, from_path
+from splatrl.capture.beneath import AROUND, from_path, sunk
 from splatrl.capture.carrying import weakest
 from splatrl.capture.ground import lowest_level
 from splatrl.capture.jerks import TORN, camera_leaps, jerks
 from splatrl.capture.world import Placed
 
+UP = np.array([0.0, 0.0, 1.0])
 PARTS = 8
 """Number of parts of a film; the camera's height above the floor is measured in each."""
 LOWEST, LEAST, LEVEL = 0.12, 40, 0.5
@@ -45,6 +46,26 @@ def leap(placed: Placed) -> str | None:
     )
 
 
+def below_floor(placed: Placed) -> str | None:
+    """Return a warning where the camera seems to go below a floor that is seen there; None where it does not.
+
+    No camera can. A map that is bent agrees with its own images, and its camera moves evenly: only a path that falls
+    by the camera's own height shows it.
+
+    Args:
+        placed: cameras and points in the world.
+    """
+    found = placed.reconstruction
+    centers, points = found.camera_to_world[:, :3, 3].numpy(), found.points.numpy()
+    below = sunk(centers, points, UP, 0.0, placed.camera_height)
+    if not below.any():
+        return None
+    return (
+        f"The camera seems to go below the floor at {_when(placed, int(below.argmax()))}: parts of the place are "
+        "joined wrongly, or what was taken for the floor is none. Film it again, more slowly and with more in view."
+    )
+
+
 def lost_scale(placed: Placed) -> str | None:
     """Return a warning where two parts of a film have different scales; None where nothing suggests that.
 
@@ -59,8 +80,7 @@ def lost_scale(placed: Placed) -> str | None:
     (low, least), (high, most) = min(heights, key=lambda part: part[1]), max(heights, key=lambda part: part[1])
     if most < MOST * least:
         return None
-    seconds = placed.reconstruction.seconds
-    places = [f"image {row}" if seconds is None else f"{float(seconds[row]):.0f} s" for row in (high, low)]
+    places = [_when(placed, row) for row in (high, low)]
     return (
         f"The camera seems {most:.2f} m above the floor at {places[0]} and {least:.2f} m at {places[1]}: the scale was "
         "lost in between, for example by turning on the spot. Film it again and turn in wide arcs, or cut one part out."
@@ -84,6 +104,12 @@ def weak_scale(placed: Placed) -> str | None:
     )
 
 
+def _when(placed: Placed, row: int) -> str:
+    """Return when an image was taken, in words, or its number where that is unknown."""
+    seconds = placed.reconstruction.seconds
+    return f"image {row}" if seconds is None else f"{float(seconds[row]):.0f} s"
+
+
 def _heights(placed: Placed) -> list[tuple[int, float]]:
     """For each part that shows its floor, return its middle camera and the cameras' median height above that floor.
 
@@ -91,7 +117,7 @@ def _heights(placed: Placed) -> list[tuple[int, float]]:
     """
     found, above = placed.reconstruction, placed.camera_height
     cameras, points = found.camera_to_world[:, 2, 3].numpy(), found.points[:, 2].numpy()
-    away = from_path(found.camera_to_world[:, :3, 3].numpy(), found.points.numpy(), np.array([0.0, 0.0, 1.0]))
+    away = from_path(found.camera_to_world[:, :3, 3].numpy(), found.points.numpy(), UP)
     points = np.where((points < -LOWER * above) & (away > AROUND * above), np.nan, points)
     seen_by, seen_point = found.seen_by.numpy(), found.seen_point.numpy()
     edges = np.linspace(0, len(cameras), PARTS + 1).astype(int).tolist()

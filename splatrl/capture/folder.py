@@ -13,7 +13,7 @@ from torch import Tensor
 
 from splatrl.capture.area import SOLID, Area, survey_area
 from splatrl.capture.check import COMPARISON, MAP, Quality, check
-from splatrl.capture.drift import leap, lost_scale, weak_scale
+from splatrl.capture.drift import below_floor, leap, lost_scale, weak_scale
 from splatrl.capture.masks import much_moves
 from splatrl.capture.page import report_page
 from splatrl.capture.pictures import GOALS, draw_cameras, draw_goals, draw_moving
@@ -140,7 +140,14 @@ def problems(placed: Placed, found: Suggestions, quality: Quality, moving: Tenso
     }
     serious = [
         said
-        for said in (lost_scale(placed), weak_scale(placed), leap(placed), placed.contradicted, placed.doubt)
+        for said in (
+            leap(placed),
+            below_floor(placed),
+            lost_scale(placed),
+            weak_scale(placed),
+            placed.contradicted,
+            placed.doubt,
+        )
         if said
     ]
     return [*serious, *(text for text, wrong in checks.items() if wrong)]

@@ -56,7 +56,8 @@ def photos_of(folder: Path) -> list[Path]:
         hint = f"; there is a film, {films[0]}, so name that" if films else hint
         if len(films) > 1:
             several = f"{len(films)} films, {_named([str(film) for film in films])}"
-            hint = f"; there are {several}, so name one, or first join takes of one place (ffmpeg -f concat)"
+            hint = f"; there are {several}, so name one, or first join takes of one camera, held the same way"
+            hint += " (ffmpeg -f concat)"
         raise CaptureError(f"{folder}: expected photos ({kinds}), found none{hint}")
     times = [_time(path) for path in found]
     if all(times):

@@ -22,6 +22,11 @@ if TYPE_CHECKING:
 
 MOST_DAMAGED = 0.03
 """Maximum fraction of a video's frames that may be damaged; some bytes are often lost in a transfer."""
+JOINED = (
+    "; from {:.0f} s on, frames are damaged as where films of several cameras, or of one that was held differently, "
+    "were joined: capture one of these alone, or join films of one camera, held the same way"
+)
+"""What is said where frames cannot be decoded with the settings of the film's first frame."""
 BLACK, LIT, THINNEST, EDGE = 24, 0.2, 0.01, 0.005
 """Maximum grey level of a bar, the fraction of images from which on a brighter line is none, a bar's minimum width as a
 fraction of the image's side, and the extra fraction that is cut off because the bar's edge is blurred."""
@@ -121,7 +126,7 @@ def packet_times(path: Path) -> np.ndarray:
 
 
 def frames(path: Path, remark: Callable[[str], object] = lambda _: None) -> Iterator[tuple[float, "VideoFrame"]]:
-    """Decode a video; a few damaged frames are left out.
+    """Decode a video; a few damaged frames, and those of which the decoder had to make parts up, are left out.
 
     Args:
         path: the video file.
@@ -147,8 +152,9 @@ def _decoded(path: Path, container: "InputContainer", remark: Callable[[str], ob
     import av
 
     stream = images.video_track(container)
-    stream.thread_type = "AUTO"
+    stream.thread_type = "AUTO"  # with threads for slices alone, no frame counts as corrupt
     size, aspect, count, damaged = None, images.pixel_aspect(container), 0, 0
+    corrupt: list[int] = []
     end = stream.start_time or 0
     for packet in container.demux(stream):
         count += packet.size > 0
@@ -164,11 +170,16 @@ def _decoded(path: Path, container: "InputContainer", remark: Callable[[str], ob
             size = size or (frame.width, frame.height)
             if size != (frame.width, frame.height):
                 raise CaptureError(f"{path}: expected frames of one size, got {size} and {frame.width, frame.height}")
-            yield frame
+            if frame.is_corrupt:
+                corrupt.append(frame.pts or 0)
+            else:
+                yield frame
     missing = _missing(stream, count, end)
-    damaged, count = damaged + missing, count + missing
+    damaged, count = damaged + len(corrupt) + missing, count + missing
     ends = f"; it breaks off, and the last {missing} are missing" if missing else ""
     if damaged > max(1.0, MOST_DAMAGED * count):
+        if corrupt:
+            ends += JOINED.format(float((corrupt[0] - (stream.start_time or 0)) * (stream.time_base or 0)))
         raise CaptureError(
             f"{path}: expected at most {100 * MOST_DAMAGED:.0f} % damaged frames, got {damaged} of {count}{ends}"
         )

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.capture.base import CaptureError, Reconstruction
-from splatrl.capture.beneath import Footing, much_below, stood_on
+from splatrl.capture.beneath import Footing, much_below, stood_on, sunk
 from splatrl.capture.carrying import weakest
-from splatrl.capture.ground import ERROR_DEG, MIN_INLIERS, NEAR, Ground, UpFrom, find_ground
+from splatrl.capture.ground import MIN_INLIERS, NEAR, Ground, UpFrom, find_ground
 from splatrl.capture.jerks import TORN, camera_leaps, jerks
 from splatrl.capture.marker import MARKER_SIDE, scale_by_marker
 from splatrl.capture.progress import Progress, silent
@@ -54,8 +54,9 @@ class Placed:
             camera's height above a floor that was hardly seen or has much below it near the path, or where up is
             unknown, parts may be joined wrongly or something else that was stated contradicts it.
         up_from: source of the upward direction.
-        up_error_deg: possible error of the upward direction, degrees; larger where parts may differ in scale, and None
-            where the camera leaps, where it may have been turned by a quarter, or where ``doubt`` says so.
+        up_error_deg: possible error of the upward direction, degrees; None where the camera leaps or is below the
+            floor, where parts may differ in scale, where the camera may have been turned by a quarter, or where
+            ``doubt`` says so.
         camera_height: mean height of the cameras above the ground beneath them, as defined by ``mean_height``, metres.
         floor_points: number of points of the reconstruction that lie on the floor.
         contradicted: how a stated height or distance contradicts the source of the scale, in sentences; None where
@@ -135,12 +136,13 @@ def place(
     floor = ground.up_from != "cameras" and ground.inliers >= MIN_INLIERS and not deep and sure
     if scale_from == "camera_height" and not floor:
         error = None
-    up_error_deg: float | None = ground.error_deg
-    torn = not metric and jerks(camera_leaps(reconstruction)) >= TORN
-    if torn or (not metric and weakest(reconstruction) is not None):  # parts may be joined wrongly
-        error, up_error_deg = None, max(ground.error_deg, ERROR_DEG["cameras"])
-    if torn or not sure:  # parts that are turned against each other contradict each other in what is up
-        up_error_deg = None
+    torn = not metric and (
+        jerks(camera_leaps(reconstruction)) >= TORN
+        or weakest(reconstruction) is not None
+        or bool(sunk(poses[:, :3, 3], points, ground.up, ground.height, above).any())
+    )
+    if torn:  # parts may have any scale, and contradict each other in what is up
+        error = None
     compared = camera_height if floor else None  # otherwise the height above what may be no floor
     contradicted = contradiction(reconstruction, scale, scale_from, scale * above, distance, compared)
     transform = _world_from_capture(poses, points, ground, scale)
@@ -150,7 +152,7 @@ def place(
         scale_from,
         error if contradicted is None else None,
         ground.up_from,
-        up_error_deg,
+        ground.error_deg if sure and not torn else None,
         scale * above,
         ground.inliers,
         contradicted,

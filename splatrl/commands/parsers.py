@@ -38,7 +38,7 @@ def capture(arguments: Sequence[str]) -> argparse.Namespace:
     if more:
         result.error(
             f"expected one video or one folder, got {', '.join(map(str, (options.source, *more)))}; name the folder of "
-            "photos, and first join takes of one place (ffmpeg -f concat)"
+            "photos, and first join takes of one camera, held the same way (ffmpeg -f concat)"
         )
     if options.marker is None and options.source is None:
         result.error("expected a video or a folder of photos, or --marker")

@@ -1,14 +1,16 @@
 """Films that lost their scale half-way or were joined wrongly are distinguished from sound ones."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from splatrl.capture.drift import leap, lost_scale, weak_scale
+from splatrl.capture.base import Reconstruction
+from splatrl.capture.drift import below_floor, leap, lost_scale, weak_scale
 from splatrl.capture.world import SCALE_ERROR, Placed, moved, place
-from tests.capture.walks import CAMERAS, walk
+from tests.capture.walks import ABOVE, CAMERAS, walk, without_points
 
 
 @pytest.mark.parametrize(("scale", "lost"), [(1.0, False), (0.6, False), (0.2, True)])
@@ -41,7 +43,7 @@ def test_a_film_whose_scale_is_hardly_carried_on_is_reported_with_the_time_and_s
     ways[24] = 0.06
     film = replace(film, carried=ways)
     weak = place(film, marker=None, camera_height=1.4)
-    assert weak.scale_error is None
+    assert weak.scale_error is None and weak.up_error_deg is None and good.up_error_deg is not None
     assert "before and after 6 s may differ in scale: only 6 %" in str(weak_scale(weak))
     assert place(film, metric=True, marker=None).scale_error == SCALE_ERROR["recorded"]
 
@@ -90,3 +92,36 @@ def test_the_way_from_one_take_to_the_next_is_no_leap_and_a_leap_within_a_take_i
 def test_photos_without_times_are_never_reported_as_jumping() -> None:
     film = _film(1.5)
     assert leap(replace(film, reconstruction=replace(film.reconstruction, seconds=None))) is None
+
+
+def _sinking(last: float, scale: float = 1.0) -> Reconstruction:
+    """Return a walk whose camera moves evenly, in its last third down to a height of ``last`` metres."""
+    first = walk()
+    poses = first.camera_to_world.clone()
+    turn = torch.linspace(0, 6.0, CAMERAS, dtype=torch.float64)
+    poses[:, 0, 3], poses[:, 1, 3], poses[:, 2, 3] = 1.5 * turn.cos(), 1.7 * turn.sin(), ABOVE
+    poses[:, 2, 3] += (last - ABOVE) * ((turn - 4.0).clamp(min=0.0) / 2.0) ** 2
+    film = replace(first, camera_to_world=poses, seconds=torch.arange(CAMERAS, dtype=torch.float64) / 4)
+    return moved(film, np.diag([scale] * 3 + [1.0]))
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.2])
+def test_a_camera_that_goes_below_the_floor_is_reported_with_the_time_and_states_no_errors(scale: float) -> None:
+    sunken = place(_sinking(-0.15, scale), marker=None, camera_height=1.2)
+    assert leap(sunken) is None and sunken.up_from == "floor"
+    assert re.search("below the floor at (9|10) s: parts of the place are joined wrongly", str(below_floor(sunken)))
+    assert (sunken.up_error_deg, sunken.scale_error) == (None, None)
+    lowered = place(_sinking(0.15, scale), marker=None, camera_height=1.2)
+    assert below_floor(lowered) is None and None not in (lowered.up_error_deg, lowered.scale_error)
+
+
+def test_a_camera_that_goes_down_to_where_no_floor_is_seen_is_not_reported() -> None:
+    film = _sinking(-0.15)
+    under = film.camera_to_world[-6:, :2, 3]
+    away = torch.cdist(film.points[:, :2], under).amin(1) > 0.8
+    assert below_floor(place(without_points(film, away), marker=None, camera_height=1.2)) is None
+
+
+def test_photos_of_a_camera_below_the_floor_are_reported_by_their_number() -> None:
+    photos = replace(_sinking(-0.15), seconds=None)
+    assert re.search(r"below the floor at image 3\d", str(below_floor(place(photos, marker=None, camera_height=1.2))))

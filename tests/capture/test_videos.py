@@ -130,6 +130,33 @@ def test_times_of_films_that_were_joined_do_not_go_back(tmp_path: Path) -> None:
     assert photos.cuts == pytest.approx([2.0]) and job_of(photos).cuts == photos.cuts
 
 
+def _join(paths: list[Path], out: Path) -> None:
+    """Put videos one after the other without decoding them, as `ffmpeg -f concat -c copy` does."""
+    with av.open(str(out), "w") as joined:
+        track, end = None, 0
+        for path in paths:
+            with av.open(str(path)) as film:
+                track = track or joined.add_stream_from_template(film.streams.video[0])
+                begin = end
+                for packet in film.demux(video=0):
+                    if packet.pts is not None and packet.dts is not None:
+                        packet.pts, packet.dts, packet.stream = packet.pts + begin, packet.dts + begin, track
+                        end = max(end, packet.pts + (packet.duration or 0))
+                        joined.mux(packet)
+
+
+def test_films_of_different_sizes_that_were_joined_are_refused_by_when_the_second_begins(tmp_path: Path) -> None:
+    images = [room_image(pose) for pose in walk(20)]
+    write_video(tmp_path / "first.mp4", images)
+    write_video(tmp_path / "turned.mp4", [np.ascontiguousarray(np.rot90(image)) for image in images])
+    _join([tmp_path / "first.mp4", tmp_path / "first.mp4"], tmp_path / "same.mp4")
+    assert read_photos(tmp_path / "same.mp4", tmp_path / "out", count=(8, 8)).remarks == ()
+    _join([tmp_path / "first.mp4", tmp_path / "turned.mp4"], tmp_path / "a.mp4")
+    said = r"a\.mp4: expected at most 3 % damaged frames, got \d+ of 40; from 2 s on, .* held differently, were joined"
+    with pytest.raises(CaptureError, match=said):
+        read_photos(tmp_path / "a.mp4", tmp_path / "other", count=(8, 8))
+
+
 def test_cuts_are_told_from_fast_turns_flashes_and_gaps() -> None:
     walked = [image[..., 1] for image in map(room_image, walk(60)[:20])]
     elsewhere = [image[..., 1] for image in map(room_image, walk(60)[40:50])]
