@@ -31,6 +31,7 @@ from splatrl.configuration import (
 )
 from splatrl.device import device_line
 from splatrl.envs.world import World, Worlds
+from splatrl.evaluation.evaluate import remove_results
 from splatrl.evaluation.starts import given_episodes
 from splatrl.files import alone_in
 from splatrl.made_with import check_made_with
@@ -101,8 +102,13 @@ def train(cfg: DictConfig, folder: Path) -> float:
     # Modules and the world live as long as the process; rescanning them would take a tenth of the training time.
     gc.freeze()
     try:
+        goes_on = not trainer.ppo.finished
+        if goes_on:
+            remove_results(folder)  # those of a part of this training
         with watched(cfg, world, trainer):
             trainer.fit()
+        if goes_on:
+            remove_results(folder)  # those of somebody who evaluated it meanwhile
         summary = evaluate_run(cfg, folder, world)
         if trainer.tracker is not None:
             trainer.tracker.scalars(evaluated(summary), trainer.ppo.frames)

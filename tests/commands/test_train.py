@@ -154,7 +154,9 @@ def test_ctrl_c_saves_and_says_how_to_continue(run: tuple[Path, str], scene: lis
     assert process.returncode == 130, said + output
     assert f"continue with: splatrl-train 'resume={tmp_path}'" in output
     assert load_checkpoint(tmp_path / "checkpoints" / "last.pt")["ppo"]["frames"] > 0
+    (tmp_path / "rollouts.mp4").touch()  # as if somebody had evaluated the interrupted training
     finish(command("train", f"resume={tmp_path}"))
+    assert not (tmp_path / "rollouts.mp4").exists()  # the whole one is not filmed
     whole, resumed = (load_checkpoint(one / "checkpoints" / "last.pt")["ppo"]["model"] for one in (run[0], tmp_path))
     assert all(torch.equal(value, resumed[key]) for key, value in whole.items())
 
