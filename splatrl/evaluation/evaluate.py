@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +75,7 @@ def evaluate(
     Returns:
         The content of ``evaluation.json``, and the files of the pictures and videos.
     """
-    facts = _facts_of_training(checkpoint, folder) | {"checkpoint": settings.checkpoint, "seed": seed}
+    facts = _facts_of_training(checkpoint, folder) | {"evaluation": asdict(settings), "seed": seed}
     facts["transforms"] = simulated(world.make_transforms())
     plans = [one.plan for one in world.worlds]
     if settings.episodes is None:

@@ -77,6 +77,7 @@ def test_a_run_writes_results_pictures_and_checkpoints(run: tuple[Path, str]) ->
     assert keys <= summary.keys()
     assert summary["frames"] == 1280
     assert summary["episodes"] == summary["start_poses"] > 0
+    assert (summary["evaluation"]["checkpoint"], summary["evaluation"]["repeats"]) == ("last", 1)
     assert 0 <= summary["step_spl"] <= summary["success_rate"] <= 1
 
 
@@ -231,7 +232,7 @@ def test_an_evaluation_in_another_scene_has_its_own_folder(
     words = [f"scene={other}", "robot.height=0.3", "transforms/pose_noise=uniform", "video=false", "starts=6"]
     monkeypatch.setattr(sys, "argv", ["splatrl-evaluate", f"run={folder}", *words])
     evaluate.main()
-    there = folder / "places" / f"{other.stem}-robot.height=0.3-transforms-pose_noise=uniform"
+    there = folder / "places" / f"{other.stem}-robot.height=0.3-transforms-pose_noise=uniform-starts=6"
     noisy = json.loads((there / "evaluation.json").read_text())
     assert noisy["evaluated_starts"] == 6
     assert noisy["transforms"] == ["PoseNoise"] and ", under pose noise\n" in capsys.readouterr().out
@@ -282,13 +283,22 @@ def test_the_overrides_saved_in_a_strangers_run_are_treated_as_data(
 def test_an_evaluation_can_override_the_settings_of_its_run(
     run: tuple[Path, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given = []
-    monkeypatch.setattr(evaluate, "evaluate_run", lambda cfg, folder, results, place: given.append(cfg.evaluation))
+    given, where = [], []
+
+    def evaluated(cfg: DictConfig, folder: Path, results: Path | None, place: list[str]) -> None:
+        given.append(cfg.evaluation)
+        where.append(results)
+
+    monkeypatch.setattr(evaluate, "evaluate_run", evaluated)
     monkeypatch.setattr(sys, "argv", ["splatrl-evaluate", f"run={run[0]}", "starts=5", "seed=3", "checkpoint=last"])
     evaluate.main()
     own = run_config(run[0]).evaluation
     assert (given[0].starts, given[0].seed, given[0].checkpoint) == (5, 3, "last") and own.starts != 5
     assert given[0].repeats == own.repeats
+    assert where == [run[0] / "places" / "checkpoint=last-starts=5-seed=3"]
+    monkeypatch.setattr(sys, "argv", ["splatrl-evaluate", f"run={run[0]}", "video=false"])
+    evaluate.main()
+    assert (given[1].starts, where[1]) == (own.starts, None)
 
 
 def test_watching_several_scenes_is_refused_before_they_are_built(
