@@ -20,7 +20,7 @@ from splatrl.evaluation.rollouts import run_episodes
 from splatrl.evaluation.starts import spread_starts
 from splatrl.files import expanded
 from splatrl.made_with import made_with
-from splatrl.training import PPO, Actor, Cloner, Matcher, Trainer, inputs_of, make_tracker, views
+from splatrl.training import PPO, Actor, Cloner, Matcher, Stage, Trainer, inputs_of, make_tracker, views
 from splatrl.values import require_number
 
 
@@ -55,7 +55,7 @@ def build_trainer(
     ppo = PPO(
         env, model, loss, optim, collector.frames_per_batch, collector.total_frames, _cuda_graph(collector.cuda_graph)
     )
-    teaching = _teaching(cfg, world, ppo) if resumes is None else None  # refuses before anything is written
+    teaching = _teaching(cfg, world, ppo) if resumes is None else []  # refuses before anything is written
     starts = spread_starts(world, cfg.logger.num_test_episodes)
     test_env = world.env(min(cfg.env.num_envs, len(starts.state)), seed=cfg.seed)
 
@@ -84,12 +84,14 @@ def build_trainer(
     )
     if resumes is not None:
         trainer.resume(partial(resumes, made))
-        trainer.prepare = _teaching(cfg, world, ppo) if ppo.frames == 0 else None
+        trainer.prepare = [] if trainer.prepared else _teaching(cfg, world, ppo)
     return trainer
 
 
-def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> Callable[[], Iterator[dict[str, float]]] | None:
-    """Return the teaching that precedes learning from reward (matching, cloning, DAgger); None if there is none.
+def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> list[Stage]:
+    """Return the stages of teaching that precede learning from reward: matching, then cloning and DAgger.
+
+    Matching is left out if it is done, as after an interruption: it comes first, and alone is saved before all is done.
 
     Raises:
         ValueError: if ``demos`` is neither a folder of demonstrations nor a number, or for settings that do not
@@ -103,21 +105,23 @@ def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> Callable[[], 
     elif cfg.demos is not None:
         require_number("demos", cfg.demos, 1, 10**6, whole=True)
     elif not dagger.rounds and not matching.frames:
-        return None
+        return []
     check_imitation(ppo, world, dagger, sum(map(len, shown)), matching.frames)
     matcher = Matcher(ppo.model, matching) if matching.frames else None
 
+    def match() -> Iterator[dict[str, float]]:
+        assert matcher is not None
+        env = world.env(cfg.env.num_envs, seed=worker_seed(cfg.seed, 1))
+        loss = matcher.fit(views(env, matching.frames))  # keep no reference: the views take gigabytes
+        ppo.frames += matching.frames
+        yield {"loss_matching": loss}
+
     def teach() -> Iterator[dict[str, float]]:
-        if matcher is not None:
-            env = world.env(cfg.env.num_envs, seed=worker_seed(cfg.seed, 1))
-            loss = matcher.fit(views(env, matching.frames))  # keep no reference: the views take gigabytes
-            ppo.frames += matching.frames
-            yield {"loss_matching": loss}
         cloner = Cloner(ppo.model, cloning)
         episodes = shown or _walked(world, cfg.demos or 0, cfg.seed)
         yield from imitate(ppo, cloner, world, episodes, dagger, worker_seed(cfg.seed, 0))
 
-    return teach
+    return [match, teach] if matching.frames and ppo.frames == 0 else [teach]
 
 
 def _walked(world: World | Worlds, episodes: int, seed: int) -> list[Demonstrations]:

@@ -11,7 +11,7 @@ from splatrl.training.networks import actor_critic
 from splatrl.training.ppo import PPO
 from splatrl.training.settings import LossSettings, OptimSettings
 from splatrl.training.trackers import make_tracker
-from splatrl.training.trainer import Trainer
+from splatrl.training.trainer import Stage, Trainer
 
 __all__ = [
     "PPO",
@@ -24,6 +24,7 @@ __all__ = [
     "Matcher",
     "MatchingSettings",
     "OptimSettings",
+    "Stage",
     "Trainer",
     "actor_critic",
     "inputs_of",
