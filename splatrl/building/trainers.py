@@ -16,11 +16,12 @@ from splatrl.configuration import with_absolute_paths
 from splatrl.datasets import Demonstrations, check_imitation, imitate, planner_episodes, read_demonstrations
 from splatrl.device import AUTO
 from splatrl.envs.world import World, Worlds
+from splatrl.evaluation.episode_sets import require_episodes
 from splatrl.evaluation.rollouts import run_episodes
 from splatrl.evaluation.starts import spread_starts
 from splatrl.files import expanded
 from splatrl.made_with import made_with
-from splatrl.training import PPO, Actor, Cloner, Matcher, Stage, Trainer, inputs_of, make_tracker, views
+from splatrl.training import PPO, Actor, Cloner, Matcher, Stage, Trainer, check_tracker, inputs_of, make_tracker, views
 from splatrl.values import require_number
 
 
@@ -32,6 +33,27 @@ def build_model(cfg: DictConfig, env: EnvBase) -> ActorValueOperator:
     if told := inputs_of(cfg.get("critic_inputs") or {}, env.observation_spec, "critic_inputs"):
         given["critic_inputs"] = told
     return instantiate(cfg.network)(image_shape, env.action_spec, **given).to(env.device)
+
+
+def check_training(cfg: DictConfig, new: bool) -> None:
+    """Refuse settings that only a trainer or the evaluation would notice, before a world is built, which takes long.
+
+    Args:
+        cfg: the complete config.
+        new: whether the training begins, and has yet to learn from demonstrations.
+
+    Raises:
+        FileNotFoundError: for episodes or demonstrations that do not exist.
+        ImportError: if the package of ``logger.backend`` is not installed.
+        ValueError: for a setting out of range, or damaged demonstrations.
+    """
+    check_tracker(cfg.logger.backend, cfg.logger.exp_name)
+    if cfg.evaluation.episodes is not None:
+        require_episodes(Path(str(cfg.evaluation.episodes)))
+    for node in ("loss", "optim", "cloning", "dagger", "matching"):
+        instantiate(cfg[node])
+    if new:
+        _demonstrations(cfg)
 
 
 def build_trainer(
@@ -98,13 +120,10 @@ def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> list[Stage]:
             fit each other, the policy, the task or the frame budget.
     """
     cloning, dagger, matching = instantiate(cfg.cloning), instantiate(cfg.dagger), instantiate(cfg.matching)
-    shown = list[Demonstrations]()
-    if isinstance(cfg.demos, str):
-        shown = [read_demonstrations(expanded(cfg.demos))]
-        shown[0].warn_of_another_scene(world)
-    elif cfg.demos is not None:
-        require_number("demos", cfg.demos, 1, 10**6, whole=True)
-    elif not dagger.rounds and not matching.frames:
+    shown = _demonstrations(cfg)
+    for one in shown:
+        one.warn_of_another_scene(world)
+    if cfg.demos is None and not dagger.rounds and not matching.frames:
         return []
     check_imitation(ppo, world, dagger, sum(map(len, shown)), matching.frames)
     matcher = Matcher(ppo.model, matching) if matching.frames else None
@@ -122,6 +141,15 @@ def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> list[Stage]:
         yield from imitate(ppo, cloner, world, episodes, dagger, worker_seed(cfg.seed, 0))
 
     return [match, teach] if matching.frames and ppo.frames == 0 else [teach]
+
+
+def _demonstrations(cfg: DictConfig) -> list[Demonstrations]:
+    """Open the folder of demonstrations that a config names; empty if it names none."""
+    if isinstance(cfg.demos, str):
+        return [read_demonstrations(expanded(cfg.demos))]
+    if cfg.demos is not None:
+        require_number("demos", cfg.demos, 1, 10**6, whole=True)
+    return []
 
 
 def _walked(world: World | Worlds, episodes: int, seed: int) -> list[Demonstrations]:

@@ -13,11 +13,20 @@ from omegaconf import DictConfig, OmegaConf
 
 from splatrl.commands.entries import evaluate as main
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import NAMES_OR_PATHS, PATHS, check_config, conf_dir, config_elsewhere, options, quoted
+from splatrl.configuration import (
+    NAMES_OR_PATHS,
+    PATHS,
+    check_config,
+    check_values,
+    conf_dir,
+    config_elsewhere,
+    options,
+    quoted,
+)
 from splatrl.configuration.grammar import bare
 from splatrl.documents import read_yaml
 from splatrl.envs.world import World, Worlds
-from splatrl.evaluation.episode_sets import MOST_EPISODES
+from splatrl.evaluation.episode_sets import MOST_EPISODES, require_episodes
 from splatrl.evaluation.evaluate import EvaluationSettings, evaluate, summary_lines
 from splatrl.files import replacing, require_room
 from splatrl.runs import load_policy
@@ -77,6 +86,9 @@ def run(cfg: DictConfig) -> None:
     for key in (*SETTINGS, "episodes"):
         if cfg[key] is not None:
             OmegaConf.update(own, f"evaluation.{key}", cfg[key])
+    check_values(own)
+    if own.evaluation.episodes is not None:
+        require_episodes(Path(str(own.evaluation.episodes)))
     own.logger.video = cfg.video
     own.device = cfg.device or own.device
     torch.set_num_threads(own.threads)

@@ -12,7 +12,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from splatrl.building import build_trainer, build_world
+from splatrl.building import build_trainer, build_world, check_training
 from splatrl.commands.entries import train as main
 from splatrl.commands.evaluate import evaluate_run
 from splatrl.commands.faults import CONFIGURED, in_one_line
@@ -87,6 +87,7 @@ def train(cfg: DictConfig, folder: Path) -> float:
     check_config(cfg)
     if cfg.view and (count := len(place_configs(cfg))) > 1:
         raise ValueError(f"view: expected a training in one scene, got {count} scenes; type view=false")
+    check_training(cfg, not resume)
     if not resume:
         save_config(cfg, folder)
     torch.set_num_threads(cfg.threads)

@@ -312,6 +312,44 @@ def test_watching_several_scenes_is_refused_before_they_are_built(
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [
+        ("demos=nowhere/", "nowhere: expected a folder of demonstrations"),
+        ("evaluation.episodes=nowhere.json.gz", r"nowhere\.json\.gz: expected an episode file, found none"),
+        ("logger.backend=wandb", r"logger\.backend=wandb needs wandb: pip install"),
+        ("logger.exp_name=a/b", r"logger\.exp_name: expected a name"),
+        ("dagger.guided=2", r"dagger\.guided: expected a number from 0\.0 to 1\.0"),
+    ],
+)
+def test_settings_are_checked_before_a_world_is_built(
+    scene: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, word: str, message: str
+) -> None:
+    monkeypatch.setattr(train, "build_world", lambda cfg: pytest.fail("built"))
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    monkeypatch.setattr(sys, "argv", ["splatrl-train", *scene, word, f"hydra.run.dir={tmp_path / 'run'}"])
+    with pytest.raises(SystemExit, match=message):
+        train.main()
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [
+        ("repeats=0", r"evaluation\.repeats: expected a whole number from 1"),
+        ("checkpoint=first", r"evaluation\.checkpoint: expected one of last, best, got first"),
+        ("episodes=nowhere.json.gz", "expected an episode file, found none"),
+    ],
+)
+def test_settings_of_an_evaluation_are_checked_before_a_world_is_built(
+    run: tuple[Path, str], monkeypatch: pytest.MonkeyPatch, word: str, message: str
+) -> None:
+    monkeypatch.setattr(evaluate, "evaluate_run", lambda *_, **__: pytest.fail("built"))
+    monkeypatch.setattr(sys, "argv", ["splatrl-evaluate", f"run={run[0]}", word])
+    with pytest.raises(SystemExit, match=message):
+        evaluate.main()
+
+
 def test_resuming_a_missing_run_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["splatrl-train", f"resume={tmp_path / 'nowhere'}"])
     with pytest.raises(SystemExit, match="resume: expected a run folder"):

@@ -127,7 +127,7 @@ def test_what_is_damaged_in_the_cache_is_made_again_with_a_warning(
         block.unlink()
     else:
         (folder / ("blocks.yaml" if damage == "emptied list" else source.DIGESTS)).write_text("")
-    with pytest.warns(UserWarning, match=r"as it was written, got \d files damaged or missing, .*; making them again"):
+    with pytest.warns(UserWarning, match=r"as it was written, got .* damaged or missing; making them again"):
         scene = splatrl.town(seed=3, blocks=1)
     assert len(scene.gaussians) > 0
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == kept

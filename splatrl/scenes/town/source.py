@@ -75,9 +75,9 @@ def _remove_damaged(folder: Path) -> None:
         damaged = list(folder.iterdir())
     if not damaged:
         return
+    names = ", ".join(path.name for path in damaged[:3]) + (", ..." if len(damaged) > 3 else "")
     warnings.warn(
-        f"{folder}: expected the generated town as it was written, got {len(damaged):,} files damaged or missing, such "
-        f"as {damaged[0].name}; making them again",
+        f"{folder}: expected the generated town as it was written, got {names} damaged or missing; making them again",
         stacklevel=3,
     )
     for path in (*damaged, folder / DIGESTS):
