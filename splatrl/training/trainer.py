@@ -184,7 +184,7 @@ class Trainer:
             row |= {"frames": self.ppo.frames, "level": self.level}
             (lesson,) = (name for name in row if name.startswith("loss_"))
             told = f"trained on {self.ppo.frames:,} frames: {lesson} {row[lesson]:.4f}"
-            tested_at = max((past["frames"] for past in self.history if "test_success" in past), default=0)
+            tested_at = int(max((past["frames"] for past in self.history if "test_success" in past), default=0))
             if tested_at == 0 or _crossed(tested_at, self.ppo.frames, self.test_interval):
                 row |= self._tested()
                 told = f"{told}, success {row['test_success']:.2f}"
