@@ -43,7 +43,7 @@ def _forgiving(stream: io.TextIOWrapper) -> io.TextIOWrapper:
 class _Pipe(io.FileIO):
     """A pipe that becomes the null device when its reader leaves, as Python's documentation on SIGPIPE advises."""
 
-    def write(self, data: Any, /) -> int | None:
+    def write(self, data: Any, /) -> int:
         """Write bytes, and return how many were written."""
         try:
             return super().write(data)
