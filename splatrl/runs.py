@@ -1,5 +1,6 @@
 """Loads the policy of a run folder and the world in which it was trained."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,6 +84,12 @@ def load_policy(
         raise ValueError(
             f"{' '.join(place)}: expected the training's own scenes, in their order, where they are now, got others or "
             f"other contents; type scene=... to go elsewhere"
+        )
+    if chosen == "last" and not state.get("prepared", True):
+        warnings.warn(
+            f"{path}: the training was stopped before it had learned a batch or was through with imitation, so this "
+            "policy is as good as untrained; splatrl-train resume=... continues the training",
+            stacklevel=2,
         )
     model = build_model(cfg, world.env(1))
     with refusing(path, "the weights of the policy that the run's config describes"):

@@ -77,6 +77,15 @@ def test_a_missing_run_or_an_unknown_checkpoint_is_refused_by_name(run: Path, tm
         load_policy(run, "../first")
 
 
+def test_a_policy_that_has_not_learned_yet_is_loaded_with_a_warning(run: Path, tmp_path: Path) -> None:
+    world, run = build_world(run_config(run)), Path(shutil.copytree(run, tmp_path / "run"))
+    path = run / "checkpoints/last.pt"
+    save_checkpoint(path, torch.load(path, weights_only=True) | {"prepared": False})
+    with pytest.warns(UserWarning, match=r"last\.pt: the training was stopped before .* as good as untrained"):
+        load_policy(run, world=world)
+    load_policy(run, "best", world=world)
+
+
 def test_a_damaged_checkpoint_is_refused(run: Path, tmp_path: Path) -> None:
     (tmp_path / "checkpoints").mkdir()
     (tmp_path / "config.yaml").write_bytes((run / "config.yaml").read_bytes())

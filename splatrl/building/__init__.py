@@ -2,7 +2,7 @@
 
 from splatrl.building.envs import env_makers, make_env, worker_seed
 from splatrl.building.places import check_place, scene_digest
-from splatrl.building.trainers import build_model, build_trainer
+from splatrl.building.trainers import build_model, build_trainer, check_training
 from splatrl.building.worlds import build_one_world, build_world
 
 __all__ = [
@@ -11,6 +11,7 @@ __all__ = [
     "build_trainer",
     "build_world",
     "check_place",
+    "check_training",
     "env_makers",
     "make_env",
     "scene_digest",

@@ -16,11 +16,12 @@ from splatrl.configuration import with_absolute_paths
 from splatrl.datasets import Demonstrations, check_imitation, imitate, planner_episodes, read_demonstrations
 from splatrl.device import AUTO
 from splatrl.envs.world import World, Worlds
+from splatrl.evaluation.episode_sets import require_episodes
 from splatrl.evaluation.rollouts import run_episodes
 from splatrl.evaluation.starts import spread_starts
 from splatrl.files import expanded
 from splatrl.made_with import made_with
-from splatrl.training import PPO, Actor, Cloner, Matcher, Trainer, inputs_of, make_tracker, views
+from splatrl.training import PPO, Actor, Cloner, Matcher, Stage, Trainer, check_tracker, inputs_of, make_tracker, views
 from splatrl.values import require_number
 
 
@@ -32,6 +33,27 @@ def build_model(cfg: DictConfig, env: EnvBase) -> ActorValueOperator:
     if told := inputs_of(cfg.get("critic_inputs") or {}, env.observation_spec, "critic_inputs"):
         given["critic_inputs"] = told
     return instantiate(cfg.network)(image_shape, env.action_spec, **given).to(env.device)
+
+
+def check_training(cfg: DictConfig, new: bool) -> None:
+    """Refuse settings that only a trainer or the evaluation would notice, before a world is built, which takes long.
+
+    Args:
+        cfg: the complete config.
+        new: whether the training begins, and has yet to learn from demonstrations.
+
+    Raises:
+        FileNotFoundError: for episodes or demonstrations that do not exist.
+        ImportError: if the package of ``logger.backend`` is not installed.
+        ValueError: for a setting out of range, or damaged demonstrations.
+    """
+    check_tracker(cfg.logger.backend, cfg.logger.exp_name)
+    if cfg.evaluation.episodes is not None:
+        require_episodes(Path(str(cfg.evaluation.episodes)))
+    for node in ("loss", "optim", "cloning", "dagger", "matching"):
+        instantiate(cfg[node])
+    if new:
+        _demonstrations(cfg)
 
 
 def build_trainer(
@@ -55,7 +77,7 @@ def build_trainer(
     ppo = PPO(
         env, model, loss, optim, collector.frames_per_batch, collector.total_frames, _cuda_graph(collector.cuda_graph)
     )
-    teaching = _teaching(cfg, world, ppo) if resumes is None else None  # refuses before anything is written
+    teaching = _teaching(cfg, world, ppo) if resumes is None else []  # refuses before anything is written
     starts = spread_starts(world, cfg.logger.num_test_episodes)
     test_env = world.env(min(cfg.env.num_envs, len(starts.state)), seed=cfg.seed)
 
@@ -84,40 +106,50 @@ def build_trainer(
     )
     if resumes is not None:
         trainer.resume(partial(resumes, made))
-        trainer.prepare = _teaching(cfg, world, ppo) if ppo.frames == 0 else None
+        trainer.prepare = [] if trainer.prepared else _teaching(cfg, world, ppo)
     return trainer
 
 
-def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> Callable[[], Iterator[dict[str, float]]] | None:
-    """Return the teaching that precedes learning from reward (matching, cloning, DAgger); None if there is none.
+def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> list[Stage]:
+    """Return the stages of teaching that precede learning from reward: matching, then cloning and DAgger.
+
+    Matching is left out if it is done, as after an interruption: it comes first, and alone is saved before all is done.
 
     Raises:
         ValueError: if ``demos`` is neither a folder of demonstrations nor a number, or for settings that do not
             fit each other, the policy, the task or the frame budget.
     """
     cloning, dagger, matching = instantiate(cfg.cloning), instantiate(cfg.dagger), instantiate(cfg.matching)
-    shown = list[Demonstrations]()
-    if isinstance(cfg.demos, str):
-        shown = [read_demonstrations(expanded(cfg.demos))]
-        shown[0].warn_of_another_scene(world)
-    elif cfg.demos is not None:
-        require_number("demos", cfg.demos, 1, 10**6, whole=True)
-    elif not dagger.rounds and not matching.frames:
-        return None
+    shown = _demonstrations(cfg)
+    for one in shown:
+        one.warn_of_another_scene(world)
+    if cfg.demos is None and not dagger.rounds and not matching.frames:
+        return []
     check_imitation(ppo, world, dagger, sum(map(len, shown)), matching.frames)
     matcher = Matcher(ppo.model, matching) if matching.frames else None
 
+    def match() -> Iterator[dict[str, float]]:
+        assert matcher is not None
+        env = world.env(cfg.env.num_envs, seed=worker_seed(cfg.seed, 1))
+        loss = matcher.fit(views(env, matching.frames))  # keep no reference: the views take gigabytes
+        ppo.frames += matching.frames
+        yield {"loss_matching": loss}
+
     def teach() -> Iterator[dict[str, float]]:
-        if matcher is not None:
-            env = world.env(cfg.env.num_envs, seed=worker_seed(cfg.seed, 1))
-            loss = matcher.fit(views(env, matching.frames))  # keep no reference: the views take gigabytes
-            ppo.frames += matching.frames
-            yield {"loss_matching": loss}
         cloner = Cloner(ppo.model, cloning)
         episodes = shown or _walked(world, cfg.demos or 0, cfg.seed)
         yield from imitate(ppo, cloner, world, episodes, dagger, worker_seed(cfg.seed, 0))
 
-    return teach
+    return [match, teach] if matching.frames and ppo.frames == 0 else [teach]
+
+
+def _demonstrations(cfg: DictConfig) -> list[Demonstrations]:
+    """Open the folder of demonstrations that a config names; empty if it names none."""
+    if isinstance(cfg.demos, str):
+        return [read_demonstrations(expanded(cfg.demos))]
+    if cfg.demos is not None:
+        require_number("demos", cfg.demos, 1, 10**6, whole=True)
+    return []
 
 
 def _walked(world: World | Worlds, episodes: int, seed: int) -> list[Demonstrations]:

@@ -3,14 +3,13 @@
 Only then is the command itself imported, with PyTorch, TorchRL and matplotlib, which takes seconds.
 """
 
-import codecs
-import io
 import sys
 from collections.abc import Sequence
 from functools import partial
 from importlib import import_module
 
 from splatrl.commands import parsers
+from splatrl.commands.outputs import open_outputs
 
 INTERRUPTED = 130
 """Exit code of a command interrupted by Ctrl-C."""
@@ -27,9 +26,7 @@ def start(name: str, arguments: Sequence[str] | None = None) -> None:
         name: name of the command's module, and of its root config if it has one.
         arguments: the command's arguments; None takes them from the command line.
     """
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper) and codecs.lookup(stream.encoding).name != "utf-8":
-            stream.reconfigure(errors="replace")  # pages and messages hold signs that not every encoding has
+    open_outputs()
     try:
         if "--version" in (sys.argv[1:] if arguments is None else arguments):
             print(f"splatrl {import_module('importlib.metadata').version('splatrl')}")

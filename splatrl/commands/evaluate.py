@@ -13,18 +13,29 @@ from omegaconf import DictConfig, OmegaConf
 
 from splatrl.commands.entries import evaluate as main
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import NAMES_OR_PATHS, PATHS, check_config, conf_dir, config_elsewhere, options, quoted
+from splatrl.configuration import (
+    NAMES_OR_PATHS,
+    PATHS,
+    check_config,
+    check_values,
+    conf_dir,
+    config_elsewhere,
+    options,
+    quoted,
+)
 from splatrl.configuration.grammar import bare
 from splatrl.documents import read_yaml
 from splatrl.envs.world import World, Worlds
-from splatrl.evaluation.episode_sets import MOST_EPISODES
+from splatrl.evaluation.episode_sets import MOST_EPISODES, require_episodes
 from splatrl.evaluation.evaluate import EvaluationSettings, evaluate, summary_lines
 from splatrl.files import replacing, require_room
 from splatrl.runs import load_policy
 from splatrl.training import Actor
 
 PLACE = "place.yaml"
-"""File in a folder of results: the overrides of the place in which the policy was evaluated."""
+"""File in a folder of results: what was typed, the overrides of the place and settings of the evaluation."""
+SETTINGS = ("checkpoint", "starts", "repeats", "seed")
+"""Settings of an evaluation whose results, when typed, are kept apart from the run's own."""
 
 
 def evaluate_run(
@@ -41,7 +52,7 @@ def evaluate_run(
         folder: the run folder.
         world: the world built from ``cfg``, if it exists already.
         results: folder for numbers and pictures; None is the run folder.
-        place: the overrides with which ``cfg`` was made, if any; see ``load_policy``.
+        place: what was typed to make ``cfg`` of the run's own; see ``load_policy``.
 
     Raises:
         OSError: if ``results`` cannot be written to; the message names it.
@@ -65,15 +76,19 @@ def run(cfg: DictConfig) -> None:
     folder, results = Path(cfg.run), None
     words = [_absolute(str(word)) for word in cfg.place]
     own = config_elsewhere(folder, words, cfg.allow_targets)
+    words += [f"{key}={cfg[key]}" for key in SETTINGS if cfg[key] is not None]
     if cfg.episodes:
         words.append(f"episodes={Path(str(cfg.episodes)).absolute()}")
     if words:
         results = _results_folder(folder / "places", words)
     if cfg.episodes and cfg.starts is None:
         cfg.starts = MOST_EPISODES  # a file is evaluated whole
-    for key in ("checkpoint", "starts", "repeats", "seed", "episodes"):
+    for key in (*SETTINGS, "episodes"):
         if cfg[key] is not None:
             OmegaConf.update(own, f"evaluation.{key}", cfg[key])
+    check_values(own)
+    if own.evaluation.episodes is not None:
+        require_episodes(Path(str(own.evaluation.episodes)))
     own.logger.video = cfg.video
     own.device = cfg.device or own.device
     torch.set_num_threads(own.threads)
@@ -90,7 +105,7 @@ def _absolute(word: str) -> str:
 
 
 def _results_folder(places: Path, words: Sequence[str]) -> Path:
-    """Return the folder for the results at a place: named after its scene or file, and whatever else was typed.
+    """Return the folder for results apart from the run's own: named after scene or file, and whatever else was typed.
 
     Another place of the same name gets a number.
     """
@@ -106,7 +121,7 @@ def _results_folder(places: Path, words: Sequence[str]) -> Path:
 
 @contextmanager
 def _made(folder: Path, words: Sequence[str]) -> Iterator[None]:
-    """Create a results folder with a record of its place for the block, and remove both if nothing else was added."""
+    """Create a results folder with a record of what was typed, and remove both if the block adds nothing."""
     folder.mkdir(parents=True, exist_ok=True)
     with replacing(folder / PLACE) as stream:
         stream.write(OmegaConf.to_yaml(OmegaConf.create(list(words))).encode())

@@ -2,7 +2,11 @@
 
 import itertools
 import signal
-from contextlib import suppress
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 import hydra
@@ -13,18 +17,20 @@ from tqdm import tqdm
 from splatrl.building import build_one_world
 from splatrl.commands.entries import record as main
 from splatrl.commands.faults import in_one_line
-from splatrl.commands.stopping import interrupted_by
+from splatrl.commands.stopping import handled, interrupted_by
 from splatrl.configuration import check_config, conf_dir, save_config
 from splatrl.datasets import Demonstrations, check_lerobot, planner_episodes, write_demonstrations, write_lerobot
 from splatrl.envs.world import World
 from splatrl.files import new_folder, require_room
-from splatrl.values import require_number
+from splatrl.values import one_line, require_number
 from splatrl.viewer.driver import Takes
 from splatrl.viewer.driving import Driving
 from splatrl.viewer.keys import keys_of
 from splatrl.viewer.page import Page
 
 BY = ("planner", "keys")
+PAUSE = 10.0
+"""Time after which a recording that could not be written is written again, seconds."""
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="record")
@@ -49,17 +55,42 @@ def run(cfg: DictConfig) -> None:
     world = build_one_world(cfg)
     if cfg.lerobot is not None:
         check_lerobot(world.robot.image_width, world.robot.image_height)
-    found = driven(cfg, world) if cfg.by == "keys" else planned(cfg, world)
+    if cfg.by == "planner":
+        write(cfg, world, planned(cfg, world), folders)
+        return
+    with driven(cfg, world) as found:
+        for key, path in folders.items():
+            patiently(partial(write, cfg, world, found, {key: path}))
+
+
+def write(cfg: DictConfig, world: World, found: Demonstrations, folders: Mapping[str, Path]) -> None:
+    """Write demonstrations into new folders: ``out``, ``lerobot`` or both."""
     folders = {key: untaken(path) for key, path in folders.items()}
-    with new_folder(folders["out"]) as folder:
-        save_config(cfg, folder)
-        write_demonstrations(folder, found, {"by": cfg.by, "seed": cfg.seed})
-    if cfg.lerobot is not None:
-        task = f"{type(world.task).__name__} in {world.scene.name}"
+    if "out" in folders:
+        with new_folder(folders["out"]) as folder:
+            save_config(cfg, folder)
+            write_demonstrations(folder, found, {"by": cfg.by, "seed": cfg.seed})
+        print(f"{folders['out']}: {len(found.starts):,} episodes, {len(found):,} frames")
+    if "lerobot" in folders:
         with new_folder(folders["lerobot"]) as folder:
-            write_lerobot(folder, found, task)
+            write_lerobot(folder, found, f"{type(world.task).__name__} in {world.scene.name}")
         print(f"{folders['lerobot']}: the same episodes as a LeRobotDataset v3.0")
-    print(f"{folders['out']}: {len(found.starts):,} episodes, {len(found):,} frames")
+
+
+def patiently(write: Callable[[], None]) -> None:
+    """Write what a person has recorded and nobody can record again, as often as it takes, such as on a full disk.
+
+    Raises:
+        KeyboardInterrupt: if the person gives up.
+    """
+    while True:
+        try:
+            return write()
+        except OSError as error:
+            again = f"the episodes are kept, and written in {PAUSE:.0f} seconds if there is room; Ctrl-C drops them"
+            print(f"splatrl-record: {one_line(error)}; {again}", file=sys.stderr)
+            with handled(signal.default_int_handler, signal.SIGINT, signal.SIGTERM):
+                time.sleep(PAUSE)
 
 
 def untaken(path: Path) -> Path:
@@ -74,8 +105,9 @@ def planned(cfg: DictConfig, world: World) -> Demonstrations:
         return planner_episodes(world, cfg.episodes, cfg.seed, bar.update)
 
 
-def driven(cfg: DictConfig, world: World) -> Demonstrations:
-    """Record episodes that a person drives in the browser.
+@contextmanager
+def driven(cfg: DictConfig, world: World) -> Iterator[Demonstrations]:
+    """Record episodes that a person drives in the browser; no signal interrupts the block, which writes them.
 
     Recording ends when there are enough episodes, when the person ends it in the browser or by Ctrl-C, or when the
     terminal is closed.
@@ -92,8 +124,9 @@ def driven(cfg: DictConfig, world: World) -> Demonstrations:
         with suppress(KeyboardInterrupt), interrupted_by(signal.SIGTERM, signal.SIGHUP):
             while not driving.finished.wait(1.0):
                 pass
-        driving.finished.set()  # so that no further episode is added
-        return takes.demonstrations()
+        with handled(signal.SIG_IGN, signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            driving.finished.set()  # so that no further episode is added
+            yield takes.demonstrations()
     finally:
         page.close()
 

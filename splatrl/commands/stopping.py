@@ -3,8 +3,9 @@
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from splatrl.commands.entries import INTERRUPTED
 
@@ -36,12 +37,17 @@ def interrupted_by(*numbers: signal.Signals) -> Iterator[None]:
     Args:
         numbers: such as SIGTERM, or SIGHUP, which a terminal sends when it is closed or its connection is lost.
     """
+    with handled(signal.default_int_handler, *(one for one in numbers if signal.getsignal(one) is signal.SIG_DFL)):
+        yield
+
+
+@contextmanager
+def handled(handler: Callable[..., Any] | signal.Handlers, *numbers: signal.Signals) -> Iterator[None]:
+    """Let a handler answer signals in the block; ``signal.SIG_IGN`` ignores them."""
     alone = threading.current_thread() is threading.main_thread()  # no other thread can handle signals
-    taken = [number for number in numbers if alone and signal.getsignal(number) is signal.SIG_DFL]
-    for number in taken:
-        signal.signal(number, signal.default_int_handler)
+    before = {number: signal.signal(number, handler) for number in numbers if alone}
     try:
         yield
     finally:
-        for number in taken:
-            signal.signal(number, signal.SIG_DFL)
+        for number, usual in before.items():
+            signal.signal(number, usual)

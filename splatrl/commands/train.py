@@ -12,7 +12,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from splatrl.building import build_trainer, build_world
+from splatrl.building import build_trainer, build_world, check_training
 from splatrl.commands.entries import train as main
 from splatrl.commands.evaluate import evaluate_run
 from splatrl.commands.faults import CONFIGURED, in_one_line
@@ -31,6 +31,7 @@ from splatrl.configuration import (
 )
 from splatrl.device import device_line
 from splatrl.envs.world import World, Worlds
+from splatrl.evaluation.evaluate import remove_results
 from splatrl.evaluation.starts import given_episodes
 from splatrl.files import alone_in
 from splatrl.made_with import check_made_with
@@ -86,6 +87,7 @@ def train(cfg: DictConfig, folder: Path) -> float:
     check_config(cfg)
     if cfg.view and (count := len(place_configs(cfg))) > 1:
         raise ValueError(f"view: expected a training in one scene, got {count} scenes; type view=false")
+    check_training(cfg, not resume)
     if not resume:
         save_config(cfg, folder)
     torch.set_num_threads(cfg.threads)
@@ -101,8 +103,13 @@ def train(cfg: DictConfig, folder: Path) -> float:
     # Modules and the world live as long as the process; rescanning them would take a tenth of the training time.
     gc.freeze()
     try:
+        goes_on = not trainer.ppo.finished
+        if goes_on:
+            remove_results(folder)  # those of a part of this training
         with watched(cfg, world, trainer):
             trainer.fit()
+        if goes_on:
+            remove_results(folder)  # those of somebody who evaluated it meanwhile
         summary = evaluate_run(cfg, folder, world)
         if trainer.tracker is not None:
             trainer.tracker.scalars(evaluated(summary), trainer.ppo.frames)

@@ -1,6 +1,6 @@
 """Hydra configs: composing them from the command line, checking them, and storing them in run folders."""
 
-from splatrl.configuration.checking import check_config, check_constructors
+from splatrl.configuration.checking import check_config, check_constructors, check_values
 from splatrl.configuration.command_line import UserError, command_line
 from splatrl.configuration.elsewhere import config_elsewhere, moves_scene, placed, words_of_place
 from splatrl.configuration.grammar import quoted
@@ -34,6 +34,7 @@ __all__ = [
     "check_files",
     "check_new",
     "check_texts",
+    "check_values",
     "command_line",
     "conf_dir",
     "config_elsewhere",

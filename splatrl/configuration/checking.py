@@ -73,11 +73,21 @@ def check_config(cfg: DictConfig) -> None:
             example, there = EXAMPLES.get(needed[0], needed[0] + "=..."), f" in {name}" if name else ""
             raise ValueError(f"{needed[0]}: expected a value{there}, got none; type {example}")
     _check_common(names, places)
-    for key, (low, high) in WHOLE_NUMBERS.items() if "collector" in cfg else ():  # only training configs
+    if "collector" in cfg:
+        check_values(cfg)
+
+
+def check_values(cfg: DictConfig) -> None:
+    """Refuse values of a training's config that are out of range or not among the words that their keys take.
+
+    Raises:
+        ValueError: names the key, what was expected and what was given.
+    """
+    for key, (low, high) in WHOLE_NUMBERS.items():
         value = OmegaConf.select(cfg, key)
         if value is not None or key not in NULLABLE:
             require_number(key, value, low, high, whole=True)
-    for key, valid in WORDS.items() if "collector" in cfg else ():
+    for key, valid in WORDS.items():
         if (value := OmegaConf.select(cfg, key)) not in valid:
             raise ValueError(f"{key}: expected one of {', '.join(valid)}, got {value}")
 

@@ -2,7 +2,6 @@
 
 import difflib
 import itertools
-import os
 import re
 import shlex
 import sys
@@ -90,7 +89,7 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
         passed = _forced if _resumed(overrides) else str
         if any(argument in HELP for argument in arguments):
             single = [passed(str(override.input_line)) for override in overrides if not override.is_sweep_override()]
-            _print_page(help_page(name, single))
+            print(help_page(name, single))
             sys.exit()
     except ValueError as error:
         sys.exit(f"splatrl-{name}: {error}")
@@ -130,14 +129,6 @@ def _options_first(words: Sequence[str]) -> list[str]:
     pairs = list(zip(["", *words], words, strict=False))
     options = [word for before, word in pairs if word.startswith("-") or before in WITH_VALUE]
     return [*options, *(word for before, word in pairs if not (word.startswith("-") or before in WITH_VALUE))]
-
-
-def _print_page(page: str) -> None:
-    """Print a page, tolerating a reader such as ``head`` that closes the pipe early."""
-    try:
-        print(page, flush=True)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains at exit
 
 
 def _is_plain(word: str) -> bool:

@@ -96,8 +96,7 @@ def read_episodes(path: Path, scenes: Sequence[str]) -> tuple[Tensor, Tensor, Te
         ValueError: for a file that is damaged, too large, of another kind, or names scenes that are not available; for
             an episode of several goals, or whose goal is higher or lower than its start by more than ``LEVEL``.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: expected an episode file, found none")
+    require_episodes(path)
     with refusing(path, EXPECTED):
         found = parsed_json(str(path), _unpacked(path))
         rows = found.get("episodes") if isinstance(found, dict) else None
@@ -107,6 +106,16 @@ def read_episodes(path: Path, scenes: Sequence[str]) -> tuple[Tensor, Tensor, Te
         read = [_episode(f"{path}: episode {number}", row, scenes) for number, row in enumerate(rows)]
     start, goal = (torch.tensor([row[which] for row in read], dtype=torch.float32) for which in (0, 1))
     return start, goal, torch.tensor([row[2] for row in read], dtype=torch.int64)
+
+
+def require_episodes(path: Path) -> None:
+    """Check that a file of episodes exists.
+
+    Raises:
+        FileNotFoundError: if not; the message names it.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: expected an episode file, found none")
 
 
 def _unpacked(path: Path) -> bytes:

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from splatrl.documents import write_json
 from splatrl.envs.transforms import simulated
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.episode_sets import EPISODES
-from splatrl.evaluation.pictures import Pictures
+from splatrl.evaluation.pictures import VIDEO, Pictures
 from splatrl.evaluation.report import by_scene, summarise
 from splatrl.evaluation.rollouts import Episodes, run_episodes
 from splatrl.evaluation.starts import Chosen, given_episodes, save_episodes, some_in, spread_starts
@@ -23,6 +23,7 @@ from splatrl.files import refusing
 from splatrl.values import tenths
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
+RESULTS = "evaluation.json"
 EPISODES_IN_VIDEO = 4
 SCENES_SHOWN = 4
 """Maximum number of scenes that get maps and a video of their own: the first ones that have episodes."""
@@ -74,7 +75,7 @@ def evaluate(
     Returns:
         The content of ``evaluation.json``, and the files of the pictures and videos.
     """
-    facts = _facts_of_training(checkpoint, folder) | {"checkpoint": settings.checkpoint, "seed": seed}
+    facts = _facts_of_training(checkpoint, folder) | {"evaluation": asdict(settings), "seed": seed}
     facts["transforms"] = simulated(world.make_transforms())
     plans = [one.plan for one in world.worlds]
     if settings.episodes is None:
@@ -86,11 +87,17 @@ def evaluate(
     summary |= _facts_of_starts(plans, starts)
     if len(world.names) > 1:
         summary["scenes"] = by_scene(world.names, sampled, argmax)
-    write_json(folder / "evaluation.json", summary)
+    write_json(folder / RESULTS, summary)
     if world.task.goal_radius is not None and settings.episodes is None:
         save_episodes(folder / EPISODES, world, starts, world.task.goal_radius)
     files = _draw_curves(checkpoint["history"], summary, folder)
     return summary, files + _draw_places(world, policy, starts, sampled, folder, settings.seed, video)
+
+
+def remove_results(folder: Path) -> None:
+    """Remove the numbers and videos of an earlier evaluation, by which a run would be taken for a finished one."""
+    for path in (folder / RESULTS, folder / VIDEO, *folder.glob(f"scenes/*/{VIDEO}")):
+        path.unlink(missing_ok=True)
 
 
 def _facts_of_training(checkpoint: dict[str, Any], folder: Path) -> dict[str, Any]:

@@ -22,6 +22,8 @@ from splatrl.evaluation.video import PANEL, rollout_video
 from splatrl.motions import Motion
 from splatrl.scenes.gaussians import Gaussians
 
+VIDEO = "rollouts.mp4"
+"""The last file that an evaluation writes; with several scenes, each one shown has its own, the last scene's last."""
 FASTEST = 60
 """Maximum frame rate of a video, frames per second."""
 PACE = 6
@@ -89,7 +91,7 @@ class Pictures:
             frames: approximate maximum number of frames; at least one episode is shown to its end.
             chosen: a start for each robot with the task's memory there, for tasks that choose their own episodes.
         """
-        path = self.folder / "rollouts.mp4"
+        path = self.folder / VIDEO
         rows = self.plan.start_rows
         ordered = rows[self.plan.distance[rows].argsort(stable=True)]
         count = env.numel()

@@ -69,6 +69,8 @@ def _band(axes: Axes, entry: Entry, key: str, color: str, marker: str = "") -> N
     frames = column(histories[0][:length], "frames")
     seeds = np.stack([_values(rows[:length], key) for rows in histories])
     known = ~np.isnan(seeds).any(0)
+    if not known.any():  # an empty band would leave the layout no room
+        return
     frames, seeds = frames[known], seeds[:, known]
     axes.fill_between(frames, seeds.min(0), seeds.max(0), color=color, alpha=0.18, linewidth=0)
     axes.plot(frames, seeds.mean(0), color=color, marker=marker, markersize=4.5, linewidth=2, clip_on=not marker)

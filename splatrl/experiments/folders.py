@@ -6,18 +6,21 @@ import math
 from contextlib import suppress
 from typing import Any, Literal
 
-from splatrl.evaluation.evaluate import SCENES_SHOWN
+from splatrl.evaluation.evaluate import RESULTS, SCENES_SHOWN
+from splatrl.evaluation.pictures import VIDEO
 from splatrl.experiments.experiment import Run
 from splatrl.training import load_checkpoint
 
 Status = Literal["finished", "begun", "new"]
-VIDEO = "rollouts.mp4"
-"""The last file that a run writes; with several scenes, each scene shown has one, and the last scene's comes last."""
 
 
 def status(run: Run) -> Status:
-    """Return whether a training is finished, has begun and can be resumed, or is new."""
-    if (run.folder / "evaluation.json").exists() and (not run.config["logger"]["video"] or _filmed(run)):
+    """Return whether a training is finished and evaluated, has begun and can be resumed, or is new.
+
+    An evaluation alone does not count: interrupted trainings can be evaluated, too.
+    """
+    evaluated = (run.folder / RESULTS).exists() and run.finished_after(frames_done(run))
+    if evaluated and (not run.config["logger"]["video"] or _filmed(run)):
         return "finished"
     checkpoints = (run.folder / "checkpoints" / f"{name}.pt" for name in ("last", "previous"))
     return "begun" if any(path.exists() for path in checkpoints) else "new"
@@ -42,7 +45,7 @@ def began_with(run: Run) -> dict[str, Any]:
 
 def evaluation(run: Run) -> dict[str, Any]:
     """Read a run's ``evaluation.json``."""
-    result: dict[str, Any] = json.loads((run.folder / "evaluation.json").read_text())
+    result: dict[str, Any] = json.loads((run.folder / RESULTS).read_text())
     return result
 
 

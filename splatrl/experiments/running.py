@@ -2,7 +2,6 @@
 
 import fcntl
 import os
-import signal
 import subprocess
 import time
 from collections import deque
@@ -150,10 +149,13 @@ def train(
 
 
 def stop(processes: Iterable[subprocess.Popen[bytes]]) -> None:
-    """End trainings: interrupt them, so that they leave no partial files, and kill any that take too long to end."""
+    """End trainings: terminate them, which they treat as an interrupt, and kill any that take too long to end.
+
+    An interrupt itself (SIGINT) would be ignored by the children of a shell's background job.
+    """
     alive = [process for process in processes if process.poll() is None]
     for process in alive:
-        process.send_signal(signal.SIGINT)
+        process.terminate()
     until = time.monotonic() + PATIENCE
     for process in alive:
         try:

@@ -1,8 +1,9 @@
-"""A disk cache of arrays, all of which can be rebuilt."""
+"""A disk cache of arrays and generated towns, all of which can be rebuilt."""
 
 import functools
 import math
 import os
+import shutil
 import time
 import warnings
 from collections.abc import Callable
@@ -17,6 +18,9 @@ from splatrl.files import cache_dir, replacing
 
 GIGABYTES = 16.0
 """Maximum size of the cache in gigabytes, unless $SPLATRL_CACHE_GB sets another one."""
+DIGEST = "[0-9a-f]" * 32
+OURS = f"*-{DIGEST}.npz", f"town-*-{DIGEST}"
+"""Names of the files and folders that may be removed: they end with a digest, as do all that are written here."""
 DAY = 24 * 3600.0
 """Seconds for which a file is kept after its last use, even if the cache exceeds its limit."""
 
@@ -25,8 +29,8 @@ def cached_arrays(name: str, build: Callable[[], Arrays], most: int | None = Non
     """Load the arrays cached under a name, or build them and cache them.
 
     A damaged file is rebuilt, with a warning. If the folder is not writable, one warning is given and nothing is
-    cached. If the cache exceeds ``GIGABYTES``, or $SPLATRL_CACHE_GB, the least recently used arrays are removed, except
-    those used within the last day.
+    cached. If the cache exceeds ``GIGABYTES``, or $SPLATRL_CACHE_GB, the least recently used arrays and towns are
+    removed, except those used within the last day.
 
     Args:
         name: file name without its extension; it ends with a digest of everything that the arrays are made from, 32
@@ -41,7 +45,7 @@ def cached_arrays(name: str, build: Callable[[], Arrays], most: int | None = Non
     path = cache_dir() / f"{name}.npz"
     try:
         found = read_arrays(path, most)
-        _mark_used(path)
+        mark_used(path)
         return found
     except FileNotFoundError:
         pass
@@ -53,14 +57,14 @@ def cached_arrays(name: str, build: Callable[[], Arrays], most: int | None = Non
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as stream:
             (np.savez if most is None else np.savez_compressed)(stream, **named)
-        _make_room(path.parent, path.stat().st_size)
+        make_room(path.parent, path.stat().st_size)
     except OSError as error:
         _warn_unwritable(path.parent, error.strerror)
     return arrays
 
 
-def _mark_used(path: Path) -> None:
-    """Update a file's modification time, which records its last use: many systems do not track access times."""
+def mark_used(path: Path) -> None:
+    """Update the modification time of a file or folder, which is its last use: many systems track no access times."""
     with suppress(OSError):
         if time.time() - path.stat().st_mtime > DAY / 2:
             os.utime(path)
@@ -70,25 +74,40 @@ _unseen = math.inf
 """Bytes written by this process since it last measured the cache."""
 
 
-def _make_room(folder: Path, written: int) -> None:
-    """Remove arrays beyond the cache's limit; the folder is scanned only now and then, as it may hold many files."""
+def make_room(folder: Path, written: int) -> None:
+    """Remove what the cache holds beyond its limit; it is scanned only now and then, as it may hold many files.
+
+    Args:
+        folder: folder of the cache.
+        written: number of bytes that were added to it.
+
+    Raises:
+        ValueError: if $SPLATRL_CACHE_GB is not a number of at least 0.
+    """
     global _unseen
     limit = _limit()
     _unseen += written
     if _unseen < min(limit, 1e9) / 4:
         return
     _unseen = 0.0
-    files = []
-    for path in folder.glob(f"*-{'[0-9a-f]' * 32}.npz"):  # named by a digest, as are all files written here
+    found = []
+    for path in (path for pattern in OURS for path in folder.glob(pattern)):
         with suppress(FileNotFoundError):
-            known = path.stat()
-            files.append((known.st_mtime, known.st_size, path))
-    held, now = sum(size for _, size, _ in files), time.time()
-    for used, size, path in sorted(files):
+            found.append((path.stat().st_mtime, size_of(path), path))
+    held, now = sum(size for _, size, _ in found), time.time()
+    for used, size, path in sorted(found):
         if held <= limit or now - used < DAY:
             break
-        path.unlink(missing_ok=True)
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
         held -= size
+
+
+def size_of(path: Path) -> int:
+    """Return the size of a file, or of the files in a folder, in bytes."""
+    return sum(one.stat().st_size for one in (path.iterdir() if path.is_dir() else [path]))
 
 
 def _limit() -> float:

@@ -10,8 +10,8 @@ from splatrl.training.memory import memory_transforms
 from splatrl.training.networks import actor_critic
 from splatrl.training.ppo import PPO
 from splatrl.training.settings import LossSettings, OptimSettings
-from splatrl.training.trackers import make_tracker
-from splatrl.training.trainer import Trainer
+from splatrl.training.trackers import check_tracker, make_tracker
+from splatrl.training.trainer import Stage, Trainer
 
 __all__ = [
     "PPO",
@@ -24,8 +24,10 @@ __all__ = [
     "Matcher",
     "MatchingSettings",
     "OptimSettings",
+    "Stage",
     "Trainer",
     "actor_critic",
+    "check_tracker",
     "inputs_of",
     "load_checkpoint",
     "make_tracker",

@@ -4,6 +4,7 @@ import io
 import math
 import secrets
 from collections.abc import Iterable, Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -14,6 +15,8 @@ from splatrl.files import checked_name, replacing
 from splatrl.values import flat
 
 BACKENDS = ("csv", "tensorboard", "wandb")
+MODULES = {"tensorboard": "torch.utils.tensorboard", "wandb": "wandb"}
+"""What each backend imports, which the extra of its name installs."""
 WIDEST, MOST_FRAMES = 480, 240
 """Maximum width and height, in pixels, and number of frames of a video in TensorBoard, which shows it as a GIF."""
 PICTURES, VIDEOS = (".png", ".jpg"), (".mp4",)
@@ -50,14 +53,21 @@ def make_tracker(
         ValueError: for any other backend, or a name that cannot be the name of a file.
         ImportError: if an extra is not installed; the message names it.
     """
-    if backend not in BACKENDS:
-        raise ValueError(f"logger.backend: expected one of {', '.join(BACKENDS)}, got {backend}")
-    name = checked_name("logger.exp_name", exp_name)
+    check_tracker(backend, exp_name)
     if backend == "csv":
         return None
     if backend == "tensorboard":
-        return TensorBoardTracker(folder / name, settings)
-    return WandbTracker(folder, name, project, online, settings)
+        return TensorBoardTracker(folder / exp_name, settings)
+    return WandbTracker(folder, exp_name, project, online, settings)
+
+
+def check_tracker(backend: str, exp_name: str) -> None:
+    """Check that a tracker can be made, without making it; see ``make_tracker``."""
+    if backend not in BACKENDS:
+        raise ValueError(f"logger.backend: expected one of {', '.join(BACKENDS)}, got {backend}")
+    checked_name("logger.exp_name", exp_name)
+    if backend in MODULES:
+        require(MODULES[backend], backend, f"logger.backend={backend} needs {backend}")
 
 
 class TensorBoardTracker:
@@ -69,8 +79,7 @@ class TensorBoardTracker:
     """
 
     def __init__(self, folder: Path, settings: Mapping[str, Any]):
-        tensorboard = require("torch.utils.tensorboard", "tensorboard", "logger.backend=tensorboard needs tensorboard")
-        self._writer = tensorboard.SummaryWriter(str(folder))
+        self._writer = import_module(MODULES["tensorboard"]).SummaryWriter(str(folder))
         self._writer.add_text("config", "\n".join(f"    {key}: {value}" for key, value in flat(settings)))
 
     def scalars(self, values: Mapping[str, float], frames: int) -> None:
@@ -111,7 +120,7 @@ class WandbTracker:
     """
 
     def __init__(self, folder: Path, name: str, project: str, online: bool, settings: Mapping[str, Any]):
-        self._wandb = require("wandb", "wandb", "logger.backend=wandb needs wandb")
+        self._wandb = import_module(MODULES["wandb"])
         known = folder / RUN_ID
         identity = checked_name(RUN_ID, known.read_text().strip()) if known.is_file() else secrets.token_hex(8)
         with replacing(known) as stream:

@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,8 @@ from splatrl.training.trackers import Tracker
 from splatrl.values import require_number
 
 TABLE = "progress.csv"
+Stage = Callable[[], Iterable[dict[str, float]]]
+"""A part of what precedes learning from reward, which yields rows of the history."""
 
 
 class Trainer:
@@ -43,11 +45,12 @@ class Trainer:
         checkpoint_interval: frames between checkpoints.
         tracker: also receives every row of the history; None for no tracker.
         made_with: plain values on which the training depends, kept in checkpoints.
-        prepare: run before the first batch of a training, to begin with a policy that has already learned something; it
-            counts the frames that it used in ``ppo.frames``, and yields the first rows of the history. If it is stopped
-            on the way, it begins anew.
+        prepare: stages run before the first batch of a training, to begin with a policy that has already learned
+            something. Each counts the frames that it used in ``ppo.frames``, and yields rows of the history. A stage
+            that is stopped on the way begins anew; those before it are kept.
 
     Attributes:
+        prepared: whether all these stages are done.
         watch: callback that receives each row of the history; it must not affect the training.
 
     Raises:
@@ -63,11 +66,11 @@ class Trainer:
         checkpoint_interval: int,
         tracker: Tracker | None = None,
         made_with: Mapping[str, Any] | None = None,
-        prepare: Callable[[], Iterable[dict[str, float]]] | None = None,
+        prepare: Sequence[Stage] = (),
     ):
         require_number("logger.test_interval", test_interval, 1, whole=True)
         require_number("checkpoint.interval", checkpoint_interval, 1, whole=True)
-        self.ppo, self.folder, self.test, self.prepare = ppo, Path(folder), test, prepare
+        self.ppo, self.folder, self.test, self.prepare, self.prepared = ppo, Path(folder), test, prepare, False
         self.watch: Callable[[Mapping[str, float]], object] = lambda row: None
         self.made_with = dict(made_with or {})
         self.test_interval, self.checkpoint_interval = test_interval, checkpoint_interval
@@ -137,9 +140,8 @@ class Trainer:
         began = time.monotonic() - self.seconds
         if self.ppo.frames == 0:
             self.save()  # so that no checkpoint means that the run has not begun
-            if self.prepare is not None:
-                self._prepare(self.prepare, began)
-                self.save()
+        if not self.prepared:
+            self._prepare(began)
         total = self.ppo.frames + (self.ppo.total_frames - self.ppo.frames) // batch * batch
         bars = {"total": total, "initial": self.ppo.frames, "unit": "frame", "desc": "train", "dynamic_ncols": True}
         with _interrupts() as interrupted, tqdm(**bars) as bar:
@@ -159,21 +161,36 @@ class Trainer:
                     self.save()
                     raise KeyboardInterrupt
 
-    def _prepare(self, prepare: Callable[[], Iterable[dict[str, float]]], began: float) -> None:
-        """Run ``prepare``, and test the policy as often as in the rest of the training and at the end."""
-        tested_at = 0
-        for row in prepare():
+    def _prepare(self, began: float) -> None:
+        """Run the stages of ``prepare``, and save after each; test the policy at the end, too."""
+        for number, stage in enumerate(self.prepare):
+            if number > 0:
+                self.save()
+            try:
+                self._run(stage, began)
+            except KeyboardInterrupt:
+                told = "stopped within imitation or matching, which begins anew when the training continues"
+                print(f"\n{told}", file=sys.stderr)
+                raise
+        if self.history and "test_success" not in self.history[-1]:
+            self._note(self.history.pop() | self._tested())
+        self.prepared = True
+        if self.prepare:
+            self.save()
+
+    def _run(self, stage: Stage, began: float) -> None:
+        """Run a stage, and test the policy as often as in the rest of the training."""
+        for row in stage():
             row |= {"frames": self.ppo.frames, "level": self.level}
             (lesson,) = (name for name in row if name.startswith("loss_"))
             told = f"trained on {self.ppo.frames:,} frames: {lesson} {row[lesson]:.4f}"
+            tested_at = int(max((past["frames"] for past in self.history if "test_success" in past), default=0))
             if tested_at == 0 or _crossed(tested_at, self.ppo.frames, self.test_interval):
                 row |= self._tested()
-                told, tested_at = f"{told}, success {row['test_success']:.2f}", self.ppo.frames
+                told = f"{told}, success {row['test_success']:.2f}"
             self.seconds = row["seconds"] = time.monotonic() - began
             self._note(row)
             print(told, file=sys.stderr)
-        if self.history and "test_success" not in self.history[-1]:
-            self._note(self.history.pop() | self._tested())
 
     def _tested(self) -> dict[str, float]:
         return {f"test_{name}": value for name, value in self.test().items()}
@@ -217,6 +234,7 @@ class Trainer:
         """Return PPO's state, with the history, the best test and the seconds spent."""
         return {
             "ppo": self.ppo.state_dict(),
+            "prepared": self.prepared,
             "history": packed(self.history),
             "best": self.best,
             "seconds": self.seconds,
@@ -226,6 +244,7 @@ class Trainer:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from a ``state_dict()``."""
         self.ppo.load_state_dict(state["ppo"])
+        self.prepared = state.get("prepared", self.ppo.frames > 0)  # older ones were saved only before and after
         self.history, self.best, self.seconds = unpacked(state["history"]), tuple(state["best"]), state["seconds"]
 
 

@@ -248,12 +248,11 @@ def taught(demos: Path, scene: list[str], tmp_path_factory: pytest.TempPathFacto
 
 @pytest.mark.parametrize("rows", [pytest.param(1, marks=pytest.mark.slow), 2, pytest.param(3, marks=pytest.mark.slow)])
 def test_a_training_killed_during_imitation_restarts_with_the_same_bytes(
-    rows: int, taught: tuple[DictConfig, World, Path], tmp_path: Path
+    rows: int, taught: tuple[DictConfig, World, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cfg, world, whole = taught
     killed = build_trainer(cfg, world, tmp_path / "killed")
-    prepare = killed.prepare
-    assert prepare is not None
+    (prepare,) = killed.prepare
 
     def die() -> Iterator[dict[str, float]]:
         for number, row in enumerate(prepare(), 1):
@@ -261,9 +260,10 @@ def test_a_training_killed_during_imitation_restarts_with_the_same_bytes(
                 raise KeyboardInterrupt
             yield row
 
-    killed.prepare = die
+    killed.prepare = [die]
     with pytest.raises(KeyboardInterrupt):
         killed.fit()
+    assert "imitation or matching, which begins anew when the training continues" in capsys.readouterr().err
     torch.manual_seed(99)
     again = build_trainer(cfg, world, tmp_path / "killed")
     again.resume()
@@ -283,7 +283,7 @@ def test_demonstrations_are_not_read_again_after_imitation(
     changed = cfg.copy()
     changed.demos = str(tmp_path / "nowhere")
     trainer = build_trainer(changed, world, tmp_path / "run", check_made_with)
-    assert trainer.prepare is None and trainer.ppo.frames > 0
+    assert not trainer.prepare and trainer.ppo.frames > 0
     with pytest.raises(FileNotFoundError, match="nowhere: expected a folder of demonstrations"):
         build_trainer(changed, world, tmp_path / "new")
 

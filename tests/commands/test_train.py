@@ -77,6 +77,7 @@ def test_a_run_writes_results_pictures_and_checkpoints(run: tuple[Path, str]) ->
     assert keys <= summary.keys()
     assert summary["frames"] == 1280
     assert summary["episodes"] == summary["start_poses"] > 0
+    assert (summary["evaluation"]["checkpoint"], summary["evaluation"]["repeats"]) == ("last", 1)
     assert 0 <= summary["step_spl"] <= summary["success_rate"] <= 1
 
 
@@ -154,7 +155,9 @@ def test_ctrl_c_saves_and_says_how_to_continue(run: tuple[Path, str], scene: lis
     assert process.returncode == 130, said + output
     assert f"continue with: splatrl-train 'resume={tmp_path}'" in output
     assert load_checkpoint(tmp_path / "checkpoints" / "last.pt")["ppo"]["frames"] > 0
+    (tmp_path / "rollouts.mp4").touch()  # as if somebody had evaluated the interrupted training
     finish(command("train", f"resume={tmp_path}"))
+    assert not (tmp_path / "rollouts.mp4").exists()  # the whole one is not filmed
     whole, resumed = (load_checkpoint(one / "checkpoints" / "last.pt")["ppo"]["model"] for one in (run[0], tmp_path))
     assert all(torch.equal(value, resumed[key]) for key, value in whole.items())
 
@@ -229,7 +232,7 @@ def test_an_evaluation_in_another_scene_has_its_own_folder(
     words = [f"scene={other}", "robot.height=0.3", "transforms/pose_noise=uniform", "video=false", "starts=6"]
     monkeypatch.setattr(sys, "argv", ["splatrl-evaluate", f"run={folder}", *words])
     evaluate.main()
-    there = folder / "places" / f"{other.stem}-robot.height=0.3-transforms-pose_noise=uniform"
+    there = folder / "places" / f"{other.stem}-robot.height=0.3-transforms-pose_noise=uniform-starts=6"
     noisy = json.loads((there / "evaluation.json").read_text())
     assert noisy["evaluated_starts"] == 6
     assert noisy["transforms"] == ["PoseNoise"] and ", under pose noise\n" in capsys.readouterr().out
@@ -280,13 +283,22 @@ def test_the_overrides_saved_in_a_strangers_run_are_treated_as_data(
 def test_an_evaluation_can_override_the_settings_of_its_run(
     run: tuple[Path, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given = []
-    monkeypatch.setattr(evaluate, "evaluate_run", lambda cfg, folder, results, place: given.append(cfg.evaluation))
+    given, where = [], []
+
+    def evaluated(cfg: DictConfig, folder: Path, results: Path | None, place: list[str]) -> None:
+        given.append(cfg.evaluation)
+        where.append(results)
+
+    monkeypatch.setattr(evaluate, "evaluate_run", evaluated)
     monkeypatch.setattr(sys, "argv", ["splatrl-evaluate", f"run={run[0]}", "starts=5", "seed=3", "checkpoint=last"])
     evaluate.main()
     own = run_config(run[0]).evaluation
     assert (given[0].starts, given[0].seed, given[0].checkpoint) == (5, 3, "last") and own.starts != 5
     assert given[0].repeats == own.repeats
+    assert where == [run[0] / "places" / "checkpoint=last-starts=5-seed=3"]
+    monkeypatch.setattr(sys, "argv", ["splatrl-evaluate", f"run={run[0]}", "video=false"])
+    evaluate.main()
+    assert (given[1].starts, where[1]) == (own.starts, None)
 
 
 def test_watching_several_scenes_is_refused_before_they_are_built(
@@ -298,6 +310,44 @@ def test_watching_several_scenes_is_refused_before_they_are_built(
     with pytest.raises(SystemExit, match="view: expected a training in one scene, got 2 scenes; type view=false"):
         train.main()
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [
+        ("demos=nowhere/", "nowhere: expected a folder of demonstrations"),
+        ("evaluation.episodes=nowhere.json.gz", r"nowhere\.json\.gz: expected an episode file, found none"),
+        ("logger.backend=wandb", r"logger\.backend=wandb needs wandb: pip install"),
+        ("logger.exp_name=a/b", r"logger\.exp_name: expected a name"),
+        ("dagger.guided=2", r"dagger\.guided: expected a number from 0\.0 to 1\.0"),
+    ],
+)
+def test_settings_are_checked_before_a_world_is_built(
+    scene: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, word: str, message: str
+) -> None:
+    monkeypatch.setattr(train, "build_world", lambda cfg: pytest.fail("built"))
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    monkeypatch.setattr(sys, "argv", ["splatrl-train", *scene, word, f"hydra.run.dir={tmp_path / 'run'}"])
+    with pytest.raises(SystemExit, match=message):
+        train.main()
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [
+        ("repeats=0", r"evaluation\.repeats: expected a whole number from 1"),
+        ("checkpoint=first", r"evaluation\.checkpoint: expected one of last, best, got first"),
+        ("episodes=nowhere.json.gz", "expected an episode file, found none"),
+    ],
+)
+def test_settings_of_an_evaluation_are_checked_before_a_world_is_built(
+    run: tuple[Path, str], monkeypatch: pytest.MonkeyPatch, word: str, message: str
+) -> None:
+    monkeypatch.setattr(evaluate, "evaluate_run", lambda *_, **__: pytest.fail("built"))
+    monkeypatch.setattr(sys, "argv", ["splatrl-evaluate", f"run={run[0]}", word])
+    with pytest.raises(SystemExit, match=message):
+        evaluate.main()
 
 
 def test_resuming_a_missing_run_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 import errno
 import io
+import os
 import shlex
 import sys
 import warnings
@@ -358,6 +359,31 @@ def test_help_is_printed_whatever_the_encoding_of_the_terminal(monkeypatch: pyte
         entries.start("train", ["--help"])
     sys.stdout.flush()
     assert not ended.value.code and b"0.4 ? 0.4" in printed.getvalue()
+
+
+@pytest.mark.parametrize("buffered", [True, False])
+@pytest.mark.parametrize("name", ["stdout", "stderr"])
+def test_a_command_goes_on_when_the_reader_of_its_output_leaves(
+    name: str, buffered: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reading, writing = os.pipe()
+    work = list[str]()
+
+    def run(options: object) -> None:
+        print("first", file=getattr(sys, name), flush=True)
+        assert os.read(reading, 100) == b"first\n"
+        os.close(reading)
+        for text in ("second", "long" * 10**5, "last"):
+            print(text, file=getattr(sys, name), flush=True)
+            work.append(text[:6])
+
+    with open(writing, "wb", -1 if buffered else 0) as buffer:
+        stream = io.TextIOWrapper(buffer, write_through=not buffered)
+        monkeypatch.setattr(sys, name, stream)
+        monkeypatch.setattr(entries, "import_module", lambda module: SimpleNamespace(run=run))
+        entries.start("gait", ["run"])
+        getattr(sys, name).flush()
+    assert work == ["second", "longlo", "last"]
 
 
 def test_the_list_of_errors_is_long_and_varied() -> None:

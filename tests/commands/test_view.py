@@ -5,11 +5,13 @@ import re
 import signal
 import sys
 import tempfile
+import threading
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NoReturn
 
 import pytest
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from splatrl.building import build_world
 from splatrl.commands import record, view
@@ -245,6 +247,41 @@ def test_episodes_driven_by_keys_are_a_dataset_like_the_planners(tmp_path: Path)
     output = finish(recording)
     assert f"{out}: 2 episodes, {len(read_demonstrations(out))} frames" in output
     assert "are identical, byte for byte" in finish(command("replay", f"demos={out}"))
+
+
+def test_nothing_interrupts_the_writing_of_driven_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    finished = threading.Event()
+    finished.set()
+    for name, made in (
+        ("Page", SimpleNamespace(address="here", close=lambda: None)),
+        ("Driving", SimpleNamespace(finished=finished)),
+        ("Takes", SimpleNamespace(demonstrations=lambda: "episodes")),
+    ):
+        monkeypatch.setattr(record, name, lambda *_, made=made: made)
+    monkeypatch.setattr(record, "keys_of", lambda motion: ())
+    world = SimpleNamespace(scene=None, task=SimpleNamespace(motion=None))
+    with record.driven(OmegaConf.create({"episodes": 1, "host": "", "port": 0, "seed": 0}), world) as found:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                pytest.fail(f"{number!r} would interrupt")
+    assert found == "episodes"
+
+
+def test_driven_episodes_are_kept_while_a_disk_is_full(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(record, "PAUSE", 0.0)
+    tried = list[int]()
+
+    def write() -> None:
+        tried.append(len(tried))
+        if len(tried) < 3:
+            raise OSError(errno.ENOSPC, "cannot write: No space left on device", "demos")
+
+    record.patiently(write)
+    said = capsys.readouterr().err.splitlines()
+    assert len(tried) == 3 and len(said) == 2
+    assert "cannot write: No space left on device: 'demos'; the episodes are kept, and written in 0 s" in said[0]
 
 
 def test_a_recording_without_episodes_writes_nothing(tmp_path: Path) -> None:

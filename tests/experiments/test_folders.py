@@ -21,6 +21,15 @@ def test_a_folder_is_new_then_begun_then_finished(tmp_path: Path) -> None:
     assert [frames_done(run) for run in (new, begun, finished)] == [0, 120, 400]
 
 
+def test_an_evaluated_run_is_finished_once_another_batch_would_exceed_its_budget(tmp_path: Path) -> None:
+    interrupted, imitated, *_ = made_up(tmp_path).runs
+    for run, frames in ((interrupted, 360), (imitated, 391)):
+        finish(run, 0.9)
+        lines = (run.folder / "progress.csv").read_text().splitlines()
+        (run.folder / "progress.csv").write_text("\n".join([*lines[:9], f"{frames},0.4,5,2,,90.0"]))
+    assert [status(run) for run in (interrupted, imitated)] == ["begun", "finished"]
+
+
 def test_a_run_that_was_killed_before_its_video_is_not_finished(tmp_path: Path) -> None:
     run = made_up(tmp_path).runs[0]
     run.config["logger"]["video"] = True

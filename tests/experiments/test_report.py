@@ -79,6 +79,13 @@ def test_the_numbers_of_a_report_are_also_written_as_json(report: Path) -> None:
     assert numbers["machine"] == "an abacus"
 
 
+def test_curves_without_values_leave_their_panel_empty(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    experiment = made_up(tmp_path)
+    finish(experiment.runs[0], 0.9, tested=())
+    write_report(experiment, "a machine")
+    assert [str(each.message) for each in recwarn] == []  # of a layout that finds no room
+
+
 def test_a_report_without_a_finished_run_says_so(tmp_path: Path) -> None:
     experiment = made_up(tmp_path)
     assert "None of 6 trainings is finished" in write_report(experiment, "an abacus").read_text()

@@ -68,23 +68,24 @@ def test_a_failed_run_is_named_and_the_others_continue(tmp_path: Path, capsys: p
     assert str(runs[1].folder / "log.txt") in "".join(capsys.readouterr())
 
 
-def hears_interrupts() -> None:
-    """Restore the default handling of SIGINT, which a shell's background jobs and all their children ignore."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+def ignores_interrupts() -> None:
+    """Ignore SIGINT, as a shell's background jobs and all their children do."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def test_an_interrupt_ends_the_trainings(tmp_path: Path) -> None:
+def test_an_interrupt_ends_the_trainings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     children: list[subprocess.Popen[bytes]] = []
 
     def one(run: Run, cores: int, program: Sequence[str]) -> subprocess.Popen[bytes]:
         if children:
             raise KeyboardInterrupt
-        children.append(subprocess.Popen(SLEEP, preexec_fn=hears_interrupts))
+        children.append(subprocess.Popen(SLEEP, preexec_fn=ignores_interrupts))
         return children[0]
 
+    monkeypatch.setattr(running, "PATIENCE", 5.0)
     with pytest.raises(KeyboardInterrupt):
         train(made_up(tmp_path).runs, 2, 1, PROGRAM, one)
-    assert children[0].returncode == -signal.SIGINT
+    assert children[0].returncode == -signal.SIGTERM
 
 
 def test_a_folder_that_another_process_is_training_in_is_left_alone(tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 """The generated town: its plan, its things and its cache."""
 
+import os
+import time
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.configuration import load_config
 from splatrl.renderers import NativeRenderer
 from splatrl.scenes.blocks import BlockScene
+from splatrl.scenes.cache import DAY, cached_arrays
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.town import source
 from splatrl.scenes.town.build import STEP, around_gaussians, block_gaussians, crossing, house, lawn, streets, things
@@ -98,11 +101,51 @@ def test_a_town_is_generated_once_and_resumes_where_it_was_interrupted(
     kept = {path.name: path.read_bytes() for path in folder.iterdir()}
     monkeypatch.setattr(source, "block_gaussians", None)
     assert splatrl.town(seed=3, blocks=2, bounds=[[0, 0, 0], [1, 1, 1]]).bounds == ((0, 0, 0), (1, 1, 1))
-    for name in ("blocks.yaml", "block+0-1.spz"):
+    for name in ("blocks.yaml", source.DIGESTS, "block+0-1.spz"):
         (folder / name).unlink()
     monkeypatch.setattr(source, "block_gaussians", paved)
     splatrl.town(seed=3, blocks=2)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == kept
+
+
+@pytest.mark.parametrize("damage", ["flipped", "cut", "removed", "emptied list", "emptied digests"])
+def test_what_is_damaged_in_the_cache_is_made_again_with_a_warning(
+    quick: Path, monkeypatch: pytest.MonkeyPatch, damage: str
+) -> None:
+    splatrl.town(seed=3, blocks=1)
+    (folder,) = quick.iterdir()
+    kept = {path.name: path.read_bytes() for path in folder.iterdir()}
+    block, content = folder / "block+0+0.spz", bytearray(kept["block+0+0.spz"])
+    content[len(content) // 2] ^= 1
+    made: list[tuple[int, ...]] = []
+    monkeypatch.setattr(source, "block_gaussians", lambda *which: made.append(which) or paved(*which))
+    if damage == "flipped":
+        block.write_bytes(content)
+    elif damage == "cut":
+        block.write_bytes(content[:1000])
+    elif damage == "removed":
+        block.unlink()
+    else:
+        (folder / ("blocks.yaml" if damage == "emptied list" else source.DIGESTS)).write_text("")
+    with pytest.warns(UserWarning, match=r"as it was written, got .* damaged or missing; making them again"):
+        scene = splatrl.town(seed=3, blocks=1)
+    assert len(scene.gaussians) > 0
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == kept
+    assert made == ([] if damage == "emptied list" else [(3, 0, 0)])
+    splatrl.town(seed=3, blocks=1)  # without a warning
+
+
+def test_a_town_that_is_not_used_makes_room_in_the_cache(quick: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    splatrl.town(seed=3, blocks=1)
+    (folder,) = quick.iterdir()
+    then = time.time() - 2 * DAY
+    os.utime(folder, (then, then))
+    splatrl.town(seed=3, blocks=1)
+    assert folder.stat().st_mtime > then + DAY  # marked as used
+    os.utime(folder, (then, then))
+    monkeypatch.setenv("SPLATRL_CACHE_GB", "0")
+    cached_arrays(f"levels-{0:032x}", lambda: {"a": np.zeros(9)})
+    assert [path.name for path in quick.iterdir()] == [f"levels-{0:032x}.npz"]
 
 
 @pytest.mark.parametrize("wrong", [{"blocks": 0}, {"blocks": 32}, {"blocks": 2.5}, {"seed": -1}])

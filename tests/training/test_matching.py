@@ -1,6 +1,8 @@
 """Pretraining on pairs of views: a network learns to tell from where another view was seen."""
 
 import math
+from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import pytest
@@ -10,7 +12,9 @@ from omegaconf import DictConfig
 from splatrl.building import build_model, build_trainer, build_world
 from splatrl.configuration import load_config
 from splatrl.envs.world import World, Worlds
-from splatrl.training import Matcher, MatchingSettings, views
+from splatrl.made_with import check_made_with
+from splatrl.training import Matcher, MatchingSettings, load_checkpoint, views
+from splatrl.training.history import unpacked
 from splatrl.training.matching import drawn, seen_from, views_of
 from tests.two_rooms import in_both
 
@@ -91,6 +95,34 @@ def test_matching_frames_count_and_come_before_all_others(
     first, second, third = trainer.history
     assert [row["frames"] for row in trainer.history] == [64, 128, 256]
     assert "loss_matching" in first and "loss_cloning" in second and "loss_objective" in third
+
+
+def test_a_training_stopped_after_matching_continues_there_with_the_same_bytes(
+    made: tuple[DictConfig, World | Worlds], tmp_path: Path
+) -> None:
+    cfg = made[0].copy()
+    cfg.merge_with_dotlist(["matching.frames=32", "matching.pairs=64", "env.num_envs=16", "collector.total_frames=128"])
+    cfg.merge_with_dotlist(["dagger.rounds=2", "dagger.epochs=1", "dagger.frames_per_round=16"])
+    cfg.merge_with_dotlist(["collector.frames_per_batch=64", "logger.num_test_episodes=4"])
+    build_trainer(cfg, made[1], tmp_path / "whole").fit()
+    stopped = build_trainer(cfg, made[1], tmp_path / "stopped")
+    match, teach = stopped.prepare
+
+    def stop() -> Iterator[dict[str, float]]:
+        yield from islice(teach(), 1)
+        raise KeyboardInterrupt
+
+    stopped.prepare = [match, stop]
+    with pytest.raises(KeyboardInterrupt):
+        stopped.fit()
+    torch.manual_seed(99)
+    again = build_trainer(cfg, made[1], tmp_path / "stopped", check_made_with)
+    assert len(again.prepare) == 1 and again.ppo.frames == 32 and not again.prepared
+    again.fit()
+    one, other = (load_checkpoint(tmp_path / name / "checkpoints" / "last.pt") for name in ("whole", "stopped"))
+    assert all(torch.equal(value, other["ppo"]["model"][key]) for key, value in one["ppo"]["model"].items())
+    rows = [[row | {"seconds": 0.0} for row in unpacked(state["history"])] for state in (one, other)]
+    assert repr(rows[0]) == repr(rows[1]) and one["prepared"]  # nan equals nan
 
 
 @pytest.mark.parametrize(("values", "name"), [((-1, 1, 1), "frames"), ((1, 0, 1), "pairs"), ((1, 1, 0), "mini_batch")])

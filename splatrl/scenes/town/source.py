@@ -1,15 +1,18 @@
 """A generated town as a scene, generated once, block by block, and kept in the user's cache directory."""
 
 import functools
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from tqdm import tqdm
 
-from splatrl.files import cache_dir, digest_of
+from splatrl.documents import read_json, write_json
+from splatrl.files import cache_dir, checked_name, digest_of
 from splatrl.native.threads import usable_cores
 from splatrl.scenes.blocks import BLOCKS_FILE, BlockScene, read_blocks, write_blocks
+from splatrl.scenes.cache import make_room, mark_used, size_of
 from splatrl.scenes.formats import write_gaussians
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Bounds, checked_bounds
@@ -17,6 +20,8 @@ from splatrl.scenes.town.build import around_gaussians, block_gaussians
 from splatrl.scenes.town.plan import SIZE
 from splatrl.values import require_number
 
+DIGESTS = "digests.json"
+"""The digests of a town's files, the last file that is written."""
 MOST = 31
 """Maximum number of blocks along each side of a town."""
 HEIGHT = 9.0
@@ -29,8 +34,9 @@ def town(seed: int = 0, blocks: int = 10, bounds: Sequence[Sequence[float]] | No
     """Generate a town: streets around square blocks of 20 m, each with two houses, a yard and trees of its own.
 
     A block has about 100,000 Gaussians, takes seconds to generate and needs 1 MB of disk space; the whole town is kept
-    in the user's cache directory. The same arguments give the same bytes. Two streets cross at the origin, where four
-    blocks meet and a red egg stands; on the command line, ``scene=town`` sets it as the goal.
+    in the user's cache directory, where damaged files are made again. The same arguments give the same bytes. Two
+    streets cross at the origin, where four blocks meet and a red egg stands; on the command line, ``scene=town`` sets
+    it as the goal.
 
     Args:
         seed: seed of the town, at least 0.
@@ -47,12 +53,35 @@ def town(seed: int = 0, blocks: int = 10, bounds: Sequence[Sequence[float]] | No
     corners = MIDDLE if bounds is None else checked_bounds(bounds)
     folder = cache_dir() / f"town-{seed}-{blocks}-{_source_digest()}"
     try:
-        if not (folder / BLOCKS_FILE).is_file():
+        _remove_damaged(folder)
+        if not (folder / DIGESTS).is_file():
             _make(folder, seed, blocks)
+            make_room(folder.parent, size_of(folder))
+        mark_used(folder)
     except OSError as error:
         told = f"cannot write the town here: {error.strerror or error}; set SPLATRL_CACHE to another folder"
         raise OSError(f"{folder.parent}: {told}") from error
     return read_blocks(folder, corners)
+
+
+def _remove_damaged(folder: Path) -> None:
+    """Remove the files of a town that are not as they were written, with a warning, so that they are made again."""
+    if not (folder / DIGESTS).is_file():
+        return
+    try:
+        written = {folder / checked_name(DIGESTS, name): digest for name, digest in read_json(folder / DIGESTS).items()}
+        damaged = [path for path in written if not path.is_file() or digest_of([path]) != written[path]]
+    except (AttributeError, ValueError):  # then nothing vouches for any file
+        damaged = list(folder.iterdir())
+    if not damaged:
+        return
+    names = ", ".join(path.name for path in damaged[:3]) + (", ..." if len(damaged) > 3 else "")
+    warnings.warn(
+        f"{folder}: expected the generated town as it was written, got {names} damaged or missing; making them again",
+        stacklevel=3,
+    )
+    for path in (*damaged, folder / DIGESTS):
+        path.unlink(missing_ok=True)
 
 
 def _make(folder: Path, seed: int, blocks: int) -> None:
@@ -78,6 +107,7 @@ def _make(folder: Path, seed: int, blocks: int) -> None:
     }
     bounds["around.spz"] = ((low, low, 0.0), (high, high, HEIGHT))
     write_blocks(folder, f"town-{seed}", bounds)
+    write_json(folder / DIGESTS, {name: digest_of([folder / name]) for name in (*bounds, BLOCKS_FILE)})
 
 
 def _write(path: Path, make: Callable[[], Gaussians]) -> None:
