@@ -63,9 +63,10 @@ def _windows(images: Tensor, window: list[int], stride: tuple[int, int], places:
 
 def _differentiated_on_a_gpu(images: Tensor) -> bool:
     """Whether gradients are wanted of a plain convolution on a GPU: ``vmap``, compilers and autocast have their own."""
+    if not images.is_cuda or not torch.is_grad_enabled() or images.dtype != torch.float32:
+        return False
     traced = torch.compiler.is_compiling() or torch.jit.is_tracing() or is_functorch_wrapped_tensor(images)
-    plain = images.dtype == torch.float32 and not torch.is_autocast_enabled(images.device.type)
-    return images.is_cuda and torch.is_grad_enabled() and plain and not traced
+    return not traced and not torch.is_autocast_enabled(images.device.type)
 
 
 @contextmanager
