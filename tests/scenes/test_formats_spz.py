@@ -1,5 +1,6 @@
 import gzip
 import math
+import struct
 import tracemalloc
 from pathlib import Path
 from typing import Any
@@ -250,8 +251,52 @@ def test_a_header_that_does_not_fit_is_refused_by_field(tmp_path: Path, header: 
 def test_extensions_after_the_attributes_are_ignored(tmp_path: Path) -> None:
     payload, count = random_spz(3, 1)
     plain = read_gaussians(written(tmp_path / "a.spz", spz_bytes(payload, count, degree=1)))
-    extended = spz_bytes(payload + b"a vendor's record", count, degree=1, flags=2)
-    torch.testing.assert_close(read_gaussians(written(tmp_path / "b.spz", extended)).sh, plain.sh, atol=0, rtol=0)
+    extended = written(tmp_path / "b.spz", spz_bytes(payload + b"a vendor's record", count, degree=1, flags=2))
+    with pytest.warns(UserWarning, match=r"b\.spz: ignored vendor records of unknown types: 0x65762061"):
+        torch.testing.assert_close(read_gaussians(extended).sh, plain.sh, atol=0, rtol=0)
+
+
+UNKNOWN = struct.pack("<II3s", 0x12340001, 3, b"any")
+CAMERA = struct.pack("<II3f", 0xADBE0002, 12, 0.1, 0.2, 3.0)
+SH_RANGE = struct.pack("<BBff", 8, 8, -0.5, 0.25)
+RECORDS = [
+    struct.pack("<I", 0xADBE0001) + SH_RANGE,  # early writers state no size
+    struct.pack("<I3fI", 0xADBE0002, 0.1, 0.2, 3.0, 0xADBE0001) + SH_RANGE,
+    struct.pack("<II", 0xADBE0001, 10) + SH_RANGE,
+    CAMERA + struct.pack("<II", 0xADBE0001, 10) + SH_RANGE + CAMERA,
+]
+
+
+@pytest.mark.parametrize(
+    ("version", "records"), [*((2, one) for one in RECORDS), *((3, one) for one in RECORDS), (4, RECORDS[2])]
+)
+def test_harmonics_have_the_range_that_a_vendor_record_states(tmp_path: Path, version: int, records: bytes) -> None:
+    payload, count = random_spz(2 if version == 2 else 3, 1)
+    if version < 4:
+        content = spz_bytes(payload + records, count, version, 1, flags=2)
+    else:
+        pytest.importorskip("imagecodecs", reason="needs the extra gsply")
+        content = spz_4_bytes(payload, count, 1, records)
+    sh = read_gaussians(written(tmp_path / "a.spz", content)).sh[:, 1:]
+    stored = np.frombuffer(payload[-9 * count :], np.uint8).reshape(count, 3, 3)
+    torch.testing.assert_close(sh, torch.tensor(stored / 255 * 0.75 - 0.5, dtype=torch.float32), atol=1e-6, rtol=0)
+
+
+def test_unknown_vendor_records_are_skipped_with_one_warning(tmp_path: Path) -> None:
+    payload, count = random_spz(3, 1)
+    content = spz_bytes(payload + UNKNOWN + RECORDS[2] + UNKNOWN, count, 3, 1, flags=2)
+    with pytest.warns(UserWarning, match=r"unknown types: 0x12340001$") as said:
+        sh = read_gaussians(written(tmp_path / "a.spz", content)).sh[:, 1:]
+    assert len(said) == 1
+    assert -0.5 <= float(sh.min()) < float(sh.max()) <= 0.25
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.5, -0.5), (1.0, 1.0), (math.nan, 1.0), (-1.0, math.inf)])
+def test_a_range_of_harmonics_that_is_none_is_refused(tmp_path: Path, low: float, high: float) -> None:
+    payload, count = random_spz(3, 1)
+    record = struct.pack("<IIBBff", 0xADBE0001, 10, 8, 8, low, high)
+    with pytest.raises(ValueError, match=r"a\.spz: expected a range of harmonics, got "):
+        read_gaussians(written(tmp_path / "a.spz", spz_bytes(payload + record, count, 3, 1, flags=2)))
 
 
 @pytest.mark.parametrize("kept", [1, 9, 15, 60, -9, -1])
@@ -310,7 +355,7 @@ def test_version_4_gives_the_same_gaussians_as_version_3(tmp_path: Path, degree:
     pytest.importorskip("imagecodecs", reason="needs the extra gsply")
     payload, count = random_spz(3, degree)
     third = read_gaussians(written(tmp_path / "3.spz", spz_bytes(payload, count, 3, degree)))
-    for extension in (b"", b"vendor's records"):
+    for extension in (b"", struct.pack("<II3f", 0xADBE0002, 12, 0.0, 1.0, 2.0)):
         fourth = read_gaussians(written(tmp_path / "4.spz", spz_4_bytes(payload, count, degree, extension)))
         assert_same(third, fourth)
 

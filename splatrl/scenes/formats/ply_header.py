@@ -29,12 +29,13 @@ class PlyElement:
 
 @dataclass
 class PlyHeader:
-    """Format and tables of a PLY file, and the sizes of its header and of the whole file in bytes."""
+    """Format, tables and comments of a PLY file, and the sizes of its header and of the whole file in bytes."""
 
     format: PlyFormat
     elements: dict[str, PlyElement]
     size: int
     file_size: int
+    comments: tuple[str, ...] = ()
 
     def check_size(self, path: Path) -> None:
         """Refuse a file whose size contradicts its header, as far as can be told without reading the rows."""
@@ -63,10 +64,13 @@ def read_ply_header(path: Path) -> PlyHeader:
         raise ValueError(f"{path}: expected a PLY file with a header from 'ply' to 'end_header', got none")
     formats: list[str] = []
     elements: dict[str, PlyElement] = {}
+    comments: list[str] = []
     for line in start[: end.start()].decode("ascii", "replace").split("\n")[1:]:
         match line.split():
-            case [] | ["comment" | "obj_info", *_]:
+            case [] | ["obj_info", *_]:
                 pass
+            case ["comment", *words]:
+                comments.append(" ".join(words))
             case ["format", ("ascii" | "binary_little_endian" | "binary_big_endian") as kind, "1.0"] if not formats:
                 formats.append(kind)
             case ["element", name, count] if re.fullmatch("[0-9]{1,12}", count) and name not in elements:
@@ -79,7 +83,7 @@ def read_ply_header(path: Path) -> PlyHeader:
                 raise ValueError(f"{path}: header: expected a line of a PLY header, got {line[:80]!r}")
     if not formats:
         raise ValueError(f"{path}: header: expected a format line, got none")
-    return PlyHeader(cast(PlyFormat, formats[0]), elements, end.end(), path.stat().st_size)
+    return PlyHeader(cast(PlyFormat, formats[0]), elements, end.end(), path.stat().st_size, tuple(comments))
 
 
 def _add_property(path: Path, elements: dict[str, PlyElement], name: str, kind: str) -> None:

@@ -1,12 +1,14 @@
 """Reads Niantic's SPZ, versions 2 to 4: quantised Gaussians, stored one attribute after another.
 
-Versions 2 and 3 are a single gzip stream; version 4 has an uncompressed header, vendor records, a table of contents,
-and one Zstandard stream per attribute. The format is described at https://github.com/nianticlabs/spz. Positions and
+Versions 2 and 3 are a single gzip stream, with any vendor records at its end; version 4 has an uncompressed header,
+vendor records, a table of contents, and one Zstandard stream per attribute. The format is described at https://github.com/nianticlabs/spz. Positions and
 harmonics keep the axes of the file (x right, y up, z back if its writer follows the format's advice); the order and
 signs of the harmonics are those of 3DGS, with the colour channel varying fastest.
 """
 
+import math
 import struct
+import warnings
 import zlib
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -31,6 +33,14 @@ BLOCK = 1 << 16
 PIECE = 1 << 20
 """Maximum number of bytes unpacked at a time."""
 HAS_EXTENSIONS = 0x2  # flag: vendor records may follow the attributes
+RECORD = struct.Struct("<II")
+"""Start of a vendor record: its type, and the size of its content in bytes."""
+SH_RANGE = 0xADBE0001
+"""Type of Adobe's record with the range of the harmonics above degree 0."""
+CONTENTS = {SH_RANGE: struct.Struct("<BBff"), 0xADBE0002: struct.Struct("<fff")}
+"""Contents of known vendor records; the second one limits the camera of a viewer."""
+MOST_RECORDS = 1 << 16
+"""Bytes of vendor records that are read; real ones have a few dozen."""
 
 Bytes = NDArray[np.uint8]
 
@@ -63,7 +73,8 @@ def read_spz(path: Path, max_inflation: float) -> Gaussians:
     with path.open("rb") as stream:
         version_4 = stream.read(len(MAGIC)) == MAGIC
         stream.seek(0)
-        header, payload = (_join if version_4 else _unpack)(path, stream, max_inflation)
+        header, payload, records = (_join if version_4 else _unpack)(path, stream, max_inflation)
+    middle, step = _harmonics_scale(path, records, header.version)
     columns: dict[str, Bytes] = {}
     start = 0
     for name, width in header.widths.items():
@@ -80,7 +91,7 @@ def read_spz(path: Path, max_inflation: float) -> Gaussians:
         scales[rows] = np.exp(columns["scales"][rows] / np.float32(16.0) - np.float32(10.0))
         sh[rows, 0] = (columns["colors"][rows] / np.float32(255.0) - np.float32(0.5)) / np.float32(COLOR_SCALE)
         rest = columns["sh"][rows].reshape(len(scales[rows]), harmonics - 1, 3)
-        sh[rows, 1:] = (rest - np.float32(128.0)) / np.float32(128.0)
+        sh[rows, 1:] = (rest - middle) * step
     return checked_gaussians(
         str(path),
         means=torch.from_numpy(means),
@@ -91,8 +102,8 @@ def read_spz(path: Path, max_inflation: float) -> Gaussians:
     )
 
 
-def _unpack(path: Path, stream: BinaryIO, max_inflation: float) -> tuple[Header, Bytes]:
-    """Unpack the header and attributes of versions 2 and 3: no more than the header declares, if that is plausible."""
+def _unpack(path: Path, stream: BinaryIO, max_inflation: float) -> tuple[Header, Bytes, bytes]:
+    """Unpack header, attributes and vendor records of versions 2 and 3: no more than declared, if that is plausible."""
     held = path.stat().st_size
     inflater = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
     try:
@@ -103,7 +114,7 @@ def _unpack(path: Path, stream: BinaryIO, max_inflation: float) -> tuple[Header,
         promised = sum(header.widths.values()) * header.points
         check_inflation(path, "numPoints", promised, held, max_inflation)
         payload = _inflated(inflater, stream, promised)
-        surplus = _inflated(inflater, stream, 1)
+        surplus = _inflated(inflater, stream, MOST_RECORDS if header.flags & HAS_EXTENSIONS else 1)
     except zlib.error as error:
         raise ValueError(f"{path}: expected a gzip stream, got a damaged one: {error}") from error
     extended = bool(header.flags & HAS_EXTENSIONS)
@@ -111,7 +122,7 @@ def _unpack(path: Path, stream: BinaryIO, max_inflation: float) -> tuple[Header,
         raise ValueError(f"{path}: expected {promised} bytes after the header, got {len(payload)}: truncated")
     if len(surplus) and not extended:
         raise ValueError(f"{path}: expected {promised} bytes after the header, got more")
-    return header, payload
+    return header, payload, surplus.tobytes()
 
 
 def _inflated(inflater: Any, stream: BinaryIO, most: int) -> Bytes:
@@ -127,8 +138,8 @@ def _inflated(inflater: Any, stream: BinaryIO, most: int) -> Bytes:
     return found[:filled]
 
 
-def _join(path: Path, stream: BinaryIO, max_inflation: float) -> tuple[Header, Bytes]:
-    """Unpack the header and attributes of version 4, in the form that ``_unpack`` returns for the other versions."""
+def _join(path: Path, stream: BinaryIO, max_inflation: float) -> tuple[Header, Bytes, bytes]:
+    """Unpack what ``_unpack`` returns for the other versions from a file of version 4."""
     data = stream.read()
     if len(data) < HEADER_4.size:
         raise ValueError(f"{path}: header: expected {HEADER_4.size} bytes, got {len(data)}")
@@ -153,7 +164,37 @@ def _join(path: Path, stream: BinaryIO, max_inflation: float) -> tuple[Header, B
         if len(parts[-1]) != size:
             raise ValueError(f"{path}: stream {number}: expected {size} bytes, got {len(parts[-1])}: truncated")
         start += packed
-    return header, np.frombuffer(b"".join(parts), np.uint8)
+    return header, np.frombuffer(b"".join(parts), np.uint8), data[HEADER_4.size : contents][:MOST_RECORDS]
+
+
+def _harmonics_scale(path: Path, records: bytes, version: int) -> tuple[np.float32, np.float32]:
+    """Return the byte that stands for 0, and a byte's step, of the harmonics above degree 0.
+
+    They range from -1 to just below 1, unless Adobe's record gives their range. The first writers of vendor records, in
+    versions 2 and 3, left out the size of their content.
+    """
+    low, high = -1.0, 1.0
+    unknown: set[int] = set()
+    start = 0
+    while len(records) - start >= 4:
+        kind, size = RECORD.unpack(records[start : start + RECORD.size].ljust(RECORD.size, b"\0"))
+        start += RECORD.size
+        content = CONTENTS.get(kind)
+        if content is None:
+            unknown.add(kind)
+        elif size != content.size and version < 4:
+            start, size = start - 4, content.size
+        if kind == SH_RANGE and size == CONTENTS[kind].size <= len(records) - start:
+            low, high = CONTENTS[kind].unpack_from(records, start)[2:]
+        start += size
+    if unknown:
+        types = ", ".join(f"{kind:#010x}" for kind in sorted(unknown))
+        warnings.warn(f"{path}: ignored vendor records of unknown types: {types}", stacklevel=5)
+    if (low, high) == (-1.0, 1.0):
+        return np.float32(128), np.float32(1 / 128)
+    if not (math.isfinite(high - low) and low < high):
+        raise ValueError(f"{path}: expected a range of harmonics, got {low:g} to {high:g} in Adobe's vendor record")
+    return np.float32(-255 * low / (high - low)), np.float32((high - low) / 255)
 
 
 def _checked(path: Path, header: Header, versions: tuple[int, ...]) -> Header:
