@@ -8,6 +8,7 @@ import torch
 
 from splatrl.scenes.formats import read_gaussians, write_gaussians
 from splatrl.scenes.formats.ply import write_ply
+from splatrl.scenes.formats.reading import trained_antialiased
 from splatrl.scenes.gaussians import INVISIBLE
 from tests.scenes.samples import assert_same, ply_bytes, ply_fields, sample_gaussians
 
@@ -28,6 +29,29 @@ def test_fields_are_found_by_name_whatever_their_order_and_encoding(tmp_path: Pa
     random.Random(degree).shuffle(names)
     path = written(tmp_path / "a.ply", ply_bytes({name: fields[name] for name in names}, kind))
     assert_same(read_gaussians(path), gaussians)
+
+
+@pytest.mark.parametrize(
+    ("comments", "antialiased"),
+    [
+        (["Exported from Brush", "SH degree: 0", "SplatRenderMode: mip"], True),
+        (["SplatRenderMode: default"], False),
+        (["antialiased 1"], True),
+        (["antialiased 0"], False),
+        (["antialiased 0", "SplatRenderMode: mip"], None),
+        (["rendered antialiased"], None),
+        ([], None),
+    ],
+)
+def test_comments_say_whether_a_splat_was_trained_antialiased(
+    tmp_path: Path, comments: list[str], antialiased: bool | None
+) -> None:
+    lines = "".join(f"comment {comment}\n" for comment in comments).encode()
+    content = ply_bytes(ply_fields(sample_gaussians(3, 0)), KINDS[1])
+    path = written(tmp_path / "a.ply", content.replace(b"element", lines + b"element", 1))
+    assert trained_antialiased(path) is antialiased
+    write_gaussians(tmp_path / "b.ply", read_gaussians(path), antialiased)
+    assert trained_antialiased(tmp_path / "b.ply") is antialiased
 
 
 def test_fields_may_be_doubles_and_other_elements_are_skipped(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from splatrl.scenes.formats import read_gaussians, write_gaussians
+from splatrl.scenes.formats.reading import trained_antialiased
 from splatrl.scenes.sources import read_scene
 from tests.scenes.samples import (
     assert_same,
@@ -158,7 +159,24 @@ def test_gsply_reads_a_written_file_with_the_same_values(tmp_path: Path, gsply: 
     np.testing.assert_allclose(ours.quats, unit, atol=1e-6)
 
 
-def test_files_are_reproducible_and_small_and_say_whether_to_antialias(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("antialiased", "flag"), [(None, 0), (False, 0), (True, 1)])
+def test_files_say_whether_the_splat_was_trained_antialiased(
+    tmp_path: Path, antialiased: bool | None, flag: int
+) -> None:
+    path = tmp_path / "a.spz"
+    write_gaussians(path, sample_gaussians(9, 1), antialiased)
+    assert gzip.decompress(path.read_bytes())[14] == flag
+    assert trained_antialiased(path) is bool(flag)
+
+
+def test_files_of_version_4_say_whether_the_splat_was_trained_antialiased(tmp_path: Path) -> None:
+    pytest.importorskip("imagecodecs", reason="needs the extra gsply")
+    for flags in (0, 1):
+        path = written(tmp_path / "a.spz", spz_4_bytes(*random_spz(3, 0), claims={"flags": flags}))
+        assert trained_antialiased(path) is bool(flags)
+
+
+def test_files_are_reproducible_and_small(tmp_path: Path) -> None:
     gaussians = sample_gaussians(2000, 1)
     sizes = {}
     for name in ("a.spz", "b.spz", "a.ply"):
@@ -166,9 +184,6 @@ def test_files_are_reproducible_and_small_and_say_whether_to_antialias(tmp_path:
         sizes[name] = (tmp_path / name).stat().st_size
     assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
     assert sizes["a.spz"] < sizes["a.ply"] / 3.5
-    write_gaussians(tmp_path / "c.spz", gaussians, antialiased=False)
-    flags = [gzip.decompress((tmp_path / name).read_bytes())[14] for name in ("a.spz", "c.spz")]
-    assert flags == [1, 0]
 
 
 def test_positions_of_a_large_place_are_stored_as_finely_as_the_format_allows(tmp_path: Path) -> None:

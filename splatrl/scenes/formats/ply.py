@@ -23,6 +23,11 @@ QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
 FILTER = "filter_3D"
 """Standard deviation of the 3D smoothing filter, in a file that stores the Gaussians without it."""
 
+MODE = {True: "SplatRenderMode: mip", False: "SplatRenderMode: default"}
+"""Brush's comments on whether a splat was trained antialiased."""
+TRAINED = {comment: antialiased for antialiased, comment in MODE.items()}
+TRAINED |= {"antialiased 1": True, "antialiased 0": False}  # Postshot's
+
 
 def read_ply(path: Path, max_inflation: float) -> Gaussians:
     """Read a PLY file of Gaussians: fields by name in any order, ASCII or binary, SH degree 0 to 3.
@@ -50,12 +55,13 @@ def read_ply(path: Path, max_inflation: float) -> Gaussians:
     return activated(path, means, quats, log_scales, logits[:, 0], sh, smoothing if filters else None)
 
 
-def write_ply(path: Path, gaussians: Gaussians) -> None:
+def write_ply(path: Path, gaussians: Gaussians, antialiased: bool | None = None) -> None:
     """Write Gaussians as PLY in Inria's layout.
 
     Args:
         path: the file to write.
         gaussians: Gaussians in any frame.
+        antialiased: whether they were trained antialiased, for a comment; None writes none.
 
     Raises:
         ValueError: if a value to store is not finite, such as the log of a scale of 0.
@@ -80,7 +86,8 @@ def write_ply(path: Path, gaussians: Gaussians) -> None:
             rows[name] = column.numpy()
     element = plyfile.PlyElement.describe(rows, "vertex")
     with replacing(path) as stream:
-        plyfile.PlyData([element], byte_order="<").write(stream)
+        comments = [] if antialiased is None else [MODE[antialiased]]
+        plyfile.PlyData([element], byte_order="<", comments=comments).write(stream)
 
 
 def _rest(count: int) -> tuple[str, ...]:
@@ -110,4 +117,11 @@ def _checked_fields(path: Path, header: PlyHeader) -> tuple[str, ...]:
     return rest
 
 
+def _antialiased(path: Path) -> bool | None:
+    """Return whether the splat was trained antialiased, if a comment of Brush or Postshot says so."""
+    found = {TRAINED[comment] for comment in read_ply_header(path).comments if comment in TRAINED}
+    return found.pop() if len(found) == 1 else None
+
+
 READERS = {".ply": read_ply}
+MODES = {".ply": _antialiased}

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -24,11 +25,30 @@ META = "meta.json"
 
 
 @cache
-def readers() -> dict[str, Reader]:
-    """Return the readers by file extension, from ``READERS`` of the sibling modules: a new format is a new module."""
+def _by_extension(attribute: str) -> dict[str, Any]:
+    """Merge an attribute of the sibling modules, a mapping by file extension: a new format is a new module."""
     names = sorted(info.name for info in pkgutil.iter_modules([str(Path(__file__).parent)]))
     modules = [import_module(f"splatrl.scenes.formats.{name}") for name in names if name != "reading"]
-    return {ending: read for module in modules for ending, read in vars(module).get("READERS", {}).items()}
+    return {ending: value for module in modules for ending, value in vars(module).get(attribute, {}).items()}
+
+
+def readers() -> dict[str, Reader]:
+    """Return the readers by file extension, from ``READERS`` of the sibling modules."""
+    return _by_extension("READERS")
+
+
+def trained_antialiased(path: Path) -> bool | None:
+    """Return whether a splat was trained antialiased, for other viewers; None if its file does not say so.
+
+    Images are antialiased either way, unless that is set otherwise: at the sizes of robots' images this is nearer to
+    what a classic splat looks like at the size that it was trained at.
+
+    Args:
+        path: a splat file, or the folder of an unpacked SOG, that can be read.
+    """
+    path = path / META if path.is_dir() else path
+    mode = _by_extension("MODES").get(path.suffix.lower())
+    return None if mode is None else mode(path)
 
 
 def splat_reader(path: Path) -> Reader:

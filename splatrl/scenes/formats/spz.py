@@ -1,11 +1,13 @@
 """Reads Niantic's SPZ, versions 2 to 4: quantised Gaussians, stored one attribute after another.
 
 Versions 2 and 3 are a single gzip stream, with any vendor records at its end; version 4 has an uncompressed header,
-vendor records, a table of contents, and one Zstandard stream per attribute. The format is described at https://github.com/nianticlabs/spz. Positions and
-harmonics keep the axes of the file (x right, y up, z back if its writer follows the format's advice); the order and
-signs of the harmonics are those of 3DGS, with the colour channel varying fastest.
+vendor records, a table of contents, and one Zstandard stream per attribute. The format is described at
+https://github.com/nianticlabs/spz. Positions and harmonics keep the axes of the file (x right, y up, z back if its
+writer follows the format's advice); the order and signs of the harmonics are those of 3DGS, with the colour channel
+varying fastest.
 """
 
+import gzip
 import math
 import struct
 import warnings
@@ -32,6 +34,7 @@ BLOCK = 1 << 16
 """Gaussians decoded per batch."""
 PIECE = 1 << 20
 """Maximum number of bytes unpacked at a time."""
+ANTIALIASED = 0x1  # flag: trained with antialiasing
 HAS_EXTENSIONS = 0x2  # flag: vendor records may follow the attributes
 RECORD = struct.Struct("<II")
 """Start of a vendor record: its type, and the size of its content in bytes."""
@@ -245,4 +248,14 @@ def _smallest_three(packed: Bytes) -> NDArray[np.float32]:
     return np.roll(xyzw, 1, axis=1)
 
 
+def _antialiased(path: Path) -> bool:
+    """Return whether the splat was trained antialiased."""
+    with path.open("rb") as stream:
+        plain = stream.read(len(MAGIC)) == MAGIC
+        stream.seek(0)
+        start = stream.read(HEADER.size) if plain else gzip.GzipFile(fileobj=stream).read(HEADER.size)
+    return bool(Header(*HEADER.unpack(start)).flags & ANTIALIASED)
+
+
 READERS = {".spz": read_spz}
+MODES = {".spz": _antialiased}
