@@ -72,6 +72,27 @@ def gsply(monkeypatch: pytest.MonkeyPatch) -> Any:
     return package
 
 
+def test_positions_of_version_1_are_halves(tmp_path: Path) -> None:
+    payload, count = random_spz(2, 1)
+    places = np.linspace(-3, 3, 3 * count).astype("<f2")
+    first = written(tmp_path / "1.spz", spz_bytes(places.tobytes() + payload[9 * count :], count, 1, 1))
+    second = read_gaussians(written(tmp_path / "2.spz", spz_bytes(payload, count, 2, 1)))
+    second.means = torch.from_numpy(places.astype(np.float32)).reshape(count, 3)
+    assert_same(read_gaussians(first), second)
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_harmonics_of_degree_4_are_left_out_with_a_warning(tmp_path: Path, version: int) -> None:
+    payload, count = random_spz(3, 4)
+    before, sh = payload[: -72 * count], np.frombuffer(payload[-72 * count :], np.uint8).reshape(count, 72)
+    coarse = read_gaussians(written(tmp_path / "3.spz", spz_bytes(before + sh[:, :45].tobytes(), count, degree=3)))
+    if version == 4:
+        pytest.importorskip("imagecodecs", reason="needs the extra gsply")
+    content = (spz_bytes if version == 3 else spz_4_bytes)(payload, count, degree=4)
+    with pytest.warns(UserWarning, match=r"4\.spz: left out the harmonics of degree 4"):
+        assert_same(read_gaussians(written(tmp_path / "4.spz", content)), coarse)
+
+
 @pytest.mark.parametrize("largest", range(4))
 def test_a_version_3_rotation_leaves_out_its_largest_component(tmp_path: Path, largest: int) -> None:
     xyzw = np.insert(np.array([0.3, -0.2, 0.1]), largest, np.sqrt(1 - 0.14))
@@ -242,9 +263,9 @@ def test_values_beyond_the_range_of_a_byte_are_clamped_with_a_warning_about_size
 @pytest.mark.parametrize(
     ("header", "message"),
     [
-        ({"version": 1}, "version: expected 2 or 3, got 1"),
-        ({"version": 4}, "version: expected 2 or 3, got 4"),
-        ({"degree": 4}, "shDegree: expected 0 to 3, got 4"),
+        ({"version": 0}, "version: expected 1 to 3, got 0"),
+        ({"version": 4}, "version: expected 1 to 3, got 4"),
+        ({"degree": 5}, "shDegree: expected 0 to 4, got 5"),
         ({"fractional_bits": 25}, "fractionalBits: expected at most 24, got 25"),
         ({"count": 0}, "numPoints: expected at least 1, got 0"),
         ({"count": 10}, "expected 200 bytes after the header, got 180: truncated"),
@@ -379,7 +400,7 @@ def test_version_4_gives_the_same_gaussians_as_version_3(tmp_path: Path, degree:
     ("claims", "message"),
     [
         ({"version": 5}, "version: expected 4, got 5"),
-        ({"degree": 4}, "shDegree: expected 0 to 3, got 4"),
+        ({"degree": 5}, "shDegree: expected 0 to 4, got 5"),
         ({"degree": 1}, "expected a table of 6 streams in the file, got 5 at byte 32"),
         ({"streams": 6}, "expected a table of 5 streams in the file, got 6 at byte 32"),
         ({"contents": 4}, "expected a table of 5 streams in the file, got 5 at byte 4"),

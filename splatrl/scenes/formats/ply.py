@@ -8,6 +8,7 @@ import plyfile
 
 from splatrl.files import replacing
 from splatrl.scenes.formats.compressed_ply import is_compressed, read_compressed_ply
+from splatrl.scenes.formats.limits import MOST_HARMONICS, warn_of_fourth_degree
 from splatrl.scenes.formats.ply_header import PlyHeader, read_ply_header
 from splatrl.scenes.formats.ply_rows import vertex_columns
 from splatrl.scenes.formats.stored import activated, opacity_logits
@@ -30,11 +31,13 @@ TRAINED |= {"antialiased 1": True, "antialiased 0": False}  # Postshot's
 
 
 def read_ply(path: Path, max_inflation: float) -> Gaussians:
-    """Read a PLY file of Gaussians: fields by name in any order, ASCII or binary, SH degree 0 to 3.
+    """Read a PLY file of Gaussians: fields by name in any order, ASCII or binary, SH degree 0 to 4.
+
+    Harmonics of degree 4 are left out, with a warning.
 
     The 3D smoothing filter that Mip-Splatting and Gaussian Opacity Fields store in ``FILTER`` is applied. Surfels of 2D
     Gaussian Splatting (Huang et al. 2024) are flat, with the third axis as normal, and stored without the third scale;
-    it becomes a hundredth of the smaller one.
+    or with 0; it becomes a hundredth of the smaller one.
 
     Raises:
         ValueError: for a damaged file, one that does not hold Gaussians, or a wrong number of harmonics.
@@ -43,6 +46,9 @@ def read_ply(path: Path, max_inflation: float) -> Gaussians:
     if is_compressed(header):
         return read_compressed_ply(path, header)
     rest = np.array(_checked_fields(path, header), object).reshape(3, -1).T  # the file stores harmonics by channel
+    if len(rest) > MOST_HARMONICS:
+        warn_of_fourth_degree(path)
+        rest = rest[:MOST_HARMONICS]
     properties = header.elements["vertex"].properties
     filters = (FILTER,) if properties.get(FILTER, "list") != "list" else ()
     groups = (MEANS, QUATS, _scales(properties), ("opacity",), (*SH0, *rest.ravel()), filters)
@@ -50,8 +56,8 @@ def read_ply(path: Path, max_inflation: float) -> Gaussians:
     dtypes = [np.float64 if doubles else np.float32, *[np.float32] * (len(groups) - 1)]
     means, quats, log_scales, logits, sh, smoothing = vertex_columns(path, header, groups, dtypes)
     sh = sh.reshape(len(sh), 1 + len(rest), 3)
-    if log_scales.shape[1] == 2:
-        log_scales = np.column_stack([log_scales, log_scales.min(1) + THIN])
+    if log_scales.shape[1] == 2 or (log_scales[:, 2] == -np.inf).all():
+        log_scales = np.column_stack([log_scales[:, :2], log_scales[:, :2].min(1) + THIN])
     return activated(path, means, quats, log_scales, logits[:, 0], sh, smoothing if filters else None)
 
 
@@ -105,8 +111,8 @@ def _checked_fields(path: Path, header: PlyHeader) -> tuple[str, ...]:
         raise ValueError(f"{path}: expected an element vertex, got {', '.join(header.elements) or 'none'}")
     properties = header.elements["vertex"].properties
     rest = _rest(sum(name.startswith("f_rest_") for name in properties))
-    if len(rest) not in (0, 9, 24, 45):
-        raise ValueError(f"{path}: f_rest_*: expected 0, 9, 24 or 45 harmonics above degree 0, got {len(rest)}")
+    if len(rest) not in (0, 9, 24, 45, 72):
+        raise ValueError(f"{path}: f_rest_*: expected 0, 9, 24, 45 or 72 harmonics above degree 0, got {len(rest)}")
     needed = (*MEANS, *SH0, *rest, "opacity", *_scales(properties), *QUATS)
     missing = [name for name in needed if properties.get(name, "list") == "list"]
     if missing:

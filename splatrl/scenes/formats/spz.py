@@ -1,6 +1,6 @@
-"""Reads Niantic's SPZ, versions 2 to 4: quantised Gaussians, stored one attribute after another.
+"""Reads Niantic's SPZ, versions 1 to 4: quantised Gaussians, stored one attribute after another.
 
-Versions 2 and 3 are a single gzip stream, with any vendor records at its end; version 4 has an uncompressed header,
+Versions 1 to 3 are a single gzip stream, with any vendor records at its end; version 4 has an uncompressed header,
 vendor records, a table of contents, and one Zstandard stream per attribute. The format is described at
 https://github.com/nianticlabs/spz. Positions and harmonics keep the axes of the file (x right, y up, z back if its
 writer follows the format's advice); the order and signs of the harmonics are those of 3DGS, with the colour channel
@@ -20,7 +20,7 @@ import torch
 from numpy.typing import NDArray
 
 from splatrl.extras import require
-from splatrl.scenes.formats.limits import check_inflation
+from splatrl.scenes.formats.limits import MOST_HARMONICS, check_inflation, warn_of_fourth_degree
 from splatrl.scenes.gaussians import Gaussians, checked_gaussians
 
 MAGIC = b"NGSP"
@@ -62,13 +62,14 @@ class Header(NamedTuple):
     @property
     def widths(self) -> dict[str, int]:
         """Bytes per Gaussian of each attribute, in file order."""
-        rotation = 3 if self.version == 2 else 4
+        position = 6 if self.version == 1 else 9
+        rotation = 3 if self.version <= 2 else 4
         harmonics = 3 * ((self.sh_degree + 1) ** 2 - 1)
-        return {"positions": 9, "alphas": 1, "colors": 3, "scales": 3, "rotations": rotation, "sh": harmonics}
+        return {"positions": position, "alphas": 1, "colors": 3, "scales": 3, "rotations": rotation, "sh": harmonics}
 
 
 def read_spz(path: Path, max_inflation: float) -> Gaussians:
-    """Read an SPZ file of version 2, 3 or 4.
+    """Read an SPZ file. Harmonics of degree 4 are left out, with a warning.
 
     Raises:
         ValueError: for another version, a damaged stream, or a size that does not match the header.
@@ -83,17 +84,19 @@ def read_spz(path: Path, max_inflation: float) -> Gaussians:
     for name, width in header.widths.items():
         columns[name] = payload[start : start + width * header.points].reshape(header.points, width)
         start += width * header.points
-    count, harmonics = header.points, (header.sh_degree + 1) ** 2
+    if header.sh_degree > 3:
+        warn_of_fourth_degree(path)
+    count, harmonics = header.points, 1 + min((header.sh_degree + 1) ** 2 - 1, MOST_HARMONICS)
     means, quats = np.empty((count, 3), np.float32), np.empty((count, 4), np.float32)
     scales, sh = np.empty((count, 3), np.float32), np.empty((count, harmonics, 3), np.float32)
-    rotations = _first_three if header.version == 2 else _smallest_three
+    rotations = _first_three if header.version <= 2 else _smallest_three
     for first in range(0, count, BLOCK):
         rows = slice(first, first + BLOCK)
         means[rows] = _positions(columns["positions"][rows], header.fractional_bits)
         quats[rows] = rotations(columns["rotations"][rows])
         scales[rows] = np.exp(columns["scales"][rows] / np.float32(16.0) - np.float32(10.0))
         sh[rows, 0] = (columns["colors"][rows] / np.float32(255.0) - np.float32(0.5)) / np.float32(COLOR_SCALE)
-        rest = columns["sh"][rows].reshape(len(scales[rows]), harmonics - 1, 3)
+        rest = columns["sh"][rows].reshape(len(scales[rows]), -1, 3)[:, : harmonics - 1]
         sh[rows, 1:] = (rest - middle) * step
     return checked_gaussians(
         str(path),
@@ -106,14 +109,14 @@ def read_spz(path: Path, max_inflation: float) -> Gaussians:
 
 
 def _unpack(path: Path, stream: BinaryIO, max_inflation: float) -> tuple[Header, Bytes, bytes]:
-    """Unpack header, attributes and vendor records of versions 2 and 3: no more than declared, if that is plausible."""
+    """Unpack header, attributes and vendor records of versions 1 to 3: no more than declared, if that is plausible."""
     held = path.stat().st_size
     inflater = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
     try:
         start = _inflated(inflater, stream, HEADER.size)
         if len(start) < HEADER.size:
             raise ValueError(f"{path}: header: expected {HEADER.size} bytes, got {len(start)}")
-        header = _checked(path, Header(*HEADER.unpack(start.tobytes())), (2, 3))
+        header = _checked(path, Header(*HEADER.unpack(start.tobytes())), (1, 2, 3))
         promised = sum(header.widths.values()) * header.points
         check_inflation(path, "numPoints", promised, held, max_inflation)
         payload = _inflated(inflater, stream, promised)
@@ -174,7 +177,7 @@ def _harmonics_scale(path: Path, records: bytes, version: int) -> tuple[np.float
     """Return the byte that stands for 0, and a byte's step, of the harmonics above degree 0.
 
     They range from -1 to just below 1, unless Adobe's record gives their range. The first writers of vendor records, in
-    versions 2 and 3, left out the size of their content.
+    versions 1 to 3, left out the size of their content.
     """
     low, high = -1.0, 1.0
     unknown: set[int] = set()
@@ -204,19 +207,21 @@ def _checked(path: Path, header: Header, versions: tuple[int, ...]) -> Header:
     if header.magic != MAGIC:
         raise ValueError(f"{path}: magic: expected {MAGIC!r}, got {header.magic!r}")
     if header.version not in versions:
-        expected = " or ".join(map(str, versions))
+        expected = f"{versions[0]} to {versions[-1]}" if versions[1:] else versions[0]
         raise ValueError(f"{path}: version: expected {expected}, got {header.version}")
     if header.points == 0:
         raise ValueError(f"{path}: numPoints: expected at least 1, got 0")
-    if header.sh_degree > 3:
-        raise ValueError(f"{path}: shDegree: expected 0 to 3, got {header.sh_degree}")
+    if header.sh_degree > 4:
+        raise ValueError(f"{path}: shDegree: expected 0 to 4, got {header.sh_degree}")
     if header.fractional_bits > 24:
         raise ValueError(f"{path}: fractionalBits: expected at most 24, got {header.fractional_bits}")
     return header
 
 
 def _positions(packed: Bytes, fractional_bits: int) -> NDArray[np.float32]:
-    """Decode positions in 24-bit signed fixed point, little endian: [N, 9] → [N, 3]."""
+    """Decode positions: [N, 9] → [N, 3], in 24-bit signed fixed point, or [N, 6] halves of version 1; little endian."""
+    if packed.shape[1] == 6:
+        return np.ascontiguousarray(packed).view("<f2").astype(np.float32)
     wide = np.zeros((len(packed), 3, 4), np.uint8)
     wide[:, :, 1:] = packed.reshape(-1, 3, 3)  # in the upper bytes, so that the shift extends the sign
     fixed = wide.reshape(-1, 12).view("<i4") >> 8
@@ -224,7 +229,7 @@ def _positions(packed: Bytes, fractional_bits: int) -> NDArray[np.float32]:
 
 
 def _first_three(packed: Bytes) -> NDArray[np.float32]:
-    """Decode version 2 rotations, with x, y and z in one byte each and w ≥ 0: [N, 3] → wxyz [N, 4]."""
+    """Decode rotations of versions 1 and 2, with x, y and z in one byte each and w ≥ 0: [N, 3] → wxyz [N, 4]."""
     xyz = packed / np.float32(127.5) - np.float32(1.0)
     w = np.sqrt(np.maximum(0.0, 1.0 - (xyz * xyz).sum(1, keepdims=True)))
     return np.concatenate([w, xyz], 1).astype(np.float32)
