@@ -13,7 +13,7 @@ MOST_HARMONICS = 15
 
 def warn_of_fourth_degree(path: Path) -> None:
     """Warn that the harmonics of degree 4, the finest changes of colour with direction, are left out."""
-    warnings.warn(f"{path}: left out the harmonics of degree 4; colours change with direction up to 3", stacklevel=6)
+    warnings.warn(f"{path}: left out the harmonics of degree 4, which are not drawn", stacklevel=6)
 
 
 def check_inflation(path: Path, what: str, unpacked: int, held: int, most: float) -> None:
