@@ -92,6 +92,16 @@ def ungrounded(undrawn: None, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def unproposed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw nothing, and propose nothing but the scene's bounds, for tests that look at none of it."""
+    from splatrl.capture.inspection import Proposed
+
+    monkeypatch.setattr("splatrl.capture.inspection.inspect_occupancy", lambda *_: (None, []))
+    monkeypatch.setattr("splatrl.capture.inspection.inspect_terrain", lambda *_: [])
+    monkeypatch.setattr("splatrl.capture.inspection.propose", lambda scene, *_: Proposed(scene.bounds, {}, []))
+
+
+@pytest.fixture
 def unmade_yards(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compose configs of generated yards without making the yards, which takes half a second each unless cached."""
     monkeypatch.setattr("splatrl.configuration.scene_files.make_yards", lambda _: None)

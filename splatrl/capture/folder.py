@@ -75,7 +75,7 @@ def write_scene(
     check_absent(folder / SCENE_FILE, force)
     progress("check", 0, len(held_out))
     with _whole(folder, work or folder.parent) as fresh:
-        write_gaussians(fresh / splat, gaussians)
+        write_gaussians(fresh / splat, gaussians, antialiased=True)
         gaussians = read_gaussians(fresh / splat)  # check exactly what was written
         area = survey_area(gaussians, placed, known)
         found = suggest(seen_by_cameras(placed), area)

@@ -15,7 +15,7 @@ from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks, scene_place
 from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.folders import SceneFolder
 from splatrl.scenes.formats import read_gaussians
-from splatrl.scenes.formats.reading import read_centred, rounding, splat_reader
+from splatrl.scenes.formats.reading import read_centred, rounding, splat_reader, trained_antialiased
 from splatrl.scenes.frame import similarity
 from splatrl.scenes.nerfstudio import antialiased_beside
 from splatrl.scenes.placement import floor_height
@@ -83,8 +83,8 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
     world_from_splat = similarity(**frame)
     standing = read_gaussians(path, transform=world_from_splat)
     scene = Scene(splat_name(path), standing, captured_bounds(standing))
-    drawn, floor = antialiased_beside(path), floor_height(upright, world_from_splat)
-    pictures = inspection.ScenePictures(target.path, drawn is not False)
+    floor = floor_height(upright, world_from_splat)
+    pictures = inspection.ScenePictures(target.path)
     height = options.height or ROBOT_HEIGHT
     try:
         occupancy, lines = inspection.inspect_occupancy(scene, floor, height, pictures, options.resolution)
@@ -97,13 +97,12 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
     show(proposed.lines)
     if proposed.settings and proposed.settings.get("goal") is None:
         print("goals       none: nothing to recognise near a free place")
-    proposals = {} if drawn is None else {"antialiased": drawn}
-    proposals |= {"metric": False} if upright.units_guess.confidence in (UNKNOWN, GUESS) else {}
+    proposals = {"metric": False} if upright.units_guess.confidence in (UNKNOWN, GUESS) else {}
     proposals |= proposed.settings
     if target.converts:
-        show(target.write(scene, proposed.bounds, proposals))
+        show(target.write(scene, proposed.bounds, proposals, _trained(path)))
     else:
-        show(target.describe(path, gaussians, scene.name, frame, proposed.bounds, proposals))
+        show(target.describe(path, gaussians, scene.name, frame, proposed.bounds, proposals, _trained(path)))
     if (rounded := rounding(gaussians) or rounding(standing)) is not None:
         print(f"not fit to train in: {rounded}")
         return
@@ -126,8 +125,7 @@ def look_again(options: argparse.Namespace, folder: Path, target: SceneFolder) -
             "or pass the splat file instead"
         )
     scene = read_scene(folder)
-    drawn = described.get("antialiased", antialiased_beside(folder / described["splat"]))
-    pictures = inspection.ScenePictures(target.path, drawn is not False)
+    pictures = inspection.ScenePictures(target.path, described.get("antialiased", True))
     show([survey(scene.gaussians), described_upright(scene.gaussians, described.get("metric", True))])
     height = options.height or described.get("robot_height", ROBOT_HEIGHT)
     occupancy, lines = inspection.inspect_occupancy(scene, 0.0, height, pictures, options.resolution, described)
@@ -136,8 +134,13 @@ def look_again(options: argparse.Namespace, folder: Path, target: SceneFolder) -
     show(inspection.inspect_terrain(scene, occupancy, (lower, upper), height, pictures))
     if target.converts:
         proposals = {key: described[key] for key in PROPOSALS if key in described}
-        proposals |= {} if drawn is None else {"antialiased": drawn}
-        show(target.write(scene, scene.bounds, proposals))
+        show(target.write(scene, scene.bounds, proposals, _trained(folder / described["splat"])))
+
+
+def _trained(splat: Path) -> bool | None:
+    """Return whether a splat was trained antialiased, as its file or nerfstudio says; None if neither does."""
+    said = trained_antialiased(splat)
+    return antialiased_beside(splat) if said is None else said
 
 
 def show(lines: Iterable[object]) -> None:

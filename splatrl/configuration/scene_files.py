@@ -11,7 +11,6 @@ from splatrl.scenes import yards
 from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks, read_blocks_description, scene_place
 from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.formats.reading import META
-from splatrl.scenes.nerfstudio import antialiased_beside
 
 __all__ = ["described", "found_scene", "is_in_blocks", "make_yards", "yard_proposals"]
 
@@ -34,7 +33,7 @@ def found_scene(typed: str) -> str:
 
 
 def described(place: Path) -> dict[str, Any]:
-    """Read the description in a scene's folder, or in metadata beside its file; empty if there is none.
+    """Read the description in a scene's folder; empty if there is none.
 
     Raises:
         ValueError: for an invalid ``scene.yaml`` or ``blocks.yaml``.
@@ -42,11 +41,7 @@ def described(place: Path) -> dict[str, Any]:
     place = scene_place(place)
     if is_in_blocks(place):
         return read_blocks_description(place)
-    stated = read_description(place) if (place / SCENE_FILE).is_file() else {}
-    drawn = antialiased_beside(place / stated["splat"] if stated else place)
-    if drawn is not None:
-        stated.setdefault("antialiased", drawn)
-    return stated
+    return read_description(place) if (place / SCENE_FILE).is_file() else {}
 
 
 def make_yards(seeds: Sequence[int]) -> None:

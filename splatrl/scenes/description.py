@@ -26,7 +26,7 @@ COMMENTS = {
     "scale": "metres per unit of the file",
     "translation": "metres, added last",
     "matrix": "from file coordinates to world metres: rotation, uniform scale and translation",
-    "antialiased": "whether to render antialiased, as in the splat's training; false: classic 3DGS images",
+    "antialiased": "whether to render antialiased; false: classic 3DGS images, meant for large ones",
     "metric": "whether lengths are metres; false: the scale is unknown or only a guess",
     "robot_height": "height of the robot's camera, metres",
     "walk": "lower and upper corner of the walkable area, x and y in metres",

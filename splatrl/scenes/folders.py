@@ -91,13 +91,16 @@ class SceneFolder:
     def _ending(self) -> str:
         return Path(SMALL_SPLAT if self.small else SPLAT).suffix
 
-    def write(self, scene: Scene, bounds: Bounds, proposals: Mapping[str, Any]) -> list[str]:
+    def write(
+        self, scene: Scene, bounds: Bounds, proposals: Mapping[str, Any], antialiased: bool | None = None
+    ) -> list[str]:
         """Write a scene in the world frame, as blocks or with a small splat file.
 
         Args:
             scene: the scene; the cloud of its ``free`` space is copied to the folder.
             bounds: bounds of the region for robots, metres.
             proposals: training settings that the scene proposes.
+            antialiased: whether the splat was trained antialiased, for the splat files; None if that is not known.
 
         Returns:
             Lines that say what was written.
@@ -112,16 +115,23 @@ class SceneFolder:
             _copy(scene.free.path, self.path / cloud)
             proposals = {**proposals, "free": cloud}
         if self.block is not None:
-            names = write_split(self.path, scene, self.block, self._ending, bounds, proposals)
+            names = write_split(self.path, scene, self.block, self._ending, bounds, proposals, antialiased)
             return [f"wrote       {self.path / BLOCKS_FILE} and {len(names)} blocks of {self.block:g} m"]
         splat = self.path / SMALL_SPLAT
-        write_gaussians(splat, scene.gaussians, proposals.get("antialiased", True))
+        write_gaussians(splat, scene.gaussians, antialiased)
         line = f"wrote       {splat}, {splat.stat().st_size / 1e6:.1f} MB"
         described = write_description(self.path, splat.name, scene.name, AS_IT_IS, bounds, self.force, proposals)
         return [line, f"wrote       {described}"]
 
     def describe(
-        self, file: Path, gaussians: Gaussians, name: str, frame: Frame, bounds: Bounds, proposals: Mapping[str, Any]
+        self,
+        file: Path,
+        gaussians: Gaussians,
+        name: str,
+        frame: Frame,
+        bounds: Bounds,
+        proposals: Mapping[str, Any],
+        antialiased: bool | None = None,
     ) -> list[str]:
         """Write a ``scene.yaml`` for a splat file, after copying the file to the folder unless it is there.
 
@@ -132,6 +142,7 @@ class SceneFolder:
             frame: arguments of ``similarity`` from the file to the world, by name.
             bounds: bounds of the region for robots, metres.
             proposals: training settings that the scene proposes.
+            antialiased: whether the splat was trained antialiased, for a rewritten file; None if that is not known.
 
         Returns:
             Lines that say what was written.
@@ -146,7 +157,7 @@ class SceneFolder:
             if splat.name == file.name:
                 _copy(file, splat)
             else:
-                write_gaussians(splat, gaussians)
+                write_gaussians(splat, gaussians, antialiased)
             lines.append(f"wrote       {splat}")
         described = write_description(self.path, splat.name, name, frame, bounds, self.force, proposals)
         return [*lines, f"wrote       {described}"]

@@ -112,7 +112,11 @@ def checked_gaussians(
     visible = opacities >= INVISIBLE * (1 - 1e-6)  # the logits of a PLY round
     keep = finite & visible
     if not keep.any():
-        raise ValueError(f"{source}: expected at least one finite, visible Gaussian, got none among {count}")
+        raise ValueError(
+            f"{source}: expected at least one finite, visible Gaussian, got none among {count}: "
+            f"{int((norms[:, 0] == 0).sum())} have a zero quaternion, {int((scales <= 0).any(1).sum())} a scale of 0 "
+            f"or less, {int((~visible).sum())} are transparent"
+        )
     if not keep.all():
         warnings.warn(
             f"{source}: dropped {int((~finite).sum())} non-finite or degenerate and "

@@ -26,6 +26,7 @@ def write_split(
     ending: str = ".ply",
     bounds: Bounds | None = None,
     proposals: Mapping[str, Any] | None = None,
+    antialiased: bool | None = None,
 ) -> list[str]:
     """Split a scene into square blocks along x and y, and write them with their ``blocks.yaml``.
 
@@ -38,7 +39,8 @@ def write_split(
         size: side of a block, metres.
         ending: file extension; .ply keeps the values, .spz rounds them and takes a fifth of the space.
         bounds: bounds of the region for robots, to be stated in ``blocks.yaml``; None takes the scene's own.
-        proposals: training settings that the scene proposes; ``antialiased`` is also stored in SPZ files.
+        proposals: training settings that the scene proposes.
+        antialiased: whether the splat was trained antialiased, for the splat files; None if that is not known.
 
     Returns:
         Names of the splat files.
@@ -67,7 +69,7 @@ def write_split(
         x, y = left + (column - 1) * size, bottom + (row - 1) * size
         name = f"{AROUND if number < 0 else f'{BLOCK}{column}-{row}'}{ending}"
         blocks[name] = _box(chosen.means.numpy()) if number < 0 else ((x, y, low), (x + size, y + size, high))
-        write_gaussians(folder / name, chosen, (proposals or {}).get("antialiased", True))
+        write_gaussians(folder / name, chosen, antialiased)
     write_blocks(folder, scene.name, blocks, bounds or scene.bounds, proposals)
     return list(blocks)
 

@@ -21,6 +21,7 @@ from splatrl.evaluation.scene_pictures import survey_occupancy
 from splatrl.scenes import Gaussians, read_gaussians, read_scene, similarity, write_gaussians
 from splatrl.scenes.blocks import BlockScene
 from splatrl.scenes.description import read_description
+from splatrl.scenes.formats.reading import trained_antialiased
 from splatrl.scenes.scene import FreeSpace
 from splatrl.scenes.upright import GUESS, SURE, Guess, Upright, guess_upright
 from tests.preloaded import start
@@ -61,13 +62,6 @@ def few_pictures(few_places: None, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("evaluation.scene_pictures.draw_maps", "capture.inspection.draw_goals"):
         monkeypatch.setattr(f"splatrl.{name}", lambda *_: None)
     monkeypatch.setattr(inspection, "inspect_terrain", lambda *_: [])
-
-
-@pytest.fixture
-def unproposed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw nothing, and propose nothing but the scene's bounds, for tests that look at none of it."""
-    monkeypatch.setattr(inspection, "inspect_occupancy", lambda *_: (None, []))
-    monkeypatch.setattr(inspection, "propose", lambda scene, *_: inspection.Proposed(scene.bounds, {}, []))
 
 
 def heights(folder: Path) -> tuple[float, float]:
@@ -482,6 +476,23 @@ def test_a_converted_scene_does_not_replace_free_space_of_others(splat: Path, tm
     with pytest.raises(SystemExit, match=r"free\.ply: already exists"):
         main([str(splat.parent), "--out", str(tmp_path / "out.spz")])
     assert (tmp_path / "out" / "free.ply").read_text() == "theirs"
+
+
+@pytest.mark.usefixtures("unproposed")
+@pytest.mark.parametrize("antialiased", [None, False, True])
+def test_written_splats_say_how_their_source_was_trained(tmp_path: Path, antialiased: bool | None) -> None:
+    """From PLY to SPZ and to blocks, and from SPZ and a folder on, while scene.yaml asks for nothing."""
+    source = tmp_path / "yard.ply"
+    write_gaussians(source, world(), antialiased)
+    frame = ["--axes=x,y,z", "--scale=1"]
+    main([str(source), *frame, "--out", str(tmp_path / "small.spz")])
+    small = tmp_path / "small" / "splat.spz"
+    assert trained_antialiased(small) is (antialiased is True)
+    assert "antialiased" not in read_description(small.parent)
+    main([str(small.parent), "--out", str(tmp_path / "again.spz")])
+    assert trained_antialiased(tmp_path / "again" / "splat.spz") is (antialiased is True)
+    main([str(source), *frame, "--split=20", "--out", str(tmp_path / "cut")])
+    assert {trained_antialiased(path) for path in (tmp_path / "cut").glob("*.ply")} == {antialiased}
 
 
 @pytest.mark.usefixtures("unproposed")

@@ -383,6 +383,7 @@ def test_without_autoreset_the_client_resets_robots_whose_episode_ended() -> Non
 
 def test_infos_tell_the_level_at_which_an_episode_began() -> None:
     single, several = tiny_env([1], first=1, window=1), vector(tiny_env([2]))
+    single.reset()
     single.curriculum.record(torch.zeros(1), torch.ones(1, dtype=torch.bool), torch.ones(1, dtype=torch.bool))
     assert GymnasiumEnv(single).reset()[1]["level"] == 1
     assert GymnasiumEnv(single).reset(options={"state": [0, 0, 0]})[1]["level"] == -1

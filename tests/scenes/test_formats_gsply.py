@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from splatrl.scenes.formats import read_gaussians
+from splatrl.scenes.formats.reading import trained_antialiased
 from splatrl.scenes.sources import read_scene
 from splatrl.spherical_harmonics import C0
 from tests.scenes.samples import assert_same, assert_valid, compressed_ply_bytes, sog_entries, sog_meta, zip_bytes
@@ -241,6 +242,16 @@ class TestSog:
         ):
             read_gaussians(path)
         assert len(read_gaussians(path, max_inflation=1e6).means) == size * size
+
+    @pytest.mark.parametrize("antialiased", [True, False, None])
+    def test_a_bundle_says_whether_the_splat_was_trained_antialiased(
+        self, tmp_path: Path, antialiased: bool | None
+    ) -> None:
+        meta = json.dumps({**sog_meta(6, 0), "antialias": antialiased}).encode()
+        entries = {**sog_entries()[0], "meta.json": meta}
+        assert trained_antialiased(written(tmp_path / "a.sog", zip_bytes(entries))) is antialiased
+        written(tmp_path / "meta.json", meta)
+        assert trained_antialiased(tmp_path) is antialiased
 
     def test_a_shared_sog_scene_is_read(self, shared_scenes: Path) -> None:
         gaussians = read_gaussians(shared_scenes / "playbot" / "playbot.sog")

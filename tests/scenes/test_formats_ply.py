@@ -8,6 +8,7 @@ import torch
 
 from splatrl.scenes.formats import read_gaussians, write_gaussians
 from splatrl.scenes.formats.ply import write_ply
+from splatrl.scenes.formats.reading import trained_antialiased
 from splatrl.scenes.gaussians import INVISIBLE
 from tests.scenes.samples import assert_same, ply_bytes, ply_fields, sample_gaussians
 
@@ -28,6 +29,29 @@ def test_fields_are_found_by_name_whatever_their_order_and_encoding(tmp_path: Pa
     random.Random(degree).shuffle(names)
     path = written(tmp_path / "a.ply", ply_bytes({name: fields[name] for name in names}, kind))
     assert_same(read_gaussians(path), gaussians)
+
+
+@pytest.mark.parametrize(
+    ("comments", "antialiased"),
+    [
+        (["Exported from Brush", "SH degree: 0", "SplatRenderMode: mip"], True),
+        (["SplatRenderMode: default"], False),
+        (["antialiased 1"], True),
+        (["antialiased 0"], False),
+        (["antialiased 0", "SplatRenderMode: mip"], None),
+        (["rendered antialiased"], None),
+        ([], None),
+    ],
+)
+def test_comments_say_whether_a_splat_was_trained_antialiased(
+    tmp_path: Path, comments: list[str], antialiased: bool | None
+) -> None:
+    lines = "".join(f"comment {comment}\n" for comment in comments).encode()
+    content = ply_bytes(ply_fields(sample_gaussians(3, 0)), KINDS[1])
+    path = written(tmp_path / "a.ply", content.replace(b"element", lines + b"element", 1))
+    assert trained_antialiased(path) is antialiased
+    write_gaussians(tmp_path / "b.ply", read_gaussians(path), antialiased)
+    assert trained_antialiased(tmp_path / "b.ply") is antialiased
 
 
 def test_fields_may_be_doubles_and_other_elements_are_skipped(tmp_path: Path) -> None:
@@ -123,7 +147,7 @@ def test_a_wrong_number_of_harmonics_is_refused(tmp_path: Path, removed: str) ->
     fields = ply_fields(sample_gaussians(3, 2))
     del fields[removed]
     path = written(tmp_path / "a.ply", ply_bytes(fields))
-    with pytest.raises(ValueError, match=r"a\.ply: f_rest_\*: expected 0, 9, 24 or 45 .* got 23"):
+    with pytest.raises(ValueError, match=r"a\.ply: f_rest_\*: expected 0, 9, 24, 45 or 72 .* got 23"):
         read_gaussians(path)
 
 
@@ -153,12 +177,48 @@ def test_a_header_that_promises_endless_lists_is_refused(tmp_path: Path) -> None
         read_gaussians(written(tmp_path / "a.ply", header))
 
 
-@pytest.mark.parametrize("extra", [-1, 1])
-def test_a_binary_file_of_the_wrong_length_is_refused(tmp_path: Path, extra: int) -> None:
+def test_a_binary_file_that_is_too_short_is_refused(tmp_path: Path) -> None:
     content = ply_bytes(ply_fields(sample_gaussians(7, 0)))
-    content = content[:extra] if extra < 0 else content + b"\0" * extra
-    with pytest.raises(ValueError, match=rf"expected 392 bytes after the header, got {392 + extra}"):
-        read_gaussians(written(tmp_path / "a.ply", content))
+    with pytest.raises(ValueError, match="expected 392 bytes after the header, got 391"):
+        read_gaussians(written(tmp_path / "a.ply", content[:-1]))
+
+
+@pytest.mark.parametrize("extra", [1, 1000])
+def test_what_follows_the_last_row_is_ignored_with_a_warning(tmp_path: Path, extra: int) -> None:
+    gaussians = sample_gaussians(7, 0)
+    path = written(tmp_path / "a.ply", ply_bytes(ply_fields(gaussians)) + b"\0" * extra)
+    with pytest.warns(UserWarning, match=rf"a\.ply: ignored {extra} bytes after the last row"):
+        assert_same(read_gaussians(path), gaussians)
+
+
+def test_harmonics_of_degree_4_are_left_out_with_a_warning(tmp_path: Path) -> None:
+    gaussians = sample_gaussians(7, 3)
+    fields = ply_fields(gaussians)
+    finer = {f"f_rest_{24 * channel + i}": np.full(7, 9.0) for channel in range(3) for i in range(24)}
+    for channel in range(3):
+        for i in range(15):
+            finer[f"f_rest_{24 * channel + i}"] = fields.pop(f"f_rest_{15 * channel + i}")
+    path = written(tmp_path / "a.ply", ply_bytes({**fields, **finer}))
+    with pytest.warns(UserWarning, match=r"a\.ply: left out the harmonics of degree 4"):
+        assert_same(read_gaussians(path), gaussians)
+
+
+def test_flat_gaussians_are_a_hundredth_as_thick_as_wide(tmp_path: Path) -> None:
+    gaussians = sample_gaussians(7, 0)
+    fields = {**ply_fields(gaussians), "scale_2": np.full(7, -np.inf)}
+    gaussians.scales[:, 2] = 0.01 * gaussians.scales[:, :2].amin(1)
+    assert_same(read_gaussians(written(tmp_path / "a.ply", ply_bytes(fields))), gaussians)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [("rot_", 0.0, "7 have a zero quaternion, 0 "), ("scale_", -np.inf, "0 have .*, 7 a scale of 0 or less, 0 ")],
+)
+def test_the_reason_is_said_why_no_gaussian_is_usable(tmp_path: Path, name: str, value: float, reason: str) -> None:
+    fields = ply_fields(sample_gaussians(7, 0))
+    fields |= {key: np.full(7, value) for key in fields if key.startswith(name)}
+    with pytest.raises(ValueError, match=rf"a\.ply: .* got none among 7: {reason}"):
+        read_gaussians(written(tmp_path / "a.ply", ply_bytes(fields)))
 
 
 @pytest.mark.parametrize(
@@ -173,7 +233,7 @@ def test_an_invalid_header_line_is_quoted_in_the_error(tmp_path: Path, line: str
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"PK\x03\x04 not a splat", "expected a PLY file with a header"),
+        (b"not a splat", "expected a PLY file with a header"),
         (b"ply\nformat ascii 1.0\nelement vertex 3\n", "expected a PLY file with a header"),
         (b"ply\nelement vertex 1\nend_header\n", "expected a format line"),
         (b"ply\nformat ascii 1.0\nend_header\n", "expected an element vertex, got none"),

@@ -1,5 +1,6 @@
 import gzip
 import math
+import struct
 import tracemalloc
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import pytest
 import torch
 
 from splatrl.scenes.formats import read_gaussians, write_gaussians
+from splatrl.scenes.formats.reading import trained_antialiased
 from splatrl.scenes.sources import read_scene
 from tests.scenes.samples import (
     assert_same,
@@ -68,6 +70,27 @@ def gsply(monkeypatch: pytest.MonkeyPatch) -> Any:
     package = pytest.importorskip("gsply", reason="needs the extra gsply")
     monkeypatch.setattr(package.spz, "_decode_spz_kernel", package.spz._decode_spz_kernel.py_func)
     return package
+
+
+def test_positions_of_version_1_are_halves(tmp_path: Path) -> None:
+    payload, count = random_spz(2, 1)
+    places = np.linspace(-3, 3, 3 * count).astype("<f2")
+    first = written(tmp_path / "1.spz", spz_bytes(places.tobytes() + payload[9 * count :], count, 1, 1))
+    second = read_gaussians(written(tmp_path / "2.spz", spz_bytes(payload, count, 2, 1)))
+    second.means = torch.from_numpy(places.astype(np.float32)).reshape(count, 3)
+    assert_same(read_gaussians(first), second)
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_harmonics_of_degree_4_are_left_out_with_a_warning(tmp_path: Path, version: int) -> None:
+    payload, count = random_spz(3, 4)
+    before, sh = payload[: -72 * count], np.frombuffer(payload[-72 * count :], np.uint8).reshape(count, 72)
+    coarse = read_gaussians(written(tmp_path / "3.spz", spz_bytes(before + sh[:, :45].tobytes(), count, degree=3)))
+    if version == 4:
+        pytest.importorskip("imagecodecs", reason="needs the extra gsply")
+    content = (spz_bytes if version == 3 else spz_4_bytes)(payload, count, degree=4)
+    with pytest.warns(UserWarning, match=r"4\.spz: left out the harmonics of degree 4"):
+        assert_same(read_gaussians(written(tmp_path / "4.spz", content)), coarse)
 
 
 @pytest.mark.parametrize("largest", range(4))
@@ -157,7 +180,24 @@ def test_gsply_reads_a_written_file_with_the_same_values(tmp_path: Path, gsply: 
     np.testing.assert_allclose(ours.quats, unit, atol=1e-6)
 
 
-def test_files_are_reproducible_and_small_and_say_whether_to_antialias(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("antialiased", "flag"), [(None, 0), (False, 0), (True, 1)])
+def test_files_say_whether_the_splat_was_trained_antialiased(
+    tmp_path: Path, antialiased: bool | None, flag: int
+) -> None:
+    path = tmp_path / "a.spz"
+    write_gaussians(path, sample_gaussians(9, 1), antialiased)
+    assert gzip.decompress(path.read_bytes())[14] == flag
+    assert trained_antialiased(path) is bool(flag)
+
+
+def test_files_of_version_4_say_whether_the_splat_was_trained_antialiased(tmp_path: Path) -> None:
+    pytest.importorskip("imagecodecs", reason="needs the extra gsply")
+    for flags in (0, 1):
+        path = written(tmp_path / "a.spz", spz_4_bytes(*random_spz(3, 0), claims={"flags": flags}))
+        assert trained_antialiased(path) is bool(flags)
+
+
+def test_files_are_reproducible_and_small(tmp_path: Path) -> None:
     gaussians = sample_gaussians(2000, 1)
     sizes = {}
     for name in ("a.spz", "b.spz", "a.ply"):
@@ -165,9 +205,6 @@ def test_files_are_reproducible_and_small_and_say_whether_to_antialias(tmp_path:
         sizes[name] = (tmp_path / name).stat().st_size
     assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
     assert sizes["a.spz"] < sizes["a.ply"] / 3.5
-    write_gaussians(tmp_path / "c.spz", gaussians, antialiased=False)
-    flags = [gzip.decompress((tmp_path / name).read_bytes())[14] for name in ("a.spz", "c.spz")]
-    assert flags == [1, 0]
 
 
 def test_positions_of_a_large_place_are_stored_as_finely_as_the_format_allows(tmp_path: Path) -> None:
@@ -226,9 +263,9 @@ def test_values_beyond_the_range_of_a_byte_are_clamped_with_a_warning_about_size
 @pytest.mark.parametrize(
     ("header", "message"),
     [
-        ({"version": 1}, "version: expected 2 or 3, got 1"),
-        ({"version": 4}, "version: expected 2 or 3, got 4"),
-        ({"degree": 4}, "shDegree: expected 0 to 3, got 4"),
+        ({"version": 0}, "version: expected 1 to 3, got 0"),
+        ({"version": 4}, "version: expected 1 to 3, got 4"),
+        ({"degree": 5}, "shDegree: expected 0 to 4, got 5"),
         ({"fractional_bits": 25}, "fractionalBits: expected at most 24, got 25"),
         ({"count": 0}, "numPoints: expected at least 1, got 0"),
         ({"count": 10}, "expected 200 bytes after the header, got 180: truncated"),
@@ -250,8 +287,52 @@ def test_a_header_that_does_not_fit_is_refused_by_field(tmp_path: Path, header: 
 def test_extensions_after_the_attributes_are_ignored(tmp_path: Path) -> None:
     payload, count = random_spz(3, 1)
     plain = read_gaussians(written(tmp_path / "a.spz", spz_bytes(payload, count, degree=1)))
-    extended = spz_bytes(payload + b"a vendor's record", count, degree=1, flags=2)
-    torch.testing.assert_close(read_gaussians(written(tmp_path / "b.spz", extended)).sh, plain.sh, atol=0, rtol=0)
+    extended = written(tmp_path / "b.spz", spz_bytes(payload + b"a vendor's record", count, degree=1, flags=2))
+    with pytest.warns(UserWarning, match=r"b\.spz: ignored vendor records of unknown types: 0x65762061"):
+        torch.testing.assert_close(read_gaussians(extended).sh, plain.sh, atol=0, rtol=0)
+
+
+UNKNOWN = struct.pack("<II3s", 0x12340001, 3, b"any")
+CAMERA = struct.pack("<II3f", 0xADBE0002, 12, 0.1, 0.2, 3.0)
+SH_RANGE = struct.pack("<BBff", 8, 8, -0.5, 0.25)
+RECORDS = [
+    struct.pack("<I", 0xADBE0001) + SH_RANGE,  # early writers state no size
+    struct.pack("<I3fI", 0xADBE0002, 0.1, 0.2, 3.0, 0xADBE0001) + SH_RANGE,
+    struct.pack("<II", 0xADBE0001, 10) + SH_RANGE,
+    CAMERA + struct.pack("<II", 0xADBE0001, 10) + SH_RANGE + CAMERA,
+]
+
+
+@pytest.mark.parametrize(
+    ("version", "records"), [*((2, one) for one in RECORDS), *((3, one) for one in RECORDS), (4, RECORDS[2])]
+)
+def test_harmonics_have_the_range_that_a_vendor_record_states(tmp_path: Path, version: int, records: bytes) -> None:
+    payload, count = random_spz(2 if version == 2 else 3, 1)
+    if version < 4:
+        content = spz_bytes(payload + records, count, version, 1, flags=2)
+    else:
+        pytest.importorskip("imagecodecs", reason="needs the extra gsply")
+        content = spz_4_bytes(payload, count, 1, records)
+    sh = read_gaussians(written(tmp_path / "a.spz", content)).sh[:, 1:]
+    stored = np.frombuffer(payload[-9 * count :], np.uint8).reshape(count, 3, 3)
+    torch.testing.assert_close(sh, torch.tensor(stored / 255 * 0.75 - 0.5, dtype=torch.float32), atol=1e-6, rtol=0)
+
+
+def test_unknown_vendor_records_are_skipped_with_one_warning(tmp_path: Path) -> None:
+    payload, count = random_spz(3, 1)
+    content = spz_bytes(payload + UNKNOWN + RECORDS[2] + UNKNOWN, count, 3, 1, flags=2)
+    with pytest.warns(UserWarning, match=r"unknown types: 0x12340001$") as said:
+        sh = read_gaussians(written(tmp_path / "a.spz", content)).sh[:, 1:]
+    assert len(said) == 1
+    assert -0.5 <= float(sh.min()) < float(sh.max()) <= 0.25
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.5, -0.5), (1.0, 1.0), (math.nan, 1.0), (-1.0, math.inf)])
+def test_a_range_of_harmonics_that_is_none_is_refused(tmp_path: Path, low: float, high: float) -> None:
+    payload, count = random_spz(3, 1)
+    record = struct.pack("<IIBBff", 0xADBE0001, 10, 8, 8, low, high)
+    with pytest.raises(ValueError, match=r"a\.spz: expected a range of harmonics, got "):
+        read_gaussians(written(tmp_path / "a.spz", spz_bytes(payload + record, count, 3, 1, flags=2)))
 
 
 @pytest.mark.parametrize("kept", [1, 9, 15, 60, -9, -1])
@@ -310,7 +391,7 @@ def test_version_4_gives_the_same_gaussians_as_version_3(tmp_path: Path, degree:
     pytest.importorskip("imagecodecs", reason="needs the extra gsply")
     payload, count = random_spz(3, degree)
     third = read_gaussians(written(tmp_path / "3.spz", spz_bytes(payload, count, 3, degree)))
-    for extension in (b"", b"vendor's records"):
+    for extension in (b"", struct.pack("<II3f", 0xADBE0002, 12, 0.0, 1.0, 2.0)):
         fourth = read_gaussians(written(tmp_path / "4.spz", spz_4_bytes(payload, count, degree, extension)))
         assert_same(third, fourth)
 
@@ -319,7 +400,7 @@ def test_version_4_gives_the_same_gaussians_as_version_3(tmp_path: Path, degree:
     ("claims", "message"),
     [
         ({"version": 5}, "version: expected 4, got 5"),
-        ({"degree": 4}, "shDegree: expected 0 to 3, got 4"),
+        ({"degree": 5}, "shDegree: expected 0 to 4, got 5"),
         ({"degree": 1}, "expected a table of 6 streams in the file, got 5 at byte 32"),
         ({"streams": 6}, "expected a table of 5 streams in the file, got 6 at byte 32"),
         ({"contents": 4}, "expected a table of 5 streams in the file, got 5 at byte 4"),

@@ -1,4 +1,4 @@
-"""A splat that nerfstudio trained is moved back to the frame of its cameras, and is drawn as it was trained."""
+"""A splat that nerfstudio trained is moved back to its cameras' frame; files made of it say how it was trained."""
 
 import json
 import math
@@ -16,6 +16,7 @@ from splatrl.configuration import load_config, run_config, save_config, with_sce
 from splatrl.evaluation.scene_pictures import draw_scene
 from splatrl.scenes import Gaussians, Scene, read_scene, similarity, write_gaussians
 from splatrl.scenes.description import read_description
+from splatrl.scenes.formats.reading import trained_antialiased
 from splatrl.scenes.nerfstudio import antialiased_beside
 from tests.scenes.samples import assert_same, sample_gaussians
 from tests.scenes.test_survey import BOXES, FLOOR, surfaces
@@ -104,15 +105,16 @@ def test_a_malformed_transforms_file_gives_a_one_line_error(tmp_path: Path, cont
 
 
 @pytest.mark.parametrize(("mode", "antialiased"), [("classic", False), ("antialiased", True), ("'classic'", False)])
-def test_a_splat_is_drawn_as_it_was_trained(tmp_path: Path, mode: str, antialiased: bool) -> None:
+def test_images_are_antialiased_however_a_splat_was_trained(tmp_path: Path, mode: str, antialiased: bool) -> None:
     splat = trained(tmp_path / "ns", sample_gaussians(9, degree=0), turned_about_z(1.0), mode)
+    assert antialiased_beside(splat) is antialiased
     overrides = [f"scene={splat}", "robot.height=1", "landmarks.goal=[0,0,0]"]
     cfg = load_config(overrides)
-    assert cfg.renderer.antialiased is cfg.renderer.cpu.antialiased is antialiased
+    assert cfg.renderer.antialiased is cfg.renderer.cpu.antialiased is True
     save_config(cfg, tmp_path)
-    assert run_config(tmp_path).renderer.cpu.antialiased is antialiased
-    assert load_config([f"renderer.antialiased={not antialiased}", *overrides]).renderer.antialiased is not antialiased
-    assert load_config([*overrides, "renderer=reference"]).renderer.antialiased is antialiased
+    assert run_config(tmp_path).renderer.cpu.antialiased is True
+    assert load_config(["renderer.antialiased=false", *overrides]).renderer.antialiased is False
+    assert load_config([*overrides, "renderer=reference"]).renderer.antialiased is True
     assert not (tmp_path / "evil").exists() and not Path("evil").exists()
 
 
@@ -127,40 +129,48 @@ def test_no_rasterize_mode_is_assumed_where_the_config_is_unclear(tmp_path: Path
     assert with_scene_paths([f"scene={splat}"]) == ["scene=file", f"scene.path='{splat}'"]
 
 
-def test_the_scene_yaml_of_a_folder_takes_precedence_over_nerfstudios_config(tmp_path: Path) -> None:
+def test_only_the_scene_yaml_of_a_folder_asks_for_classic_images(tmp_path: Path) -> None:
     splat = trained(tmp_path / "ns", sample_gaussians(9, degree=0), turned_about_z(1.0), "classic")
     (splat.parent / "scene.yaml").write_text("splat: splat.ply\nrobot_height: 1.0\n")
-    assert load_config([f"scene={splat.parent}"]).renderer.antialiased is False
-    (splat.parent / "scene.yaml").write_text("splat: splat.ply\nrobot_height: 1.0\nantialiased: true\n")
     assert load_config([f"scene={splat.parent}"]).renderer.antialiased is True
+    (splat.parent / "scene.yaml").write_text("splat: splat.ply\nrobot_height: 1.0\nantialiased: false\n")
+    assert load_config([f"scene={splat.parent}"]).renderer.antialiased is False
     (splat.parent / "scene.yaml").write_text("splat: splat.ply\nantialiased: 1\n")
     with pytest.raises(ValueError, match=r"scene\.yaml: antialiased: expected true or false, got 1"):
         load_config([f"scene={splat.parent}"])
 
 
 @pytest.mark.usefixtures("ungrounded")
-def test_splatrl_scene_reads_frame_and_mode_from_the_files_beside_the_splat(
+def test_splatrl_scene_reads_the_frame_beside_the_splat_and_draws_as_the_scene_yaml_says(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn: list[bool] = []
 
     def draw(pictures: ScenePictures, scene: Scene, *others: Any) -> list[Path]:
         drawn.append(pictures.antialiased)
-        again = len(drawn) % 2 == 0  # the same pictures again, so they need not be drawn
-        return [] if again else draw_scene(scene, *others, pictures.folder, pictures.antialiased)
+        return draw_scene(scene, *others, pictures.folder, pictures.antialiased)
 
     monkeypatch.setattr(ScenePictures, "of_scene", draw)
     world = surfaces([FLOOR, *BOXES])
-    for mode in ("classic", "antialiased"):
-        splat = trained(tmp_path / mode, world, turned_about_z(1.0), mode)
-        main([str(splat)])
-        assert "frame       from dataparser_transforms.json next to the file" in capsys.readouterr().out
-        assert read_description(splat.parent)["antialiased"] is (mode == "antialiased")
-        torch.testing.assert_close(read_scene(splat.parent).gaussians.means, world.means, atol=1e-4, rtol=0)
-        main([str(splat.parent)])
-    assert drawn == [False, False, True, True]
-    views = [np.asarray(Image.open(tmp_path / mode / "splat-view.png")) for mode in ("classic", "antialiased")]
-    assert (views[0] != views[1]).any()
+    splat = trained(tmp_path / "ns", world, turned_about_z(1.0), "classic")
+    main([str(splat)])
+    assert "frame       from dataparser_transforms.json next to the file" in capsys.readouterr().out
+    description = splat.with_name("scene.yaml")
+    assert "antialiased" not in read_description(splat.parent)
+    torch.testing.assert_close(read_scene(splat.parent).gaussians.means, world.means, atol=1e-4, rtol=0)
+    antialiased = np.asarray(Image.open(splat.with_name("splat-view.png")))
+    description.write_text(description.read_text() + "antialiased: false\n")
+    main([str(splat.parent)])
+    assert drawn == [True, False]
+    assert (np.asarray(Image.open(splat.with_name("splat-view.png"))) != antialiased).any()
+
+
+@pytest.mark.usefixtures("unproposed")
+@pytest.mark.parametrize(("mode", "antialiased"), [("classic", False), ("antialiased", True)])
+def test_a_written_splat_says_how_nerfstudio_trained_it(tmp_path: Path, mode: str, antialiased: bool) -> None:
+    splat = trained(tmp_path / "ns", surfaces([FLOOR, *BOXES]), turned_about_z(1.0), mode)
+    main([str(splat), "--out", str(tmp_path / "small.spz")])
+    assert trained_antialiased(tmp_path / "small" / "splat.spz") is antialiased
 
 
 @pytest.mark.usefixtures("ungrounded")

@@ -55,4 +55,5 @@ def read_compressed_ply(path: Path, header: PlyHeader) -> Gaussians:
                 f"{path}: {name}: expected the {kinds[0]} properties {', '.join(names)}, got {element.properties}"
             )
     header.check_size(path)
-    return from_gsply(path, gsply.decompress_from_bytes(path.read_bytes()))
+    end = header.size + sum(element.size or 0 for element in header.elements.values())
+    return from_gsply(path, gsply.decompress_from_bytes(path.read_bytes()[:end]))

@@ -1,11 +1,19 @@
-"""Limits on the unpacked size of compressed splat files, so that a few bytes cannot demand gigabytes."""
+"""Limits on what is read of splat files: harmonics up to degree 3, and as much as the size of a file can hold."""
 
+import warnings
 from pathlib import Path
 
 MAX_INFLATION = 16.0
 """Maximum unpacked bytes per byte of a compressed file; real SPZ and SOG files stay below 8."""
 SLACK = 1 << 20
 """Additional unpacked bytes that every file may have, however small it is."""
+MOST_HARMONICS = 15
+"""Harmonics above degree 0 that are read: those of degrees 1 to 3."""
+
+
+def warn_of_fourth_degree(path: Path) -> None:
+    """Warn that the harmonics of degree 4, the finest changes of colour with direction, are left out."""
+    warnings.warn(f"{path}: left out the harmonics of degree 4, which are not drawn", stacklevel=6)
 
 
 def check_inflation(path: Path, what: str, unpacked: int, held: int, most: float) -> None:

@@ -8,6 +8,7 @@ import plyfile
 
 from splatrl.files import replacing
 from splatrl.scenes.formats.compressed_ply import is_compressed, read_compressed_ply
+from splatrl.scenes.formats.limits import MOST_HARMONICS, warn_of_fourth_degree
 from splatrl.scenes.formats.ply_header import PlyHeader, read_ply_header
 from splatrl.scenes.formats.ply_rows import vertex_columns
 from splatrl.scenes.formats.stored import activated, opacity_logits
@@ -23,13 +24,20 @@ QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
 FILTER = "filter_3D"
 """Standard deviation of the 3D smoothing filter, in a file that stores the Gaussians without it."""
 
+MODE = {True: "SplatRenderMode: mip", False: "SplatRenderMode: default"}
+"""Brush's comments on whether a splat was trained antialiased."""
+TRAINED = {comment: antialiased for antialiased, comment in MODE.items()}
+TRAINED |= {"antialiased 1": True, "antialiased 0": False}  # Postshot's
+
 
 def read_ply(path: Path, max_inflation: float) -> Gaussians:
-    """Read a PLY file of Gaussians: fields by name in any order, ASCII or binary, SH degree 0 to 3.
+    """Read a PLY file of Gaussians: fields by name in any order, ASCII or binary, SH degree 0 to 4.
+
+    Harmonics of degree 4 are left out, with a warning.
 
     The 3D smoothing filter that Mip-Splatting and Gaussian Opacity Fields store in ``FILTER`` is applied. Surfels of 2D
     Gaussian Splatting (Huang et al. 2024) are flat, with the third axis as normal, and stored without the third scale;
-    it becomes a hundredth of the smaller one.
+    or with 0; it becomes a hundredth of the smaller one.
 
     Raises:
         ValueError: for a damaged file, one that does not hold Gaussians, or a wrong number of harmonics.
@@ -38,6 +46,9 @@ def read_ply(path: Path, max_inflation: float) -> Gaussians:
     if is_compressed(header):
         return read_compressed_ply(path, header)
     rest = np.array(_checked_fields(path, header), object).reshape(3, -1).T  # the file stores harmonics by channel
+    if len(rest) > MOST_HARMONICS:
+        warn_of_fourth_degree(path)
+        rest = rest[:MOST_HARMONICS]
     properties = header.elements["vertex"].properties
     filters = (FILTER,) if properties.get(FILTER, "list") != "list" else ()
     groups = (MEANS, QUATS, _scales(properties), ("opacity",), (*SH0, *rest.ravel()), filters)
@@ -45,17 +56,18 @@ def read_ply(path: Path, max_inflation: float) -> Gaussians:
     dtypes = [np.float64 if doubles else np.float32, *[np.float32] * (len(groups) - 1)]
     means, quats, log_scales, logits, sh, smoothing = vertex_columns(path, header, groups, dtypes)
     sh = sh.reshape(len(sh), 1 + len(rest), 3)
-    if log_scales.shape[1] == 2:
-        log_scales = np.column_stack([log_scales, log_scales.min(1) + THIN])
+    if log_scales.shape[1] == 2 or (log_scales[:, 2] == -np.inf).all():
+        log_scales = np.column_stack([log_scales[:, :2], log_scales[:, :2].min(1) + THIN])
     return activated(path, means, quats, log_scales, logits[:, 0], sh, smoothing if filters else None)
 
 
-def write_ply(path: Path, gaussians: Gaussians) -> None:
+def write_ply(path: Path, gaussians: Gaussians, antialiased: bool | None = None) -> None:
     """Write Gaussians as PLY in Inria's layout.
 
     Args:
         path: the file to write.
         gaussians: Gaussians in any frame.
+        antialiased: whether they were trained antialiased, for a comment; None writes none.
 
     Raises:
         ValueError: if a value to store is not finite, such as the log of a scale of 0.
@@ -80,7 +92,8 @@ def write_ply(path: Path, gaussians: Gaussians) -> None:
             rows[name] = column.numpy()
     element = plyfile.PlyElement.describe(rows, "vertex")
     with replacing(path) as stream:
-        plyfile.PlyData([element], byte_order="<").write(stream)
+        comments = [] if antialiased is None else [MODE[antialiased]]
+        plyfile.PlyData([element], byte_order="<", comments=comments).write(stream)
 
 
 def _rest(count: int) -> tuple[str, ...]:
@@ -98,8 +111,8 @@ def _checked_fields(path: Path, header: PlyHeader) -> tuple[str, ...]:
         raise ValueError(f"{path}: expected an element vertex, got {', '.join(header.elements) or 'none'}")
     properties = header.elements["vertex"].properties
     rest = _rest(sum(name.startswith("f_rest_") for name in properties))
-    if len(rest) not in (0, 9, 24, 45):
-        raise ValueError(f"{path}: f_rest_*: expected 0, 9, 24 or 45 harmonics above degree 0, got {len(rest)}")
+    if len(rest) not in (0, 9, 24, 45, 72):
+        raise ValueError(f"{path}: f_rest_*: expected 0, 9, 24, 45 or 72 harmonics above degree 0, got {len(rest)}")
     needed = (*MEANS, *SH0, *rest, "opacity", *_scales(properties), *QUATS)
     missing = [name for name in needed if properties.get(name, "list") == "list"]
     if missing:
@@ -110,4 +123,11 @@ def _checked_fields(path: Path, header: PlyHeader) -> tuple[str, ...]:
     return rest
 
 
+def _antialiased(path: Path) -> bool | None:
+    """Return whether the splat was trained antialiased, if a comment of Brush or Postshot says so."""
+    found = {TRAINED[comment] for comment in read_ply_header(path).comments if comment in TRAINED}
+    return found.pop() if len(found) == 1 else None
+
+
 READERS = {".ply": read_ply}
+MODES = {".ply": _antialiased}

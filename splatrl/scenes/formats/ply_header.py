@@ -1,6 +1,7 @@
 """The header of a PLY file, checked before memory is allocated for the rows that it declares."""
 
 import re
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, cast
@@ -38,13 +39,18 @@ class PlyHeader:
     comments: tuple[str, ...] = ()
 
     def check_size(self, path: Path) -> None:
-        """Refuse a file whose size contradicts its header, as far as can be told without reading the rows."""
+        """Refuse a file smaller than its header says, as far as can be told without reading the rows.
+
+        What follows the last row is ignored with a warning.
+        """
         held = self.file_size - self.size
         sizes = [element.size for element in self.elements.values()]
         if self.format != "ascii" and None not in sizes:
             promised = sum(size for size in sizes if size is not None)
-            if held != promised:
+            if held < promised:
                 raise ValueError(f"{path}: expected {promised} bytes after the header, got {held}")
+            if held > promised:
+                warnings.warn(f"{path}: ignored {held - promised} bytes after the last row", stacklevel=6)
         else:  # each value takes at least one byte
             least = sum(element.count * max(1, len(element.properties)) for element in self.elements.values())
             if held < least:

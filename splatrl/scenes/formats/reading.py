@@ -2,11 +2,13 @@
 
 import os
 import pkgutil
+import shlex
 import warnings
 from collections.abc import Callable
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -19,16 +21,52 @@ from splatrl.scenes.gaussians import LARGEST, Gaussians
 Reader = Callable[[Path, float], Gaussians]
 """Function that reads an existing, non-empty file, given the maximum unpacked bytes per byte of a compressed one."""
 
+KINDS = {
+    b"ply\n": (".ply", "a PLY"),
+    b"ply\r": (".ply", "a PLY"),
+    b"NGSP": (".spz", "an SPZ"),
+    b"\x1f\x8b\x08\x00": (".spz", "an SPZ or another gzip file"),
+    b"\x1f\x8b\x08\x08": (".spz", "an SPZ or another gzip file"),
+    b"PK\x03\x04": (".sog", "an SOG or another ZIP file"),
+    b"glTF": (".glb", "a glTF file"),
+}
+"""First bytes of a kind of file, and its extension. Read as the x of a first Gaussian, with which a .splat begins, they
+are beyond 1e10 m or below 1e-30 m."""
+STREAMED = "lod-meta.json"
+CONVERT = "convert it: npx @playcanvas/splat-transform {} splat.ply"
+EXPORT = "export it as a PLY or an SPZ from the program that made it"
+ELSEWHERE = {".ksplat": CONVERT, ".lcc": CONVERT, ".glb": EXPORT, ".gltf": EXPORT, ".splatv": EXPORT}
+"""What to do with the formats of splats that are not read."""
+
 META = "meta.json"
 """Name of the file in an unpacked SOG bundle that lists the others."""
 
 
 @cache
-def readers() -> dict[str, Reader]:
-    """Return the readers by file extension, from ``READERS`` of the sibling modules: a new format is a new module."""
+def _by_extension(attribute: str) -> dict[str, Any]:
+    """Merge an attribute of the sibling modules, a mapping by file extension: a new format is a new module."""
     names = sorted(info.name for info in pkgutil.iter_modules([str(Path(__file__).parent)]))
     modules = [import_module(f"splatrl.scenes.formats.{name}") for name in names if name != "reading"]
-    return {ending: read for module in modules for ending, read in vars(module).get("READERS", {}).items()}
+    return {ending: value for module in modules for ending, value in vars(module).get(attribute, {}).items()}
+
+
+def readers() -> dict[str, Reader]:
+    """Return the readers by file extension, from ``READERS`` of the sibling modules."""
+    return _by_extension("READERS")
+
+
+def trained_antialiased(path: Path) -> bool | None:
+    """Return whether a splat was trained antialiased, for other viewers; None if its file does not say so.
+
+    Images are antialiased either way, unless that is set otherwise: at the sizes of robots' images this is nearer to
+    what a classic splat looks like at the size that it was trained at.
+
+    Args:
+        path: a splat file, or the folder of an unpacked SOG, that can be read.
+    """
+    path = path / META if path.is_dir() else path
+    mode = _by_extension("MODES").get(path.suffix.lower())
+    return None if mode is None else mode(path)
 
 
 def splat_reader(path: Path) -> Reader:
@@ -36,9 +74,16 @@ def splat_reader(path: Path) -> Reader:
 
     Raises:
         FileNotFoundError: if there is no such file.
-        ValueError: for an unknown extension, or an empty file.
+        ValueError: for an unknown extension, another kind of file than its extension says, or an empty file.
     """
-    reader = readers().get(path.suffix.lower())
+    ending = path.suffix.lower()
+    reader = readers().get(ending)
+    advice = CONVERT if path.name == STREAMED else ELSEWHERE.get(ending)
+    if advice is not None:
+        raise ValueError(
+            f"{path}: expected a file with the extension {', '.join(readers())}, got "
+            f"{'a streamed SOG' if path.name == STREAMED else ending}; {advice.format(shlex.quote(path.name))}"
+        )
     if reader is None:
         raise ValueError(
             f"{path}: expected a file with the extension {', '.join(readers())}, got {path.suffix or 'no extension'!r}"
@@ -47,6 +92,10 @@ def splat_reader(path: Path) -> Reader:
         raise FileNotFoundError(f"{path}: no such splat file")
     if path.stat().st_size == 0:
         raise ValueError(f"{path}: expected a splat file, got an empty one")
+    with path.open("rb") as stream:
+        kind, words = KINDS.get(stream.read(4), (ending, ""))
+    if kind != ending:
+        raise ValueError(f"{path}: expected a {ending}, got {words}; give it the extension of its kind")
     return reader
 
 
@@ -56,7 +105,7 @@ def read_gaussians(
     """Read a splat file, in the file's own frame and unit or in another frame.
 
     Args:
-        path: a .ply (3DGS as trainers write it, or compressed), .spz (version 2 to 4), .splat or .sog file, or the
+        path: a .ply (3DGS as trainers write it, or compressed), .spz (version 1 to 4), .splat or .sog file, or the
             folder or the meta.json of an unpacked SOG. SOG, compressed PLY and SPZ 4 need the extra:
             ``pip install 'splatrl[gsply]'``.
         max_inflation: maximum unpacked bytes per byte of a compressed file; real files rarely exceed ``MAX_INFLATION``.
@@ -110,6 +159,8 @@ def rounding(gaussians: Gaussians) -> str | None:
 def _stored(path: Path, max_inflation: float) -> Gaussians:
     """Read a splat file as it is stored: doubles stay doubles."""
     if path.is_dir():
+        if (path / STREAMED).is_file():
+            return _stored(path / STREAMED, max_inflation)
         if not (path / META).is_file():
             raise ValueError(f"{path}: expected a splat file, got a folder")
         path = path / META

@@ -160,4 +160,12 @@ def _sizes(path: Path, meta: dict[str, Any], name: str, count: int, entries: dic
     return sizes
 
 
+def _antialiased(path: Path) -> bool | None:
+    """Return whether the splat was trained antialiased, if the bundle says so."""
+    data = path.read_bytes()
+    meta = _meta(path, _unzip(path, data) if path.suffix.lower() == ".sog" else {"meta.json": data})
+    return meta["antialias"] if isinstance(meta.get("antialias"), bool) else None
+
+
+MODES = {".sog": _antialiased, ".json": _antialiased}
 READERS = {".sog": read_sog, ".json": read_unpacked_sog}

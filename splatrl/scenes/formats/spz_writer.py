@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.files import replacing
-from splatrl.scenes.formats.spz import COLOR_SCALE, HEADER, PIECE, Header
+from splatrl.scenes.formats.spz import ANTIALIASED, COLOR_SCALE, HEADER, PIECE, Header
 from splatrl.scenes.gaussians import Gaussians
 
 VERSION = 3
 FRACTIONAL_BITS = 12  # fractional bits of a position, as in other writers: a quarter of a millimetre
-ANTIALIASED = 0x1  # flag: trained with antialiasing, and to be rendered with it
 LARGEST = 2**23 - 1  # largest position in 24-bit signed fixed point
 LOG_SCALE_STEPS, LEAST_LOG_SCALE = 16.0, -10.0
 MOST_LOG_SCALE = 255 / LOG_SCALE_STEPS + LEAST_LOG_SCALE
@@ -31,7 +30,7 @@ STRAY = 10.0
 Bytes = NDArray[np.uint8]
 
 
-def write_spz(path: Path, gaussians: Gaussians, antialiased: bool = True) -> None:
+def write_spz(path: Path, gaussians: Gaussians, antialiased: bool = False) -> None:
     """Write Gaussians as SPZ, a fifth to a quarter of the size of a PLY file.
 
     The file is written atomically, and the same Gaussians give the same bytes. Positions are rounded to 1/4096
@@ -45,7 +44,7 @@ def write_spz(path: Path, gaussians: Gaussians, antialiased: bool = True) -> Non
     Args:
         path: the file to write.
         gaussians: Gaussians in any frame.
-        antialiased: whether they are to be rendered with antialiasing.
+        antialiased: whether they were trained with antialiasing, for viewers.
 
     Raises:
         ValueError: for values that are not finite, scales that are not above 0, or positions beyond what the format can

@@ -10,7 +10,7 @@ from splatrl.scenes.gaussians import Gaussians
 ENDINGS = (".ply", ".spz")
 
 
-def write_gaussians(path: str | os.PathLike[str], gaussians: Gaussians, antialiased: bool = True) -> None:
+def write_gaussians(path: str | os.PathLike[str], gaussians: Gaussians, antialiased: bool | None = None) -> None:
     """Write Gaussians to a splat file atomically.
 
     A PLY file has Inria's layout, which every splat viewer and editor opens, and keeps the values up to the float32
@@ -21,7 +21,8 @@ def write_gaussians(path: str | os.PathLike[str], gaussians: Gaussians, antialia
     Args:
         path: the file to write; its name ends in .ply or .spz.
         gaussians: Gaussians in any frame.
-        antialiased: whether they are to be rendered with antialiasing; only SPZ can store this.
+        antialiased: whether they were trained antialiased, which viewers can read from the file; None if that is not
+            known, which SPZ stores as not.
 
     Raises:
         ValueError: for another file extension, no Gaussians, or values that the format cannot store.
@@ -31,8 +32,8 @@ def write_gaussians(path: str | os.PathLike[str], gaussians: Gaussians, antialia
     if not len(gaussians):
         raise ValueError(f"{path}: expected at least one Gaussian to write, got none")
     if ending == ".ply":
-        write_ply(path, gaussians)
+        write_ply(path, gaussians, antialiased)
     elif ending == ".spz":
-        write_spz(path, gaussians, antialiased)
+        write_spz(path, gaussians, antialiased is True)
     else:
         raise ValueError(f"{path}: expected the extension {' or '.join(ENDINGS)}, got {ending or 'no extension'!r}")
