@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 from omegaconf import OmegaConf
 
+from splatrl.bodies import Sphere
 from splatrl.capture.base import Reconstruction
 from splatrl.capture.fit import FitSettings
 from splatrl.capture.resolution import Resolution
@@ -37,7 +38,7 @@ def test_width_and_cap_follow_from_the_robots_camera(resolution: Resolution, wid
 
 
 def test_a_fit_has_twice_the_pixels_per_degree_of_a_robot() -> None:
-    robot = Robot(None, 1.0, fov_deg=60.0, image_width=300)  # type: ignore[arg-type]
+    robot = Robot(Sphere(0.2), 1.0, fov_deg=60.0, image_width=300)
     fit = Resolution(300, 60.0).of(photos(), FitSettings())
     focal = float(photos().K[0, 0]) * fit.width / photos().width
     assert 2.0 <= focal / float(robot.K[0, 0]) < 2.01
