@@ -77,7 +77,7 @@ def make_batch(
         scene: see ``make_one``.
         overrides: see ``make_one``.
         seed: see ``make_one``.
-        max_episode_steps: sets ``task.max_steps``, as Gymnasium's argument of this name; None leaves it.
+        max_episode_steps: sets ``task.max_steps``, as Gymnasium's argument of this name; None or -1 leaves it.
         options: further arguments of ``GymnasiumVectorEnv``.
 
     Raises:
@@ -86,7 +86,7 @@ def make_batch(
     from splatrl.building import make_env
     from splatrl.envs.gymnasium_env import GymnasiumVectorEnv
 
-    limit = [] if max_episode_steps is None else [f"task.max_steps={max_episode_steps}"]
+    limit = [] if max_episode_steps in (None, -1) else [f"task.max_steps={max_episode_steps}"]
     chosen = [*_overrides(task, scene, overrides), *limit]
     return GymnasiumVectorEnv(make_env(chosen, [num_envs], _seeded(seed)), **options)
 

@@ -12,6 +12,8 @@ from splatrl.curriculum.ground import Ground
 
 MOST_DISTANCES = 2**29
 """Most distances, nodes times goals, of one scene: each takes 4 bytes."""
+AT_ONCE = 2**20
+"""Most distances that ``Geodesics.within`` looks up at once, unless there are more places."""
 NEAR = 2.0
 """Distance from a goal within which the straight-line distance is used, cells."""
 
@@ -180,7 +182,7 @@ class Geodesics(nn.Module):
         while done < self.for_training:  # twice as many goals at a time, as most places need no more than the first
             left = (~found).nonzero().squeeze(1)
             goals = torch.arange(done, min(done + count, self.for_training), device=place.device)
-            done, count = done + count, 2 * count
+            done, count = done + count, max(1, min(2 * count, AT_ONCE // max(len(left), 1)))
             far = self.distance(place[left].repeat_interleave(len(goals), 0), goals.repeat(len(left)))
             found[left] = ((far >= least) & (far <= most)).view(len(left), len(goals)).any(1)
         return found

@@ -339,9 +339,8 @@ def _observed_keys(env: EnvBase) -> list[str]:
 
 
 def _observed(env: EnvBase, td: TensorDictBase) -> Observation:
-    """Return the observations of a batch of robots."""
-    read = set(env.state_spec.keys())  # by the next step, such as stacked views; clients may edit what they are given
-    arrays = {key: (td[key].clone() if key in read else td[key]).cpu().numpy() for key in _observed_keys(env)}
+    """Return copies of the observations of a batch of robots: clients may edit what they are given."""
+    arrays = {key: td[key].to("cpu", copy=True).numpy() for key in _observed_keys(env)}
     if len(arrays) == 1:
         return arrays["pixels"]
     return {key: each.astype(np.int8) if each.dtype == bool else each for key, each in arrays.items()}
@@ -368,7 +367,7 @@ def _column(td: TensorDictBase, key: str) -> npt.NDArray[Any]:
 def _infos(td: TensorDictBase) -> Infos:
     held = set(td.keys())
     columns = {key: _column(td, key) for key in ("outcome", "goals", "success", "level", "scene") if key in held}
-    return {**columns, "state": td["state"].cpu().numpy().copy()}  # clients may edit it
+    return {key: each.copy() for key, each in {**columns, "state": td["state"].cpu().numpy()}.items()}  # see _observed
 
 
 def _one(infos: Infos) -> Infos:

@@ -26,9 +26,13 @@ class Memory(GRUModule):
     stepwise: bool | None = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Map ``features`` [B, F], or in learning [B, T, F], to ``hidden`` and the next state."""
+        """Map ``features`` [..., F], or in learning [..., T, F], to ``hidden`` and the next state."""
         given = tensordict[self.in_keys[0]], tensordict[STATE].squeeze(-2), tensordict["is_init"]
-        hidden = self._through(*given) if self.recurrent_mode else self.after(*given)
+        if self.recurrent_mode:
+            rows = (each.reshape(-1, *each.shape[-2:]) for each in given)
+            hidden = self._through(*rows).view(*given[0].shape[:-1], -1)
+        else:
+            hidden = self.after(*given)
         return tensordict.set("hidden", hidden).set(("next", STATE), hidden.unsqueeze(-2))
 
     def _through(self, features: Tensor, state: Tensor, is_init: Tensor) -> Tensor:

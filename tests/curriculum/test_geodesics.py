@@ -139,7 +139,9 @@ def test_goals_are_free_seeded_and_drawn_at_the_requested_distance() -> None:
     assert tests.min() >= 5 and tests.max() < 8
 
 
-def test_a_place_is_within_range_if_any_goal_for_training_is() -> None:
+@pytest.mark.parametrize("at_once", [1, 700, 10**6])
+def test_a_place_is_within_range_if_any_goal_for_training_is(at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("splatrl.curriculum.geodesics.AT_ONCE", at_once)
     goals = geodesics(for_training=6)
     places = torch.rand(300, 2, generator=torch.Generator().manual_seed(5)) * torch.tensor([2.0, 3.0])
     places -= torch.tensor([1.0, 1.5])

@@ -434,13 +434,17 @@ def test_an_episode_that_has_ended_takes_no_further_step() -> None:
     env.step(np.int64(SPIN))
 
 
-def test_clients_may_edit_infos_and_pictures_without_moving_robots() -> None:
+def test_clients_may_edit_all_that_they_are_given_without_moving_robots() -> None:
     for env, action in ((make_tiny("rgb_array"), np.int64(SPIN)), (vector(tiny_env([2])), np.full(2, SPIN))):
-        _, info = env.reset(seed=5)
-        before = env._present["state"].clone()
-        info["state"] -= 1
+        seen, info = env.reset(seed=5)
+        before = env._present.clone()
+        edited = {key: value for key, value in info.items() if isinstance(value, np.ndarray)} | {"seen": seen}
+        assert {"state", "seen"} <= edited.keys()
+        for value in edited.values():
+            value[...] = 1 - value
         np.asarray(env.render()[0])[:] = 0
-        assert torch.equal(env._present["state"], before) and env._present["pixels"].any()
+        for key in before.keys(True, True):
+            assert torch.equal(env._present[key], before[key]), key
         env.step(action)
 
 

@@ -1,12 +1,16 @@
 """The compiled GRU against PyTorch's own."""
 
+import math
+
 import pytest
 import torch
+from tensordict import TensorDict
 from torch import Tensor, nn
+from torchrl.modules import set_recurrent_mode
 
 from splatrl.native import _core
 from splatrl.training import native_gru
-from splatrl.training.memory import Memory, gru
+from splatrl.training.memory import STATE, Memory, gru
 from splatrl.training.native_gru import remembered, suits
 
 CASES = [(128, 128, (64, 64, 1, 37)), (48, 16, (5,)), (16, 80, (1,) * 70 + (2, 3))]
@@ -108,6 +112,18 @@ def test_episodes_within_a_batch_are_learned_from_as_step_by_step(memory: int) -
         found.append([after, *torch.autograd.grad(after.square().sum(), [features, *module.parameters()])])
     for mine, theirs in zip(*found, strict=True):
         torch.testing.assert_close(mine, theirs, atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("batch", [(2, 3, 5), (5,)])
+def test_rows_of_a_batch_may_have_any_shape(batch: tuple[int, ...]) -> None:
+    module = gru(32, 16)
+    told = {"features": torch.randn(6, 5, 32), STATE: torch.randn(6, 5, 1, 16), "is_init": torch.rand(6, 5, 1) < 0.3}
+    with set_recurrent_mode(True):
+        expected = module(TensorDict(told, [6, 5]))["hidden"]
+        rows = {key: value[: math.prod(batch[:-1])].reshape(*batch, *value.shape[2:]) for key, value in told.items()}
+        found = module(TensorDict(rows, batch))
+    assert torch.equal(found["hidden"].reshape(-1, 5, 16), expected[: math.prod(batch[:-1])])
+    assert found["next", STATE].shape == (*batch, 1, 16)
 
 
 def test_one_step_is_the_first_of_many() -> None:
