@@ -113,7 +113,7 @@ def much_below(ground: Ground, centers: Floats, points: Floats, above: float) ->
 
 
 def sunk(centers: Floats, points: Floats, up: Floats, floor: float, above: float) -> NDArray[np.bool_]:
-    """Return which cameras are below a floor that is seen near them: none can be.
+    """Return which cameras are below a floor that is seen near them, by more than the floor is thick: none can be.
 
     Args:
         centers: [N, 3] positions of the cameras.
@@ -125,7 +125,7 @@ def sunk(centers: Floats, points: Floats, up: Floats, floor: float, above: float
     Returns:
         [N] bool.
     """
-    below = centers @ up < floor
+    below = centers @ up < floor - TOLERANCE * above
     on_floor = _flattened(points[np.abs(points @ up - floor) <= NEAR * above], up)
     if len(on_floor) < ON_FLOOR or not below.any():
         return np.zeros(len(centers), bool)

@@ -62,7 +62,8 @@ def below_floor(placed: Placed) -> str | None:
         return None
     return (
         f"The camera seems to go below the floor at {_when(placed, int(below.argmax()))}: parts of the place are "
-        "joined wrongly, or what was taken for the floor is none. Film it again, more slowly and with more in view."
+        "joined wrongly, what was taken for the floor is none, or steps lead down beside it, as into a cellar. Film it "
+        "again, more slowly, with more in view and without such steps."
     )
 
 

@@ -115,6 +115,12 @@ def test_a_camera_that_goes_below_the_floor_is_reported_with_the_time_and_states
     assert below_floor(lowered) is None and None not in (lowered.up_error_deg, lowered.scale_error)
 
 
+def test_a_phone_that_is_laid_on_the_floor_is_not_reported() -> None:
+    film = _sinking(-0.01)
+    assert float(film.camera_to_world[-1, 2, 3]) < 0.0
+    assert below_floor(place(film, marker=None, camera_height=1.2)) is None
+
+
 def test_a_camera_that_goes_down_to_where_no_floor_is_seen_is_not_reported() -> None:
     film = _sinking(-0.15)
     under = film.camera_to_world[-6:, :2, 3]
