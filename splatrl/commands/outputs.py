@@ -47,7 +47,7 @@ class _Pipe(io.FileIO):
         """Write bytes, and return how many were written."""
         try:
             return super().write(data)
-        except BrokenPipeError:
+        except (BrokenPipeError, ConnectionResetError):  # a socket's reader may leave in either way
             nowhere = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nowhere, self.fileno())
             os.close(nowhere)

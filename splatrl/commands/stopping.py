@@ -50,4 +50,4 @@ def handled(handler: Callable[..., Any] | signal.Handlers, *numbers: signal.Sign
         yield
     finally:
         for number, usual in before.items():
-            signal.signal(number, usual)
+            signal.signal(number, signal.SIG_DFL if usual is None else usual)  # None: it was not set from Python

@@ -115,15 +115,16 @@ class StatedFrame:
 def vertical_axis(splat: Path) -> list[float] | None:
     """Return the direction that a PLY file's comment ``Vertical axis:`` states, [3], up or down; None without one.
 
-    nerfstudio names an axis, and Brush states three numbers where it knows them. Brush's bare ``y`` says nothing: it
-    writes that for every frame.
+    nerfstudio names an axis, and Brush states three numbers where it knows them; they may be in brackets. Brush's bare
+    ``y`` says nothing: it writes that for every frame.
     """
     comments = read_ply_header(splat).comments if splat.suffix.lower() == ".ply" else ()
     for comment in comments:
         key, _, text = comment.partition(":")
-        if key.lower() == "vertical axis" and text.strip().lower() != "y":
+        text = text.strip(" \t[]").lower()
+        if key.lower() == "vertical axis" and text != "y":
             try:
-                return _direction("comment", text.strip().lower())
+                return _direction("comment", text)
             except ValueError:
                 return None
     return None

@@ -2,11 +2,12 @@
 
 import signal
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
 from splatrl.commands.entries import INTERRUPTED
-from splatrl.commands.stopping import interrupted_by, stoppable
+from splatrl.commands.stopping import handled, interrupted_by, stoppable
 
 NUMBERS = (signal.SIGINT, signal.SIGTERM)
 
@@ -54,3 +55,15 @@ def test_a_closed_terminal_interrupts_only_who_asks_for_it() -> None:
             signal.raise_signal(hangup)
     finally:
         signal.signal(hangup, before)
+
+
+def test_a_handler_that_python_did_not_set_becomes_the_usual_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    usual = signal.signal
+
+    def unknown(number: signal.Signals, handler: Any) -> None:
+        usual(number, handler)
+
+    monkeypatch.setattr(signal, "signal", unknown)
+    with handled(signal.SIG_IGN, signal.SIGTERM):
+        signal.raise_signal(signal.SIGTERM)
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL

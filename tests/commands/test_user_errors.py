@@ -4,6 +4,7 @@ import errno
 import io
 import os
 import shlex
+import socket
 import sys
 import warnings
 from collections.abc import Callable
@@ -384,6 +385,28 @@ def test_a_command_goes_on_when_the_reader_of_its_output_leaves(
         entries.start("gait", ["run"])
         getattr(sys, name).flush()
     assert work == ["second", "longlo", "last"]
+
+
+def test_a_command_goes_on_when_the_reader_of_a_socket_leaves_with_output_unread(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        writing = socket.create_connection(server.getsockname())
+        reading = server.accept()[0]
+    work = list[str]()
+
+    def run(options: object) -> None:
+        print("unread", flush=True)
+        reading.close()  # which resets the connection
+        for text in ("second", "last"):
+            print(text, flush=True)
+            work.append(text)
+
+    with writing, open(writing.fileno(), "wb", closefd=False) as buffer:
+        monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(buffer))
+        monkeypatch.setattr(entries, "import_module", lambda module: SimpleNamespace(run=run))
+        entries.start("gait", ["run"])
+    assert work == ["second", "last"]
 
 
 def test_the_list_of_errors_is_long_and_varied() -> None:

@@ -301,6 +301,15 @@ RECORDS = [
     struct.pack("<II", 0xADBE0001, 10) + SH_RANGE,
     CAMERA + struct.pack("<II", 0xADBE0001, 10) + SH_RANGE + CAMERA,
 ]
+SH_BITS = struct.pack("<IBB", 0xADBE0001, 5, 4)  # the first writers state neither size nor range
+RECORDS_WITHOUT_RANGE = [
+    SH_BITS,
+    SH_BITS + struct.pack("<I3f", 0xADBE0002, -0.5, 0.5, 1.0),
+    struct.pack("<I3f", 0xADBE0002, -0.5, 0.5, 1.0) + SH_BITS,
+    SH_BITS + CAMERA,
+    struct.pack("<IIBB", 0xADBE0001, 2, 5, 4),
+    struct.pack("<IIBB", 0xADBE0001, 2, 5, 4) + CAMERA,
+]
 
 
 @pytest.mark.parametrize(
@@ -318,6 +327,17 @@ def test_harmonics_have_the_range_that_a_vendor_record_states(tmp_path: Path, ve
     torch.testing.assert_close(sh, torch.tensor(stored / 255 * 0.75 - 0.5, dtype=torch.float32), atol=1e-6, rtol=0)
 
 
+@pytest.mark.parametrize("records", RECORDS_WITHOUT_RANGE)
+@pytest.mark.parametrize("version", [2, 3])
+def test_harmonics_have_their_usual_range_if_a_vendor_record_states_none(
+    tmp_path: Path, version: int, records: bytes
+) -> None:
+    payload, count = random_spz(version, 1)
+    plain = read_gaussians(written(tmp_path / "a.spz", spz_bytes(payload, count, version, 1)))
+    extended = written(tmp_path / "b.spz", spz_bytes(payload + records, count, version, 1, flags=2))
+    torch.testing.assert_close(read_gaussians(extended).sh, plain.sh, atol=0, rtol=0)
+
+
 def test_unknown_vendor_records_are_skipped_with_one_warning(tmp_path: Path) -> None:
     payload, count = random_spz(3, 1)
     content = spz_bytes(payload + UNKNOWN + RECORDS[2] + UNKNOWN, count, 3, 1, flags=2)
@@ -328,11 +348,13 @@ def test_unknown_vendor_records_are_skipped_with_one_warning(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.5, -0.5), (1.0, 1.0), (math.nan, 1.0), (-1.0, math.inf)])
-def test_a_range_of_harmonics_that_is_none_is_refused(tmp_path: Path, low: float, high: float) -> None:
+def test_a_range_of_harmonics_that_is_none_is_ignored_with_a_warning(tmp_path: Path, low: float, high: float) -> None:
     payload, count = random_spz(3, 1)
     record = struct.pack("<IIBBff", 0xADBE0001, 10, 8, 8, low, high)
-    with pytest.raises(ValueError, match=r"a\.spz: expected a range of harmonics, got "):
-        read_gaussians(written(tmp_path / "a.spz", spz_bytes(payload + record, count, 3, 1, flags=2)))
+    plain = read_gaussians(written(tmp_path / "a.spz", spz_bytes(payload, count, 3, 1)))
+    extended = written(tmp_path / "b.spz", spz_bytes(payload + record, count, 3, 1, flags=2))
+    with pytest.warns(UserWarning, match=r"b\.spz: expected a range of harmonics, got "):
+        torch.testing.assert_close(read_gaussians(extended).sh, plain.sh, atol=0, rtol=0)
 
 
 @pytest.mark.parametrize("kept", [1, 9, 15, 60, -9, -1])

@@ -287,6 +287,7 @@ def test_the_axis_that_a_file_calls_vertical_decides_in_a_corridor_and_not_again
     [
         ("Vertical Axis: z", [0.0, 0.0, 1.0]),  # of nerfstudio
         ("Vertical axis: 0.1 -0.9 0.2", [0.1, -0.9, 0.2]),
+        ("Vertical axis: [0, 0, 1]", [0.0, 0.0, 1.0]),
         ("Vertical axis: y", None),  # Brush writes it for every frame
         ("Vertical axis: up", None),
         ("made by hand", None),

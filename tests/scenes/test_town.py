@@ -108,7 +108,7 @@ def test_a_town_is_generated_once_and_resumes_where_it_was_interrupted(
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == kept
 
 
-@pytest.mark.parametrize("damage", ["flipped", "cut", "removed", "emptied list", "emptied digests"])
+@pytest.mark.parametrize("damage", ["flipped", "cut", "removed", "emptied list", "emptied digests", "no digests"])
 def test_what_is_damaged_in_the_cache_is_made_again_with_a_warning(
     quick: Path, monkeypatch: pytest.MonkeyPatch, damage: str
 ) -> None:
@@ -125,6 +125,8 @@ def test_what_is_damaged_in_the_cache_is_made_again_with_a_warning(
         block.write_bytes(content[:1000])
     elif damage == "removed":
         block.unlink()
+    elif damage == "no digests":
+        (folder / source.DIGESTS).write_text("{}")
     else:
         (folder / ("blocks.yaml" if damage == "emptied list" else source.DIGESTS)).write_text("")
     with pytest.warns(UserWarning, match=r"as it was written, got .* damaged or missing; making them again"):

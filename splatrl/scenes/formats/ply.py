@@ -36,7 +36,7 @@ def read_ply(path: Path, max_inflation: float) -> Gaussians:
     Harmonics of degree 4 are left out, with a warning.
 
     The 3D smoothing filter that Mip-Splatting and Gaussian Opacity Fields store in ``FILTER`` is applied. Surfels of 2D
-    Gaussian Splatting (Huang et al. 2024) are flat, with the third axis as normal, and stored without the third scale;
+    Gaussian Splatting (Huang et al. 2024) are flat, with the third axis as normal, and stored without the third scale,
     or with 0; it becomes a hundredth of the smaller one.
 
     Raises:
@@ -56,8 +56,10 @@ def read_ply(path: Path, max_inflation: float) -> Gaussians:
     dtypes = [np.float64 if doubles else np.float32, *[np.float32] * (len(groups) - 1)]
     means, quats, log_scales, logits, sh, smoothing = vertex_columns(path, header, groups, dtypes)
     sh = sh.reshape(len(sh), 1 + len(rest), 3)
-    if log_scales.shape[1] == 2 or (log_scales[:, 2] == -np.inf).all():
-        log_scales = np.column_stack([log_scales[:, :2], log_scales[:, :2].min(1) + THIN])
+    if log_scales.shape[1] == 2:
+        log_scales = np.column_stack([log_scales, np.full(len(log_scales), -np.inf, log_scales.dtype)])
+    surfels = np.isneginf(log_scales[:, 2])
+    log_scales[surfels, 2] = log_scales[surfels, :2].min(1) + THIN
     return activated(path, means, quats, log_scales, logits[:, 0], sh, smoothing if filters else None)
 
 

@@ -42,6 +42,8 @@ SH_RANGE = 0xADBE0001
 """Type of Adobe's record with the range of the harmonics above degree 0."""
 CONTENTS = {SH_RANGE: struct.Struct("<BBff"), 0xADBE0002: struct.Struct("<fff")}
 """Contents of known vendor records; the second one limits the camera of a viewer."""
+SH_BITS = 2
+"""Bytes of the first content of ``SH_RANGE``: how many bits the harmonics were rounded to, without their range."""
 MOST_RECORDS = 1 << 16
 """Bytes of vendor records that are read; real ones have a few dozen."""
 
@@ -176,8 +178,8 @@ def _join(path: Path, stream: BinaryIO, max_inflation: float) -> tuple[Header, B
 def _harmonics_scale(path: Path, records: bytes, version: int) -> tuple[np.float32, np.float32]:
     """Return the byte that stands for 0, and a byte's step, of the harmonics above degree 0.
 
-    They range from -1 to just below 1, unless Adobe's record gives their range. The first writers of vendor records, in
-    versions 1 to 3, left out the size of their content.
+    They range from -1 to just below 1, unless Adobe's record gives their range; its first form gave none. The first
+    writers of vendor records, in versions 1 to 3, left out the size of their content.
     """
     low, high = -1.0, 1.0
     unknown: set[int] = set()
@@ -188,19 +190,27 @@ def _harmonics_scale(path: Path, records: bytes, version: int) -> tuple[np.float
         content = CONTENTS.get(kind)
         if content is None:
             unknown.add(kind)
-        elif size != content.size and version < 4:
-            start, size = start - 4, content.size
+        elif version < 4 and size != content.size and (kind, size) != (SH_RANGE, SH_BITS):
+            start -= 4
+            size = SH_BITS if kind == SH_RANGE and _ends(records, start + SH_BITS) else content.size
         if kind == SH_RANGE and size == CONTENTS[kind].size <= len(records) - start:
             low, high = CONTENTS[kind].unpack_from(records, start)[2:]
         start += size
     if unknown:
         types = ", ".join(f"{kind:#010x}" for kind in sorted(unknown))
         warnings.warn(f"{path}: ignored vendor records of unknown types: {types}", stacklevel=5)
+    if not (math.isfinite(high - low) and low < high):
+        told = f"expected a range of harmonics, got {low:g} to {high:g} in Adobe's vendor record; taking -1 to 1"
+        warnings.warn(f"{path}: {told}", stacklevel=5)
+        low, high = -1.0, 1.0
     if (low, high) == (-1.0, 1.0):
         return np.float32(128), np.float32(1 / 128)
-    if not (math.isfinite(high - low) and low < high):
-        raise ValueError(f"{path}: expected a range of harmonics, got {low:g} to {high:g} in Adobe's vendor record")
     return np.float32(-255 * low / (high - low)), np.float32((high - low) / 255)
+
+
+def _ends(records: bytes, end: int) -> bool:
+    """Return whether a vendor record can end here: at the end of them all, or where one of a known type starts."""
+    return end == len(records) or int.from_bytes(records[end : end + 4], "little") in CONTENTS
 
 
 def _checked(path: Path, header: Header, versions: tuple[int, ...]) -> Header:

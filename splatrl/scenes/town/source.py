@@ -4,6 +4,7 @@ import functools
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 from tqdm import tqdm
@@ -68,10 +69,11 @@ def _remove_damaged(folder: Path) -> None:
     """Remove the files of a town that are not as they were written, with a warning, so that they are made again."""
     if not (folder / DIGESTS).is_file():
         return
-    try:
+    written = {}
+    with suppress(AttributeError, ValueError):
         written = {folder / checked_name(DIGESTS, name): digest for name, digest in read_json(folder / DIGESTS).items()}
-        damaged = [path for path in written if not path.is_file() or digest_of([path]) != written[path]]
-    except (AttributeError, ValueError):  # then nothing vouches for any file
+    damaged = [path for path in written if not path.is_file() or digest_of([path]) != written[path]]
+    if folder / BLOCKS_FILE not in written:  # then nothing vouches for any file
         damaged = list(folder.iterdir())
     if not damaged:
         return
