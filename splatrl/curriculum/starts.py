@@ -170,3 +170,4 @@ class Curriculum(nn.Module):
         if (saved := state_dict.get(f"{prefix}cohort")) is not None:
             self.seat(len(saved))  # an env of another number of robots keeps the level, and begins another cohort
         super()._load_from_state_dict(state_dict, prefix, *rest)
+        self.cut_off(torch.zeros_like(self.cohort))  # other levels, or a lower threshold, may decide it already
