@@ -3,7 +3,6 @@
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -144,32 +143,30 @@ def warn_of_cut_off(scene: Scene, paths: Plan) -> None:
         )
 
 
-def starts_in_reach(scene: Scene, task: Task, paths: Plan) -> Plan:
-    """Leave out, with a warning, starts that are farther from the goal than an episode is long.
+def warn_of_far_starts(scene: Scene, paths: Plan) -> None:
+    """Warn of starts that are farther from the goal than an episode is long; see ``Plan.in_reach``.
 
     Args:
         scene: the scene.
-        task: the task, for its ``max_steps``.
-        paths: shortest paths, whose lengths are in the same steps of the env.
+        paths: shortest paths.
 
     Raises:
-        ValueError: if no start is left.
+        ValueError: if all starts are.
     """
-    steps = paths.distance[paths.start_rows]
-    near = steps <= task.max_steps
-    if bool(near.all()):
-        return paths
-    if not near.any():
+    count = len(paths.start_rows)
+    far = count - len(paths.in_reach.start_rows)
+    if far == count:
+        nearest = int(paths.distance[paths.start_rows].min())
         raise ValueError(
-            f"task.max_steps: expected at least {int(steps.min())}, the steps from the nearest start to the goal, "
-            f"got {task.max_steps}"
+            f"task.max_steps: expected at least {nearest}, the steps from the nearest start to the goal, "
+            f"got {paths.max_steps}"
         )
-    warnings.warn(
-        f"{scene.name}: {int((~near).sum()):,} of {len(near):,} starts are farther from the goal than "
-        f"task.max_steps={task.max_steps}, and episodes never begin there",
-        stacklevel=2,
-    )
-    return replace(paths, start_rows=paths.start_rows[near])
+    if far:
+        warnings.warn(
+            f"{scene.name}: {far:,} of {count:,} starts are farther from the goal than "
+            f"task.max_steps={paths.max_steps}: training leaves them out, and evaluation counts them as failures",
+            stacklevel=2,
+        )
 
 
 def _beyond(box: Sequence[Sequence[float]], places: Tensor) -> Tensor:

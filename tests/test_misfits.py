@@ -5,15 +5,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 from hydra.utils import instantiate
+from torch import Tensor
 
-from splatrl.building import build_one_world
+from splatrl.building import build_one_world, build_world, make_env
 from splatrl.configuration import load_config
 from splatrl.curriculum import Plan
 from splatrl.curriculum.field import Moves
 from splatrl.curriculum.planner import UNREACHABLE
-from splatrl.misfits import CUT_OFF, check_goal, starts_in_reach, warn_of_cut_off
+from splatrl.evaluation.starts import spread_starts
+from splatrl.misfits import CUT_OFF, check_goal, warn_of_cut_off, warn_of_far_starts
+from tests.envs.contract import base_env
 from tests.tiny import tiny_overrides
+from tests.two_rooms import in_both
 
 
 def test_a_goal_among_the_robots_that_none_reaches_is_not_said_to_lie_outside() -> None:
@@ -54,7 +59,7 @@ def test_building_warns_of_free_poses_behind_a_gap_too_narrow_for_the_body(tmp_p
 
 
 @pytest.mark.parametrize("skip", ["none", "four"])
-def test_episodes_begin_no_farther_from_the_goal_than_they_are_long(tmp_path: Path, skip: str) -> None:
+def test_only_training_leaves_out_starts_from_which_an_episode_is_too_short(tmp_path: Path, skip: str) -> None:
     config = [*tiny_overrides(tmp_path), f"transforms/skip={skip}"]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -65,20 +70,47 @@ def test_episodes_begin_no_farther_from_the_goal_than_they_are_long(tmp_path: Pa
     assert 5 < steps.max() <= 20 and near.distance[near.start_rows].max() <= 4
     far, starts = int((steps > 5).sum()), len(steps)
     with pytest.warns(UserWarning) as told:
-        plan = build_one_world(load_config([*config, "task.max_steps=5"])).plan
-    text = f"tiny: {far} of {starts} starts are farther from the goal than task.max_steps=5, and episodes never begin"
-    assert str(told[-1].message) == f"{text} there"
-    assert plan.start_rows.equal(whole.start_rows[steps <= 5]) and plan.distance.equal(whole.distance)
+        world = build_one_world(load_config([*config, "task.max_steps=5"]))
+    assert str(told[-1].message) == (
+        f"tiny: {far} of {starts} starts are farther from the goal than task.max_steps=5: training leaves them out, "
+        "and evaluation counts them as failures"
+    )
+    assert world.plan.start_rows.equal(whole.start_rows) and world.plan.distance.equal(whole.distance)
+    assert world.plan.in_reach.start_rows.equal(whole.start_rows[steps <= 5])
+    assert _states(spread_starts(world, 2048).state) == _states(whole.starts)
+    assert _states(base_env(world.env(2)).curriculum.starts.ordered) == _states(whole.starts)
+
+
+def test_a_task_that_goes_on_after_its_goals_has_no_starts_out_of_reach(tmp_path: Path) -> None:
+    world = build_one_world(load_config([*tiny_overrides(tmp_path, "snake"), "task.max_steps=2"]))
+    assert world.plan.distance.max() > 2 and world.plan.in_reach.start_rows.equal(world.plan.start_rows)
+
+
+@pytest.mark.parametrize(("curriculum", "kept"), [("distance", False), ("none", True)])
+def test_envs_draw_starts_out_of_reach_without_a_curriculum_alone(tmp_path: Path, curriculum: str, kept: bool) -> None:
+    settings = [*in_both(tmp_path), f"curriculum={curriculum}", "task.max_steps=5"]
+    with pytest.warns(UserWarning, match="training leaves them out"):
+        env, world = base_env(make_env(settings)), build_world(load_config(settings))
+    plans = [one.plan for one in world.worlds]
+    assert all((plan.distance > 5).any() for plan in plans)
+    expected = [plan.starts if kept else plan.in_reach.starts for plan in plans]
+    ends = torch.tensor([len(states) for states in expected]).cumsum(0)
+    found = env.curriculum.starts.ordered.tensor_split(ends[:-1])
+    assert [_states(states) for states in found] == [_states(states) for states in expected]
+    assert env.curriculum.starts.counts[:, -1].tolist() == [len(states) for states in expected]
+
+
+def _states(states: Tensor) -> set[tuple[float, ...]]:
+    return {tuple(state) for state in states.tolist()}
 
 
 def test_a_task_whose_episodes_are_too_short_for_every_start_is_refused(tmp_path: Path) -> None:
     world = build_one_world(load_config(tiny_overrides(tmp_path)))
-    far = replace(world.plan, start_rows=(world.plan.distance > 4).nonzero().squeeze(1))
-    world.task.max_steps = 3
+    far = replace(world.plan, start_rows=(world.plan.distance > 4).nonzero().squeeze(1), max_steps=3)
     with pytest.raises(
         ValueError, match=r"^task\.max_steps: expected at least 5, the steps from the nearest start .* 3$"
     ):
-        starts_in_reach(world.scene, world.task, far)
+        warn_of_far_starts(world.scene, far)
 
 
 def test_robots_that_orbit_are_not_warned_of_things_on_their_circle() -> None:

@@ -29,8 +29,8 @@ from splatrl.envs.world import World, Worlds
 from splatrl.misfits import (
     check_goal,
     check_height,
-    starts_in_reach,
     warn_of_cut_off,
+    warn_of_far_starts,
     warn_of_no_floor,
     warn_of_uncaptured,
 )
@@ -114,12 +114,12 @@ def _build_place(cfg: DictConfig, device: torch.device, repeats: int) -> Place:
             Site(scene, occupancy, planner, robot.body, antialiased), partial(_fits, scene.bounds, solid)
         )
     try:
-        costs = remembering(cfg, obstacles)
-        paths = plan(task.motion, planner, task.reached, cfg.starts.farthest, fits, costs, repeats)
+        costs, limit = remembering(cfg, obstacles), task.max_steps if task.goals_for_success is None else None
+        paths = plan(task.motion, planner, task.reached, cfg.starts.farthest, fits, costs, repeats, limit)
     except NoPath as error:
         raise ValueError(f"{error}; {task.ways_out}") from error
     warn_of_cut_off(scene, paths)
-    paths = starts_in_reach(scene, task, paths)
+    warn_of_far_starts(scene, paths)
     warn_of_no_floor(scene, paths, occupancy)
     return Place(scene, occupancy, checker, robot, task, paths)
 

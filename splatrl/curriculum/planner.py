@@ -1,7 +1,7 @@
 """Plans shortest paths over the free poses of a motion, and determines where episodes may begin."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -30,6 +30,7 @@ class Plan:
         start_rows: [N] int64, rows of the start set: the free states, other than goal states, from which a goal state
             can be reached within the longest path allowed; without a goal, all free states.
         field: steps to the goal from any state inside the bounds; None without a goal.
+        max_steps: steps of the longest episode; None for any length, or if it does not end at the goal.
     """
 
     states: Tensor
@@ -39,6 +40,7 @@ class Plan:
     moves: Moves
     start_rows: Tensor
     field: Field | None = None
+    max_steps: int | None = None
 
     @property
     def motion(self) -> PlannedMotion:
@@ -59,6 +61,13 @@ class Plan:
     def starts(self) -> Tensor:
         """The start set: [N, D] states."""
         return self.states[self.start_rows]
+
+    @property
+    def in_reach(self) -> "Plan":
+        """The same plan with only the starts from which an episode is long enough to reach the goal, for training."""
+        if self.max_steps is None:
+            return self
+        return replace(self, start_rows=self.start_rows[self.distance[self.start_rows] <= self.max_steps])
 
     def cost_to_go(self, state: Tensor) -> Tensor:
         """Return the fewest steps to the goal; whole numbers if the motion has finitely many states.
@@ -114,6 +123,7 @@ def plan(
     fits: Callable[[Tensor], Tensor] | None = None,
     find_field: Callable[[Moves], Field] = cost_field,
     repeats: int = 1,
+    max_steps: int | None = None,
 ) -> Plan:
     """Find the shortest path from every state to the goal.
 
@@ -130,6 +140,7 @@ def plan(
             beyond the checker's. It keeps a robot that can pass through things from starting inside one.
         find_field: computes the cost field, or retrieves it from a cache.
         repeats: number of times that a robot carries out each action; see ``Moves``.
+        max_steps: see ``Plan``; it leaves the plan's starts as they are.
 
     Raises:
         NoPath: if no pose is free, the goal is not free, or no start reaches it.
@@ -153,4 +164,4 @@ def plan(
         raise NoPath(
             f"task: expected a path to the goal from at least one free pose, found none from {int(free.sum())}"
         )
-    return Plan(states, free, distance, actions, moves, starts.nonzero().squeeze(1), field)
+    return Plan(states, free, distance, actions, moves, starts.nonzero().squeeze(1), field, max_steps)

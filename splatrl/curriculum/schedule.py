@@ -16,7 +16,8 @@ class Schedule:
     A cohort is the next ``window`` episodes that begin, in the order of their rows. Which episodes count is thus known
     before anything is known about them: counting those that end first would favour quick successes over slow failures.
     As soon as a fraction ``threshold`` of the cohort has succeeded, the next level begins; as soon as too many have
-    failed for that, the level stays. Either way the next cohort begins with the next episodes.
+    failed for that, the level stays. Either way the next cohort begins with the next episodes. While a member neither
+    ends nor begins anew, such as a robot that TorchRL's ``_step`` never lets step, its cohort may stay undecided.
 
     Progress is a [3] int64 tensor: the level, and how many of the cohort's episodes have ended and succeeded. Members
     is a [B] bool tensor: whether the episode that runs in a row is one of the cohort. No tensor's value is read on the

@@ -16,11 +16,12 @@ class Starts(nn.Module):
     """The start sets of one or several scenes, ordered by distance to the goal.
 
     Level l draws uniformly among the starts whose shortest path has at most ``first + l · stride`` steps; the highest
-    level is the whole set. In a scene that has no path this short, a level draws among the scene's shortest.
+    level is all of them that an episode is long enough for (``Plan.in_reach``). In a scene that has no path this short,
+    a level draws among the scene's shortest.
 
     Args:
         plan: states and distances of one scene or of several.
-        first: longest path at level 0, steps; None makes the whole set the only level.
+        first: longest path at level 0, steps; None makes the whole set, whatever is in reach, the only level.
         stride: steps that each level adds.
     """
 
@@ -33,6 +34,7 @@ class Starts(nn.Module):
         for name, steps in (("first", 1 if first is None else first), ("stride", stride)):
             require_number(f"curriculum.{name}", steps, 1, whole=True)
         plans = [plan] if isinstance(plan, Plan) else list(plan)
+        plans = plans if first is None else [own.in_reach for own in plans]
         sets = [(own, *own.distance[own.start_rows].sort(stable=True)) for own in plans]
         ordered = [own.states[own.start_rows[order]] for own, _, order in sets]
         self.register_buffer("ordered", torch.cat(ordered), persistent=False)
@@ -129,7 +131,7 @@ class Curriculum(nn.Module):
         return self.starts.sample(self.level, count, generator, scene)
 
     def anywhere(self, count: int, generator: torch.Generator, scene: Tensor | None = None) -> Tensor:
-        """Draw states from the whole start set, whatever the level: [count, D]."""
+        """Draw states of the highest level, whatever the current one: [count, D]."""
         highest = torch.full_like(self.level, self.starts.levels - 1)
         return self.starts.sample(highest, count, generator, scene)
 
@@ -168,3 +170,4 @@ class Curriculum(nn.Module):
         if (saved := state_dict.get(f"{prefix}cohort")) is not None:
             self.seat(len(saved))  # an env of another number of robots keeps the level, and begins another cohort
         super()._load_from_state_dict(state_dict, prefix, *rest)
+        self.cut_off(torch.zeros_like(self.cohort))  # other levels, or a lower threshold, may decide it already

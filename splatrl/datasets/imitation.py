@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import one_hot
 
+from splatrl.curriculum import Curriculum
 from splatrl.datasets.demonstrations import Demonstrations
 from splatrl.envs.world import World, Worlds
 from splatrl.training import PPO, Cloner, DaggerSettings, targets, visited
@@ -22,7 +23,7 @@ def imitate(
         cloner: fits the policy, each time to all frames gathered so far.
         world: the world in which the policy acts and the planner plans.
         shown: demonstration sets to clone first; if empty, the first DAgger round starts from the untrained policy.
-        dagger: settings of the DAgger rounds, whose episodes begin anywhere in the start set.
+        dagger: settings of the DAgger rounds, whose episodes begin at any start in reach (``Plan.in_reach``).
         seed: seed of the starts of these episodes.
 
     Yields:
@@ -37,7 +38,8 @@ def imitate(
     if known:
         ppo.frames += frames
         yield {"loss_cloning": cloner.fit(known)}
-    env, plans = world.env(ppo.env.numel(), seed=seed), [one.plan for one in world.worlds]
+    plans = [one.plan for one in world.worlds]
+    env = world.env(ppo.env.numel(), Curriculum([plan.in_reach for plan in plans], first=None), seed)
     for number in range(dagger.rounds):
         guided = 1.0 if number < dagger.shown_rounds else dagger.guided
         new = visited(env, ppo.learner, plans, dagger.frames_per_round, cloner.reads, guided)

@@ -23,8 +23,8 @@ def planner_episodes(
 ) -> Demonstrations:
     """Record episodes in which the robot follows a shortest path to the goal.
 
-    Starts are drawn from the whole start set, without repetition until all have been used. Where several actions begin
-    a shortest path, one of them is chosen at random. Only episodes that reach the goal are kept.
+    Starts are drawn from all that an episode is long enough for, without repetition until these have been used. Where
+    several actions begin a shortest path, one of them is chosen at random. Only episodes that reach the goal are kept.
 
     Args:
         world: scene and task; its camera noise and appearance apply, but stacked views are stored as single ones.
@@ -44,9 +44,10 @@ def planner_episodes(
     kept: list[TensorDictBase] = []
     tried = unseen = 0
     waiting: list[Tensor] = []
+    near = plan.in_reach.starts
     for _ in range(TRIES * (1 + episodes // ROBOTS)):
         while sum(map(len, waiting)) < ROBOTS:
-            waiting.append(plan.starts[torch.randperm(len(plan.starts), generator=generator)])
+            waiting.append(near[torch.randperm(len(near), generator=generator)])
         starts, rest = torch.cat(waiting).split([ROBOTS, sum(map(len, waiting)) - ROBOTS])
         waiting, starts = [rest], world.task.motion.varied(starts, generator)
         for episode in _walked(world, plan, starts, seed + len(kept), generator):

@@ -423,7 +423,7 @@ class SplatEnv(StateWhenAsked):
     def anywhere(
         self, scene: Tensor | None = None, count: int | None = None, generator: torch.Generator | None = None
     ) -> Tensor:
-        """Draw a state for each of N robots from the whole start set of its scene, regardless of the level.
+        """Draw a state for each of N robots from all of the curriculum's starts in its scene, regardless of the level.
 
         Args:
             scene: [N] int64, scene of each robot; None if there is only one.

@@ -143,8 +143,6 @@ class PPO:
         self.model.load_state_dict(state["model"])
         self.learner.load_optimizer(state["optimizer"])
         base.load_state_dict(state["env"])
-        levels = base.curriculum.starts.levels  # which may be fewer, with other settings
-        base.curriculum.progress[0].clamp_(max=levels - 1)
         if len(transformed) != len(state["transforms"]):
             raise RuntimeError(f"expected {len(state['transforms'])} layers of transforms, got {len(transformed)}")
         for env, saved in zip(transformed, state["transforms"], strict=True):

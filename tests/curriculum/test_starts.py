@@ -118,6 +118,30 @@ def test_another_number_of_robots_keeps_the_level_and_begins_another_cohort() ->
     assert other.progress.tolist() == [1, 0, 0] and other.cohort.tolist() == [True, True, False, False, False]
 
 
+@pytest.mark.parametrize(
+    ("first", "stride", "levels", "most"), [(2, 1, 4, 5), (3, 4, 2, 5), (9, 1, 1, 5), (None, 1, 1, 9)]
+)
+def test_only_a_single_level_of_all_starts_has_any_that_an_episode_is_too_short_for(
+    first: int | None, stride: int, levels: int, most: int
+) -> None:
+    starts = Starts(replace(tiny_plan(), max_steps=5), first, stride)
+    assert starts.levels == levels and distances(draw(starts, levels - 1)).max() == most
+
+
+def test_a_cohort_that_other_settings_decide_is_decided_when_it_is_loaded() -> None:
+    saved = {"progress": torch.tensor([2, 3, 2]), "cohort": torch.tensor([True, False])}
+    for plan, threshold, expected in (
+        (tiny_plan(), 1.0, [2, 0, 0]),
+        (tiny_plan(), 0.75, [2, 3, 2]),
+        (tiny_plan(), 0.5, [3, 0, 0]),
+        (replace(tiny_plan(), max_steps=3), 0.75, [1, 3, 2]),
+    ):
+        curriculum = Curriculum(plan, threshold=threshold, window=4)
+        curriculum.load_state_dict(saved)
+        assert curriculum.progress.tolist() == expected
+        assert curriculum.cohort.tolist() == [expected[1] > 0, False]
+
+
 @pytest.mark.parametrize(("first", "stride"), [(0, 1), (2, 0), (None, 0)])
 def test_a_first_level_or_stride_of_zero_is_refused(first: int | None, stride: int) -> None:
     with pytest.raises(ValueError, match=r"curriculum\.(first|stride): expected a whole number of at least 1, got 0"):

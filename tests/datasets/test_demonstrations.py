@@ -158,6 +158,12 @@ def test_returns_are_discounted_to_the_end_of_each_episode(shown: Demonstrations
     assert torch.equal(returns[shown.starts + shown.lengths - 1], reward[shown.starts + shown.lengths - 1])
 
 
+def test_demonstrations_begin_where_an_episode_is_long_enough_for_them(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="training leaves them out"):
+        world = make_world(tmp_path, "grid", "task.max_steps=1")
+    assert planner_episodes(world, 60).lengths.tolist() == [1] * 60
+
+
 def test_a_task_without_goal_states_has_no_planner(world: World) -> None:
     aimless = replace(world, plan=replace(world.plan, field=None))
     with pytest.raises(ValueError, match="planner: expected a task whose episodes end at goal states, got Grid"):

@@ -108,6 +108,25 @@ def test_looked_up_starts_equal_those_of_a_reset() -> None:
         assert torch.equal(*(env.generator.get_state() for env in envs))
 
 
+def test_starts_after_a_lower_threshold_was_set_are_of_the_next_level_whether_looked_up_or_not() -> None:
+    strict, after, envs = (
+        pair("grid", 4, first=1, threshold=1.0, window=4)[0],
+        [],
+        pair("grid", 4, first=1, threshold=0.5, window=4),
+    )
+    td = strict.reset()
+    strict.curriculum.progress.copy_(torch.tensor([0, 2, 2]))
+    strict.curriculum.cohort.copy_(torch.tensor([False, False, True, True]))
+    td["done"] = td["terminated"] = torch.tensor([True, True, False, False]).unsqueeze(1)
+    for env in envs:
+        env.load_state_dict(strict.state_dict())
+        after.append(env.maybe_reset(td.clone()))
+    assert_same(*after)
+    assert_same_counts(*envs)
+    assert after[0]["level"].flatten().tolist() == [1, 1, 0, 0]
+    assert envs[0].curriculum.progress.tolist() == [1, 0, 0]
+
+
 def test_starts_are_not_looked_up_for_entries_of_another_dtype() -> None:
     env = pair("grid", 3)[0]
     after, rows = env.reset(), torch.tensor([1])

@@ -202,7 +202,7 @@ def test_grass_that_physics_takes_as_ground_does_not_keep_a_low_robot_from_start
 ) -> None:
     monkeypatch.setattr(places, "plan", lambda motion, checker, reached, farthest, fits, *_: (motion, checker, fits))
     monkeypatch.setattr(places, "warn_of_cut_off", lambda scene, paths: None)
-    monkeypatch.setattr(places, "starts_in_reach", lambda scene, task, paths: paths)
+    monkeypatch.setattr(places, "warn_of_far_starts", lambda scene, paths: None)
     monkeypatch.setattr(places, "warn_of_no_floor", lambda scene, paths, occupancy: None)
     path = tmp_path / "cart.xml"
     path.write_text(CART.format(wheels="", motors='<general site="s" ctrlrange="-1 1"/>'))

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 from omegaconf import DictConfig
+from torch import Tensor
 from torchrl.data import Bounded, Categorical
 
 from splatrl.building import build_model, build_trainer, build_world
@@ -107,6 +108,23 @@ def test_dagger_may_begin_with_an_untrained_policy(made: tuple[DictConfig, World
     ppo = make_ppo(cfg, world)
     (row,) = imitate(ppo, Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5)), world, [], DaggerSettings(1, 64, 2), 0)
     assert ppo.frames == 64 and row["loss_cloning"] < 1.8
+
+
+def test_rounds_begin_where_an_episode_is_long_enough(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cfg = load_config([*tiny_overrides(tmp_path), "task.max_steps=2"])
+    with pytest.warns(UserWarning, match="training leaves them out"):
+        world = build_world(cfg)
+    ppo, begun = make_ppo(cfg, world), list[Tensor]()
+    cloner = Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5))
+
+    def fit(known: dict[str, Tensor], *_: int) -> float:
+        begun.append(known["state"][known["frame"] == 0])
+        return 0.0
+
+    monkeypatch.setattr(cloner, "reads", ("state",))
+    monkeypatch.setattr(cloner, "fit", fit)
+    list(imitate(ppo, cloner, world, [], DaggerSettings(1, 64, 1), 0))
+    assert len(begun[0]) >= 16 and world.plan.cost_to_go(begun[0]).max() <= 2
 
 
 @pytest.mark.parametrize("guided", [1.0, 0.5])

@@ -23,7 +23,7 @@ NOTHING: Memory = {}
 
 @dataclass(frozen=True)
 class Anywhere:
-    """Draws a state for each robot from the whole start set, regardless of the curriculum's level: [B, ...].
+    """Draws a state for each robot from all starts of the curriculum, regardless of its level: [B, ...].
 
     Attributes:
         states: draws the states.
