@@ -21,7 +21,19 @@ from splatrl.evaluation.rollouts import run_episodes
 from splatrl.evaluation.starts import spread_starts
 from splatrl.files import expanded
 from splatrl.made_with import made_with
-from splatrl.training import PPO, Actor, Cloner, Matcher, Stage, Trainer, check_tracker, inputs_of, make_tracker, views
+from splatrl.training import (
+    PPO,
+    Actor,
+    Cloner,
+    Matcher,
+    Stage,
+    Trainer,
+    check_frames,
+    check_tracker,
+    inputs_of,
+    make_tracker,
+    views,
+)
 from splatrl.values import require_number
 
 
@@ -47,6 +59,7 @@ def check_training(cfg: DictConfig, new: bool) -> None:
         ImportError: if the package of ``logger.backend`` is not installed.
         ValueError: for a setting out of range, or damaged demonstrations.
     """
+    check_frames(cfg.collector.frames_per_batch, cfg.collector.total_frames, cfg.env.num_envs)
     check_tracker(cfg.logger.backend, cfg.logger.exp_name)
     if cfg.evaluation.episodes is not None:
         require_episodes(Path(str(cfg.evaluation.episodes)))

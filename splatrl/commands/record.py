@@ -4,7 +4,7 @@ import itertools
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -56,29 +56,34 @@ def run(cfg: DictConfig) -> None:
     if cfg.lerobot is not None:
         check_lerobot(world.robot.image_width, world.robot.image_height)
     if cfg.by == "planner":
-        write(cfg, world, planned(cfg, world), folders)
+        found = planned(cfg, world)
+        for key, path in folders.items():
+            print(write(cfg, world, found, key, path))
         return
     with driven(cfg, world) as found:
         for key, path in folders.items():
-            patiently(partial(write, cfg, world, found, {key: path}))
+            told = patiently(partial(write, cfg, world, found, key, path))
+            with suppress(OSError):  # the terminal may be closed, and the next folder is to be written all the same
+                print(told)
 
 
-def write(cfg: DictConfig, world: World, found: Demonstrations, folders: Mapping[str, Path]) -> None:
-    """Write demonstrations into new folders: ``out``, ``lerobot`` or both."""
-    folders = {key: untaken(path) for key, path in folders.items()}
-    if "out" in folders:
-        with new_folder(folders["out"]) as folder:
-            save_config(cfg, folder)
-            write_demonstrations(folder, found, {"by": cfg.by, "seed": cfg.seed})
-        print(f"{folders['out']}: {len(found.starts):,} episodes, {len(found):,} frames")
-    if "lerobot" in folders:
-        with new_folder(folders["lerobot"]) as folder:
+def write(cfg: DictConfig, world: World, found: Demonstrations, key: str, path: Path) -> str:
+    """Write demonstrations into a new folder, ``out`` or ``lerobot``, and return a line that says so."""
+    path = untaken(path)
+    with new_folder(path) as folder:
+        if key == "lerobot":
             write_lerobot(folder, found, f"{type(world.task).__name__} in {world.scene.name}")
-        print(f"{folders['lerobot']}: the same episodes as a LeRobotDataset v3.0")
+            return f"{path}: the same episodes as a LeRobotDataset v3.0"
+        save_config(cfg, folder)
+        write_demonstrations(folder, found, {"by": cfg.by, "seed": cfg.seed})
+        return f"{path}: {len(found.starts):,} episodes, {len(found):,} frames"
 
 
-def patiently(write: Callable[[], None]) -> None:
+def patiently(write: Callable[[], str]) -> str:
     """Write what a person has recorded and nobody can record again, as often as it takes, such as on a full disk.
+
+    Returns:
+        What ``write`` returns.
 
     Raises:
         KeyboardInterrupt: if the person gives up.
@@ -88,7 +93,8 @@ def patiently(write: Callable[[], None]) -> None:
             return write()
         except OSError as error:
             again = f"the episodes are kept, and written in {PAUSE:.0f} seconds if there is room; Ctrl-C drops them"
-            print(f"splatrl-record: {one_line(error)}; {again}", file=sys.stderr)
+            with suppress(OSError):  # the terminal may be closed
+                print(f"splatrl-record: {one_line(error)}; {again}", file=sys.stderr)
             with handled(signal.default_int_handler, signal.SIGINT, signal.SIGTERM):
                 time.sleep(PAUSE)
 

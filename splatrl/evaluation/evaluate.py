@@ -14,7 +14,7 @@ from splatrl.documents import write_json
 from splatrl.envs.transforms import simulated
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.episode_sets import EPISODES
-from splatrl.evaluation.pictures import VIDEO, Pictures
+from splatrl.evaluation.pictures import START_MAP, SUCCESS_MAP, VIDEO, Pictures
 from splatrl.evaluation.report import by_scene, summarise
 from splatrl.evaluation.rollouts import Episodes, run_episodes
 from splatrl.evaluation.starts import Chosen, given_episodes, save_episodes, some_in, spread_starts
@@ -23,7 +23,7 @@ from splatrl.files import refusing
 from splatrl.values import tenths
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
-RESULTS = "evaluation.json"
+RESULTS, BARS = "evaluation.json", "scenes.png"
 EPISODES_IN_VIDEO = 4
 SCENES_SHOWN = 4
 """Maximum number of scenes that get maps and a video of their own: the first ones that have episodes."""
@@ -95,9 +95,13 @@ def evaluate(
 
 
 def remove_results(folder: Path) -> None:
-    """Remove the numbers and videos of an earlier evaluation, by which a run would be taken for a finished one."""
-    for path in (folder / RESULTS, folder / VIDEO, *folder.glob(f"scenes/*/{VIDEO}")):
-        path.unlink(missing_ok=True)
+    """Remove what an earlier evaluation found, by which a run would be taken for a finished one.
+
+    The learning curve, which stays true, and the episodes, which do not depend on the policy, are kept.
+    """
+    for place in (folder, *folder.glob("scenes/*")):
+        for name in (RESULTS, BARS, VIDEO, START_MAP, SUCCESS_MAP):
+            (place / name).unlink(missing_ok=True)
 
 
 def _facts_of_training(checkpoint: dict[str, Any], folder: Path) -> dict[str, Any]:
@@ -139,7 +143,7 @@ def _draw_curves(history: Sequence[Mapping[str, float]], summary: dict[str, Any]
     files = [folder / "learning_curve.png"]
     learning_curve(history, files[0])
     if "scenes" in summary:
-        files.append(folder / "scenes.png")
+        files.append(folder / BARS)
         rows = summary["scenes"]
         scene_bars([row["scene"] for row in rows], [row["success_rate"] for row in rows], files[1])
     return files

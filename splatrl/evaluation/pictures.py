@@ -22,7 +22,7 @@ from splatrl.evaluation.video import PANEL, rollout_video
 from splatrl.motions import Motion
 from splatrl.scenes.gaussians import Gaussians
 
-VIDEO = "rollouts.mp4"
+VIDEO, START_MAP, SUCCESS_MAP = "rollouts.mp4", "starts.png", "success_map.png"
 """The last file that an evaluation writes; with several scenes, each one shown has its own, the last scene's last."""
 FASTEST = 60
 """Maximum frame rate of a video, frames per second."""
@@ -56,7 +56,7 @@ class Pictures:
 
     def starts(self, episodes: Episodes) -> Path:
         """Draw start positions and headings, coloured by success."""
-        path = self.folder / "starts.png"
+        path = self.folder / START_MAP
         planar = self._planar(episodes.start)
         start_map(
             planar, episodes.success, self.view, path, self._blocked(), self._cut_off(), len(self.plan.start_rows)
@@ -65,7 +65,7 @@ class Pictures:
 
     def success_map(self, episodes: Episodes) -> Path:
         """Draw the success rate by start position."""
-        path = self.folder / "success_map.png"
+        path = self.folder / SUCCESS_MAP
         planar = self._planar(episodes.start)
         tried, every = len(episodes.start.unique(dim=0)), len(self.plan.start_rows)
         starts = "all starts" if tried == every else f"{tried:,} of {every:,} starts:"

@@ -9,6 +9,7 @@ from typing import Any
 from urllib.parse import quote
 
 from splatrl.documents import write_json
+from splatrl.evaluation.pictures import START_MAP, SUCCESS_MAP
 from splatrl.experiments.curves import learning_curves
 from splatrl.experiments.experiment import Experiment
 from splatrl.experiments.results import Entry, Spread, comparable, entries
@@ -25,7 +26,7 @@ from splatrl.experiments.tables import (
 from splatrl.files import replacing
 
 SCORES, MACHINE, FIGURES, VIEWS = "scores.json", "machine.json", "capture.json", "views.png"
-MAPS = {"starts.png": "start poses by success", "success_map.png": "success by start position"}
+MAPS = {START_MAP: "start poses by success", SUCCESS_MAP: "success by start position"}
 """Pictures of a run that are shown side by side, with their captions."""
 EXPLANATION = (
     "Success is measured over the start set (if it has more than `evaluation.starts` poses, over that many, evenly "

@@ -8,7 +8,7 @@ from splatrl.training.inputs import Input, inputs_of
 from splatrl.training.matching import Matcher, MatchingSettings, views
 from splatrl.training.memory import memory_transforms
 from splatrl.training.networks import actor_critic
-from splatrl.training.ppo import PPO
+from splatrl.training.ppo import PPO, check_frames
 from splatrl.training.settings import LossSettings, OptimSettings
 from splatrl.training.trackers import check_tracker, make_tracker
 from splatrl.training.trainer import Stage, Trainer
@@ -27,6 +27,7 @@ __all__ = [
     "Stage",
     "Trainer",
     "actor_critic",
+    "check_frames",
     "check_tracker",
     "inputs_of",
     "load_checkpoint",

@@ -18,6 +18,29 @@ from splatrl.training.settings import LossSettings, OptimSettings
 from splatrl.values import require_number
 
 
+def check_frames(frames_per_batch: int, total_frames: int, num_envs: int) -> None:
+    """Refuse batches that the robots cannot share evenly, and a frame budget without room for one batch.
+
+    Args:
+        frames_per_batch: frames between updates.
+        total_frames: frames that the whole training may use.
+        num_envs: number of robots.
+
+    Raises:
+        ValueError: names the key, what it may be and what was given.
+    """
+    for name, frames in (("frames_per_batch", frames_per_batch), ("total_frames", total_frames)):
+        require_number(f"collector.{name}", frames, 1, whole=True)
+    if frames_per_batch % num_envs:
+        raise ValueError(
+            f"collector.frames_per_batch: expected a multiple of env.num_envs = {num_envs}, got {frames_per_batch}"
+        )
+    if total_frames < frames_per_batch:
+        raise ValueError(
+            f"collector.total_frames: expected at least frames_per_batch = {frames_per_batch}, got {total_frames}"
+        )
+
+
 class PPO:
     """Collects batches of frames and learns from them; training can be stopped and resumed after any batch.
 
@@ -50,17 +73,7 @@ class PPO:
         cuda_graph: bool | None = None,
         on_device: bool | None = None,
     ):
-        for name, frames in (("frames_per_batch", frames_per_batch), ("total_frames", total_frames)):
-            require_number(f"collector.{name}", frames, 1, whole=True)
-        if frames_per_batch % env.numel():
-            raise ValueError(
-                f"collector.frames_per_batch: expected a multiple of env.num_envs = {env.numel()}, "
-                f"got {frames_per_batch}"
-            )
-        if total_frames < frames_per_batch:
-            raise ValueError(
-                f"collector.total_frames: expected at least frames_per_batch = {frames_per_batch}, got {total_frames}"
-            )
+        check_frames(frames_per_batch, total_frames, env.numel())
         check_layers(env)
         self.env, self.model = env, model
         self.frames_per_batch, self.total_frames = frames_per_batch, total_frames

@@ -142,6 +142,7 @@ class Trainer:
             self.save()  # so that no checkpoint means that the run has not begun
         if not self.prepared:
             self._prepare(began)
+        self._test_prepared()
         total = self.ppo.frames + (self.ppo.total_frames - self.ppo.frames) // batch * batch
         bars = {"total": total, "initial": self.ppo.frames, "unit": "frame", "desc": "train", "dynamic_ncols": True}
         with _interrupts() as interrupted, tqdm(**bars) as bar:
@@ -162,7 +163,7 @@ class Trainer:
                     raise KeyboardInterrupt
 
     def _prepare(self, began: float) -> None:
-        """Run the stages of ``prepare``, and save after each; test the policy at the end, too."""
+        """Run the stages of ``prepare``, and save after each."""
         for number, stage in enumerate(self.prepare):
             if number > 0:
                 self.save()
@@ -172,10 +173,15 @@ class Trainer:
                 told = "stopped within imitation or matching, which begins anew when the training continues"
                 print(f"\n{told}", file=sys.stderr)
                 raise
-        if self.history and "test_success" not in self.history[-1]:
-            self._note(self.history.pop() | self._tested())
         self.prepared = True
         if self.prepare:
+            self.save()
+
+    def _test_prepared(self) -> None:
+        """Test the policy with which learning from reward begins, unless it has been tested."""
+        if self.history and self.history[-1].keys().isdisjoint(("success", "test_success")):
+            tested = self._tested()  # an interrupt in here costs only this test, which a resumed training repeats
+            self._note(self.history.pop() | tested)
             self.save()
 
     def _run(self, stage: Stage, began: float) -> None:

@@ -320,6 +320,8 @@ def test_watching_several_scenes_is_refused_before_they_are_built(
         ("logger.backend=wandb", r"logger\.backend=wandb needs wandb: pip install"),
         ("logger.exp_name=a/b", r"logger\.exp_name: expected a name"),
         ("dagger.guided=2", r"dagger\.guided: expected a number from 0\.0 to 1\.0"),
+        ("collector.total_frames=1", r"collector\.total_frames: expected at least frames_per_batch = \d+, got 1"),
+        ("env.num_envs=7", r"collector\.frames_per_batch: expected a multiple of env\.num_envs = 7, got \d+"),
     ],
 )
 def test_settings_are_checked_before_a_world_is_built(

@@ -1,14 +1,17 @@
 """End-to-end tests of ``splatrl-view``, ``splatrl-train view=true`` and ``splatrl-record by=keys``."""
 
 import errno
+import io
 import re
 import signal
 import sys
 import tempfile
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import pytest
 from omegaconf import DictConfig, OmegaConf
@@ -18,7 +21,8 @@ from splatrl.commands import record, view
 from splatrl.commands.view import furnish, place_values
 from splatrl.configuration import command_line, load_config
 from splatrl.configuration.spelling import with_key
-from splatrl.datasets import read_demonstrations
+from splatrl.datasets import Demonstrations, planner_episodes, read_demonstrations
+from splatrl.envs.world import World
 from splatrl.scenes import write_gaussians
 from splatrl.viewer.driver import Driver
 from splatrl.viewer.markdown import plain
@@ -273,15 +277,45 @@ def test_driven_episodes_are_kept_while_a_disk_is_full(
     monkeypatch.setattr(record, "PAUSE", 0.0)
     tried = list[int]()
 
-    def write() -> None:
+    def write() -> str:
         tried.append(len(tried))
         if len(tried) < 3:
             raise OSError(errno.ENOSPC, "cannot write: No space left on device", "demos")
+        return "written"
 
-    record.patiently(write)
+    assert record.patiently(write) == "written"
     said = capsys.readouterr().err.splitlines()
     assert len(tried) == 3 and len(said) == 2
     assert "cannot write: No space left on device: 'demos'; the episodes are kept, and written in 0 s" in said[0]
+
+
+def test_driven_episodes_are_written_once_into_each_folder_though_the_terminal_is_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Closed(io.StringIO):
+        def write(self, text: str) -> int:
+            raise OSError(errno.EIO, "Input/output error")
+
+    @contextmanager
+    def driven(cfg: DictConfig, world: World) -> Iterator[Demonstrations]:
+        found = planner_episodes(world, 1)
+        for name in ("stdout", "stderr"):
+            monkeypatch.setattr(sys, name, Closed())
+        yield found
+
+    really, room = record.write_demonstrations, iter([False, True])
+
+    def write_demonstrations(*given: Any) -> None:
+        if not next(room):  # a second copy would be one too many
+            raise OSError(errno.ENOSPC, "No space left on device")
+        really(*given)
+
+    for name, made in (("driven", driven), ("write_demonstrations", write_demonstrations), ("PAUSE", 0.0)):
+        monkeypatch.setattr(record, name, made)
+    out, lerobot = tmp_path / "demos", tmp_path / "lerobot"
+    words = ["by=keys", f"out={out}", f"lerobot={lerobot}"]
+    record.run(load_config([*tiny_overrides(tmp_path), *words], "record"))
+    assert len(read_demonstrations(out).starts) == 1 and (lerobot / "meta" / "info.json").is_file()
 
 
 def test_a_recording_without_episodes_writes_nothing(tmp_path: Path) -> None:

@@ -1,12 +1,14 @@
 """Summaries of episodes, and the JSON files that hold them."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 
 from splatrl.envs.tasks import Outcome
 from splatrl.evaluation import Episodes, summarise
+from splatrl.evaluation.evaluate import remove_results
 from splatrl.evaluation.report import by_scene
 
 
@@ -47,3 +49,14 @@ def test_where_collisions_are_counted_their_rate_is_the_share_of_episodes_with_a
     assert summary["timeout_rate"] == 0.25
     assert not any(key.startswith("out_of_bounds_rate") for key in summary)  # robots cannot leave
     assert [row["collision_rate"] for row in by_scene(["one", "other"], sampled, argmax)] == [2 / 3, 0.0]
+
+
+def test_a_training_that_goes_on_keeps_no_result_of_its_own_evaluation(tmp_path: Path) -> None:
+    maps = ["starts.png", "success_map.png", "rollouts.mp4"]
+    found = ["evaluation.json", "scenes.png", *maps, *(f"scenes/0-yard/{name}" for name in maps)]
+    kept = ["learning_curve.png", "episodes.json.gz", "progress.csv", "places/seed=1/starts.png"]
+    for path in (tmp_path / name for name in found + kept):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    remove_results(tmp_path)
+    assert {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()} == set(kept)

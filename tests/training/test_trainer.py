@@ -3,6 +3,7 @@
 import csv
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -146,6 +147,31 @@ def test_an_interrupt_in_the_last_batch_ends_the_command_with_the_training_saved
         loop.fit()
     assert load_checkpoint(tmp_path / "checkpoints" / "last.pt")["ppo"]["frames"] == 384
     assert signal.getsignal(signal.SIGINT) == handler
+
+
+def test_an_interrupt_in_the_test_after_preparation_costs_only_this_test(tmp_path: Path) -> None:
+    loop, results = trainer(tmp_path, []), iter([{"success": 0.1}])
+
+    def teach() -> Iterator[dict[str, float]]:
+        for _ in range(2):
+            loop.ppo.frames += 32
+            yield {"loss_cloning": 1.0}
+
+    def interrupted() -> dict[str, float]:
+        if loop.ppo.frames == 64:
+            raise KeyboardInterrupt
+        return next(results)
+
+    loop.prepare, loop.test = [teach], interrupted
+    with pytest.raises(KeyboardInterrupt):
+        loop.fit()
+    again = trainer(tmp_path, [0.9, 0.6, 0.5, 0.4])
+    again.resume()
+    assert again.prepared and again.history == loop.history
+    again.fit()
+    tests = {row["frames"]: row["test_success"] for row in again.history if "test_success" in row}
+    assert tests == {32: 0.1, 64: 0.9, 128: 0.6, 256: 0.5, 384: 0.4}
+    assert [row["frames"] for row in again.history] == [32, 64, 128, 192, 256, 320, 384]
 
 
 def test_resuming_with_an_env_or_a_network_of_another_shape_is_refused_in_one_line(tmp_path: Path) -> None:
