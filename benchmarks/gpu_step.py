@@ -1,7 +1,6 @@
 """Times a gradient step of PPO on a GPU, captured in a CUDA graph, with and without ``Convolution``, in turns.
 
-python benchmarks/gpu_step.py
-python benchmarks/gpu_step.py --dry-run   # on a CPU, with few frames: no number is a measurement
+``python benchmarks/gpu_step.py``; with ``--dry-run`` on a CPU, with few frames, where no number is a measurement.
 """
 
 import argparse

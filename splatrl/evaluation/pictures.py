@@ -23,7 +23,8 @@ from splatrl.motions import Motion
 from splatrl.scenes.gaussians import Gaussians
 
 VIDEO, START_MAP, SUCCESS_MAP = "rollouts.mp4", "starts.png", "success_map.png"
-"""The last file that an evaluation writes; with several scenes, each one shown has its own, the last scene's last."""
+"""Names of the files. The video is the last file that an evaluation writes; with several scenes, each one shown has its
+own, the last scene's last."""
 FASTEST = 60
 """Maximum frame rate of a video, frames per second."""
 PACE = 6

@@ -6,10 +6,11 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch._C._functorch import is_functorch_wrapped_tensor
 from torch.autograd.function import once_differentiable
 from torch.nn.functional import conv2d
 from torch.nn.grad import conv2d_input
+
+from splatrl.training.tracing import traced
 
 
 class Convolution(nn.Conv2d):
@@ -65,8 +66,7 @@ def _differentiated_on_a_gpu(images: Tensor) -> bool:
     """Whether gradients are wanted of a plain convolution on a GPU: ``vmap``, compilers and autocast have their own."""
     if not images.is_cuda or not torch.is_grad_enabled() or images.dtype != torch.float32:
         return False
-    traced = torch.compiler.is_compiling() or torch.jit.is_tracing() or is_functorch_wrapped_tensor(images)
-    return not traced and not torch.is_autocast_enabled(images.device.type)
+    return not traced(images) and not torch.is_autocast_enabled(images.device.type)
 
 
 @contextmanager

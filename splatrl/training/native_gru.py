@@ -4,12 +4,12 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch._C._functorch import is_functorch_wrapped_tensor
 from torch.autograd.function import once_differentiable
 
 from splatrl.native import _core
 from splatrl.native.threads import usable_cores
 from splatrl.training.native_trunk import FAST, addresses
+from splatrl.training.tracing import traced
 
 LANES = 16
 """Sizes of features and memory must be multiples of this number."""
@@ -24,7 +24,7 @@ def suits(features: Tensor, cell: nn.GRU) -> bool:
         features: [N, F].
         cell: a GRU with one layer.
     """
-    if torch.compiler.is_compiling() or torch.jit.is_tracing() or is_functorch_wrapped_tensor(features):
+    if traced(features):
         return False
     plain = all(each.dtype == torch.float32 and each.device.type == "cpu" for each in (features, *_weights(cell)))
     return plain and features.shape[1] % LANES == 0 and cell.hidden_size % LANES == 0 and _core.isa() in FAST

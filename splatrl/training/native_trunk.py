@@ -9,6 +9,7 @@ from torch.autograd.function import once_differentiable
 
 from splatrl.native import _core
 from splatrl.native.threads import usable_cores
+from splatrl.training.tracing import traced
 
 FAST = ("avx2", "avx512")
 """Instruction sets with which the compiled layers are faster than PyTorch's."""
@@ -26,7 +27,7 @@ def suits(images: Tensor, convolutions: nn.Sequential, dense: nn.Sequential) -> 
         convolutions: two convolutions, each followed by a ReLU.
         dense: a linear layer followed by a ReLU.
     """
-    if torch.compiler.is_compiling() or torch.jit.is_tracing() or images.requires_grad:
+    if traced(images) or images.requires_grad:
         return False
     weights = (*convolutions.parameters(), *dense.parameters())
     plain = all(each.dtype == torch.float32 and each.device.type == "cpu" for each in (images, *weights))

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
-from torch._C._functorch import is_functorch_wrapped_tensor
 
 from splatrl.native import _core
 from splatrl.training.convolution import Convolution
 from splatrl.training.heads import orthogonal
 from splatrl.training.native_trunk import encoded, suits
+from splatrl.training.tracing import traced
 
 GAIN = 2**0.5
 """Orthogonal-initialisation gain for layers followed by a ReLU."""
@@ -53,9 +53,8 @@ class PoolPixels(nn.Module):
 
 def _by_core(images: Tensor) -> bool:
     """Whether the core can pool images: it needs values in main memory, which ``vmap`` and tracers do not have."""
-    traced = torch.compiler.is_compiling() or torch.jit.is_tracing() or is_functorch_wrapped_tensor(images)
     plain = images.dtype in (torch.uint8, torch.float32) and not images.requires_grad
-    return plain and images.device.type == "cpu" and not traced
+    return plain and images.device.type == "cpu" and not traced(images)
 
 
 def two_convolutions(height: int, width: int, depth: int, channels: Sequence[int]) -> nn.Sequential:
