@@ -71,7 +71,10 @@ class PhysicsMotion(TwinMotion):
         substep: duration of a substep of the physics, seconds; None takes the robot's own.
         linear: lowest and highest speed of the twin, metres per second; None takes the limits of the servo forward.
         angular_deg: the twin's highest angular velocity, degrees per second; None takes that of the servo turn.
-        lower, upper, spacing, headings: bounds and starts of robots; see ``DriveMotion``.
+        lower: with ``upper``, the bounds of the robots; see ``DriveMotion``.
+        upper: see ``lower``.
+        spacing: with ``headings``, the places and directions where they may start; see ``DriveMotion``.
+        headings: see ``spacing``.
         ceiling: height above the ground up to which robots can meet solid voxels, metres, for robots that fly; None
             takes the highest point of the robot and the things where they stand.
         variation: how the physics differs between episodes.

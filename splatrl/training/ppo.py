@@ -141,7 +141,7 @@ class PPO:
 
         Raises:
             ValueError: for a state from another kind of device, whose random numbers cannot be continued here, or of
-            another number of robots.
+                another number of robots.
         """
         base, transformed = layers(self.env)
         made_on = state.get("device", "cpu")
