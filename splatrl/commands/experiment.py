@@ -4,7 +4,7 @@ import difflib
 import re
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -18,7 +18,18 @@ from splatrl.commands.entries import experiment as main
 from splatrl.commands.faults import in_one_line
 from splatrl.commands.stopping import stoppable
 from splatrl.configuration import UserError, conf_dir, load_config, quoted
-from splatrl.experiments import Run, Selection, budget, check_settings, planned, report_all, score, statement, train_all
+from splatrl.experiments import (
+    Run,
+    Selection,
+    budget,
+    check_settings,
+    checked,
+    planned,
+    report_all,
+    score,
+    statement,
+    train_all,
+)
 from splatrl.experiments.machine import machine
 from splatrl.native.threads import usable_cores
 from splatrl.values import require_number
@@ -50,9 +61,9 @@ def experiment(cfg: DictConfig) -> None:
     names, folder = _names(cfg), Path(cfg.folder)
     if cfg.report_only and not any((folder / name).is_dir() for name in names):
         raise ValueError(f"folder: expected a folder with finished trainings of {', '.join(names)}, got {folder}")
-    nodes = _plain(cfg.experiments)
-    _prepare(cfg, names, nodes)
-    scenes = _scenes(cfg)
+    nodes = {name: checked(name, _plain(cfg.experiments)[name]) for name in names}
+    _prepare(cfg, nodes)
+    scenes = _scenes(cfg, _named(cfg, nodes))
     places = None if cfg.scenes is None else [_scene_name(str(scene)) for scene in cfg.scenes]
     selection = Selection(_plain(cfg)["seeds"], cfg.frames, places)
     experiments = [planned(name, nodes[name], scenes, folder, _compose, selection) for name in names]
@@ -68,7 +79,7 @@ def experiment(cfg: DictConfig) -> None:
         print("\n".join([*left_out, stated]), flush=True)
         failed = train_all(experiments, jobs, max(1, cores // jobs), TRAIN)
     reports = report_all(experiments, folder, machine(jobs))
-    methods = {} if cfg.report_only else {name: nodes[name]["score"] for name in names}
+    methods = {} if cfg.report_only else {name: node["score"] for name, node in nodes.items()}
     scored = [score(each, get_method(methods[each.name])) for each in experiments if methods.get(each.name)]
     if any(scored):
         reports = report_all(experiments, folder, machine(jobs))
@@ -103,13 +114,32 @@ def _names(cfg: DictConfig) -> list[str]:
     return names if given == "all" else [given]
 
 
-def _prepare(cfg: DictConfig, names: Sequence[str], nodes: Mapping[str, Any]) -> None:
+def _prepare(cfg: DictConfig, nodes: Mapping[str, Any]) -> None:
     """Run the preparation step of each experiment that has one, such as making a scene that does not exist yet."""
     given = {str(scene): _overrides(cfg, str(scene)) for scene in cfg.scene_overrides}
-    for name in names:
-        if nodes[name]["prepare"] and not cfg.report_only:
+    for name, node in nodes.items():
+        if node["prepare"] and not cfg.report_only:
             known = {scene: overrides for scene, overrides in given.items() if overrides is not None}
-            get_method(nodes[name]["prepare"])(Path(cfg.folder) / name, known)
+            get_method(node["prepare"])(Path(cfg.folder) / name, known)
+
+
+def _named(cfg: DictConfig, nodes: Mapping[str, Any]) -> set[str]:
+    """Return the scenes that arms of the experiments name.
+
+    Raises:
+        ValueError: for an arm that names an unknown scene.
+    """
+    scenes = set()
+    for name, node in nodes.items():
+        for key, arm in node["arms"].items():
+            for scene in arm["scenes"]:
+                if scene not in cfg.scene_overrides:
+                    raise ValueError(
+                        f"experiments.{name}.arms.{key}.scenes: expected names from {', '.join(cfg.scene_overrides)}, "
+                        f"got {scene}; define it by '+scene_overrides.{scene}=[\"scene=<its path>\"]'"
+                    )
+                scenes.add(scene)
+    return scenes
 
 
 def _overrides(cfg: DictConfig, scene: str) -> list[str] | None:
@@ -125,15 +155,17 @@ def _scene_name(scene: str) -> str:
     return Path(scene).resolve().stem if "/" in scene or Path(scene).suffix else scene
 
 
-def _scenes(cfg: DictConfig) -> dict[str, list[str]]:
+def _scenes(cfg: DictConfig, named: Collection[str]) -> dict[str, list[str]]:
     """Collect the overrides of the scenes in which to train; scenes whose files are missing are left out.
+
+    These are the scenes that are typed, or else those that arms name.
 
     Raises:
         ValueError: for a requested scene that is unknown and does not exist as a path, or whose file is missing.
     """
     known = [str(scene) for scene in cfg.scene_overrides]
     result: dict[str, list[str]] = {}
-    for scene in map(str, cfg.scenes or known):
+    for scene in map(str, cfg.scenes or (scene for scene in known if scene in named)):
         if scene not in known:
             if not Path(scene).exists():
                 raise ValueError(f"scenes: expected names from {', '.join(known)}, or existing paths, got {scene}")

@@ -2,7 +2,7 @@
 
 from splatrl.experiments.budget import budget, statement
 from splatrl.experiments.conduct import check_settings, report_all, score, train_all
-from splatrl.experiments.experiment import Experiment, Run, Selection, planned
+from splatrl.experiments.experiment import Experiment, Run, Selection, checked, planned
 
 __all__ = [
     "Experiment",
@@ -10,6 +10,7 @@ __all__ = [
     "Selection",
     "budget",
     "check_settings",
+    "checked",
     "planned",
     "report_all",
     "score",

@@ -7,6 +7,10 @@ from typing import Any
 
 Compose = Callable[[Sequence[str]], dict[str, Any]]
 """Composes the complete config of a training from overrides."""
+OPTIONAL: dict[str, None] = dict.fromkeys(("paper", "prepare", "score"))
+"""Keys that an experiment's YAML may leave out, and their values then."""
+EXPANDED = {"name", "folder", "runs", "left_out"}
+"""Attributes of an ``Experiment`` that its YAML does not have."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,7 @@ class Experiment:
         name: name of the experiment on the command line and of its folder.
         title: headline of the report.
         question: the question that the experiment answers.
-        paper: what the paper found about the question.
+        paper: what the paper found about the question; None if nothing.
         frames_per_second: expected speed of one training.
         overhead: expected time per training on top of its frames, seconds.
         marks: numbers of frames at which the report gives the test success.
@@ -90,7 +94,7 @@ class Experiment:
     name: str
     title: str
     question: str
-    paper: str
+    paper: str | None
     frames_per_second: float
     overhead: float
     marks: Sequence[int]
@@ -121,6 +125,24 @@ class Selection:
         return [scene for scene in self.scenes if scene in arm.scenes or scene not in named]
 
 
+def checked(name: str, node: Mapping[str, Any]) -> dict[str, Any]:
+    """Check the content of an experiment's YAML, and return it with the values of keys that it leaves out.
+
+    Args:
+        name: name of the experiment.
+        node: the content; ``arms`` has one ``Arm`` per key.
+
+    Raises:
+        ValueError: for a missing or unknown key.
+    """
+    where = f"experiments.{name}"
+    known = _checked({**OPTIONAL, **node}, _keys(Experiment) - EXPANDED | {"arms", "prepare", "score"}, where)
+    if not isinstance(known["arms"], Mapping):
+        raise ValueError(f"{where}.arms: expected an arm by each key, got {known['arms']!r}")
+    arms = {key: _checked(values, _keys(Arm), f"{where}.arms.{key}") for key, values in known["arms"].items()}
+    return {**known, "arms": arms}
+
+
 def planned(
     name: str,
     node: Mapping[str, Any],
@@ -133,22 +155,20 @@ def planned(
 
     Args:
         name: name of the experiment.
-        node: content of its YAML; ``arms`` has one ``Arm`` per key.
+        node: content of its YAML, as ``checked`` returns it.
         scenes: overrides by scene name; scenes that it lacks are skipped.
         folder: parent folder of all experiments.
         compose: composes the config of a training from its overrides.
         selection: the part of the experiment to train; None trains all of it.
 
     Raises:
-        ValueError: for a missing or unknown key in the node, or overrides that do not compose.
+        ValueError: for overrides that do not compose.
     """
     selection = selection or Selection()
     home = folder / name
     runs, left_out = list[tuple[int, Run]](), list[str]()
     planned_in: dict[str, list[tuple[str, dict[str, Any]]]] = {}
-    arms = {}
-    for key, values in node["arms"].items():
-        arms[key] = Arm(**_checked(values, {field.name for field in fields(Arm)}, f"experiments.{name}.arms.{key}"))
+    arms = {key: Arm(**values) for key, values in node["arms"].items()}
     named = {scene for arm in arms.values() for scene in arm.scenes}
     for key, arm in arms.items():
         where = f"experiments.{name}.arms.{key}"
@@ -176,13 +196,17 @@ def planned(
                 run_folder = home / f"{scene}-{key}-s{seed}"
                 runs.append((place, Run(scene, key, arm.label, seed, run_folder, own, {**config, "seed": seed})))
     ordered = tuple(run for _, run in sorted(runs, key=lambda entry: entry[0]))
-    own_keys = {field.name for field in fields(Experiment)} - {"name", "folder", "runs", "left_out"}
-    known = _checked(node, own_keys | {"arms", "prepare", "score"}, f"experiments.{name}")
-    texts = {key: known[key] for key in own_keys}
+    texts = {key: node[key] for key in _keys(Experiment) - EXPANDED}
     return Experiment(name=name, folder=home, runs=ordered, left_out=tuple(left_out), **texts)
 
 
-def _checked(node: Mapping[str, Any], keys: set[str], where: str) -> dict[str, Any]:
+def _keys(kind: type[Arm] | type[Experiment]) -> set[str]:
+    return {field.name for field in fields(kind)}
+
+
+def _checked(node: object, keys: set[str], where: str) -> dict[str, Any]:
+    if not isinstance(node, Mapping):
+        raise ValueError(f"{where}: expected the keys {', '.join(sorted(keys))}, got {node!r}")
     if set(node) != keys:
-        raise ValueError(f"{where}: expected the keys {', '.join(sorted(keys))}, got {', '.join(sorted(node))}")
+        raise ValueError(f"{where}: expected the keys {', '.join(sorted(keys))}, got {', '.join(map(str, node))}")
     return dict(node)

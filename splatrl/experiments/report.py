@@ -93,7 +93,9 @@ def _section(
 ) -> list[str]:
     finished = sum(len(entry.runs) for entry in found)
     lines = [f"{heading} {experiment.title}", ""]
-    lines += [f"**Question.** {experiment.question}", "", f"**Paper.** {experiment.paper}", ""]
+    lines += [f"**Question.** {experiment.question}", ""]
+    if experiment.paper is not None:
+        lines += [f"**Paper.** {experiment.paper}", ""]
     if not finished:
         return [*lines, f"**Results.** None of {len(experiment.runs)} trainings is finished."]
     every = _scores(experiment)

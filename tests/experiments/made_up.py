@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from splatrl.experiments import Experiment, Run, Selection, planned
+from splatrl.experiments import Experiment, Run, Selection, checked, planned
 
 SCENES = {"yard": ["scene=yard"], "hall": ["scene=hall"]}
 NODE: dict[str, Any] = {
@@ -17,8 +17,6 @@ NODE: dict[str, Any] = {
     "overhead": 10,
     "marks": [200, 400],
     "threshold": 0.9,
-    "prepare": None,
-    "score": None,
     "arms": {
         "with": {"label": "with it", "overrides": ["curriculum=yes"], "scenes": ["yard", "hall"], "seeds": [0, 1]},
         "without": {"label": "without", "overrides": ["curriculum=no"], "scenes": ["yard"], "seeds": [0, 1]},
@@ -41,7 +39,7 @@ def compose(overrides: Sequence[str]) -> dict[str, Any]:
 
 def made_up(folder: Path, node: dict[str, Any] | None = None, selection: Selection | None = None) -> Experiment:
     """Plan the experiment above, or that of another node."""
-    return planned("tried", node or NODE, SCENES, folder, compose, selection)
+    return planned("tried", checked("tried", node or NODE), SCENES, folder, compose, selection)
 
 
 def begin(run: Run, frames: int, tested: Sequence[float] = ()) -> None:

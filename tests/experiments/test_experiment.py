@@ -51,6 +51,17 @@ def test_an_unknown_key_of_an_arm_is_named(tmp_path: Path) -> None:
 
 
 def test_a_missing_key_of_an_experiment_is_named(tmp_path: Path) -> None:
-    node = {key: value for key, value in NODE.items() if key != "paper"}
-    with pytest.raises(ValueError, match=r"experiments\.tried: expected the keys .*paper"):
+    node = {key: value for key, value in NODE.items() if key != "question"}
+    with pytest.raises(ValueError, match=r"experiments\.tried: expected the keys .*question"):
         made_up(tmp_path, node)
+
+
+@pytest.mark.parametrize(("arms", "where"), [([1], r"\.arms: expected an arm"), ({"one": 1}, r"\.arms\.one: expected")])
+def test_arms_that_are_none_are_named(tmp_path: Path, arms: object, where: str) -> None:
+    with pytest.raises(ValueError, match=rf"experiments\.tried{where}"):
+        made_up(tmp_path, NODE | {"arms": arms})
+
+
+def test_an_experiment_of_ones_own_need_not_say_what_the_paper_found(tmp_path: Path) -> None:
+    node = {key: value for key, value in NODE.items() if key != "paper"}
+    assert made_up(tmp_path, node).paper is None

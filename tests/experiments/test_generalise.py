@@ -6,7 +6,7 @@ from pathlib import Path
 from omegaconf import OmegaConf
 
 from splatrl.configuration import load_config
-from splatrl.experiments import Run, planned
+from splatrl.experiments import Run, checked, planned
 from splatrl.experiments.generalise import PLACES, choose_places, score_in_places, unlearned
 from splatrl.experiments.tables import transfer_sentences, transfer_table
 from splatrl.experiments.transfer import score_in
@@ -77,7 +77,7 @@ def test_runs_with_and_without_memory_are_tested_side_by_side(tmp_path: Path) ->
 
 
 def test_the_table_shows_places_in_which_nothing_was_trained(tmp_path: Path) -> None:
-    experiment = planned("tried", NODE, SCENES, tmp_path, compose)
+    experiment = planned("tried", checked("tried", NODE), SCENES, tmp_path, compose)
     row = {"run": experiment.runs[0].folder.name, "place": "unseen", "starts": 12, "success_rate": 0.5}
     row |= {"success_rate_argmax": 0.4, "collision_rate": 0.1, "spl": 0.25}
     lines = "\n".join(transfer_table([row], experiment))
@@ -89,7 +89,7 @@ def test_baselines_that_learned_nothing_are_tested_too_and_listed_last(tmp_path:
     straight, taught = unlearned("west", place)
     assert (straight["place"], straight["starts"]) == ("west", 16)
     assert straight["success_rate"] <= taught["success_rate"] and taught["success_rate"] > 0.9
-    experiment = planned("tried", NODE, SCENES, tmp_path, compose)
+    experiment = planned("tried", checked("tried", NODE), SCENES, tmp_path, compose)
     learned = {"run": experiment.runs[0].folder.name, "place": "west", "starts": 16, "success_rate": 0.5}
     learned |= {"success_rate_argmax": 0.4, "collision_rate": 0.1, "spl": 0.25}
     rows = [line for line in transfer_table([straight, taught, learned], experiment) if line.startswith("| west")]

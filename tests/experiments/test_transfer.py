@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 
 from splatrl.building import build_one_world
 from splatrl.configuration import load_config, placed, run_config
-from splatrl.experiments import Experiment, Run, planned, transfer
+from splatrl.experiments import Experiment, Run, checked, planned, transfer
 from splatrl.experiments.report import write_report
 from splatrl.experiments.tables import transfer_sentences, transfer_table
 from splatrl.experiments.transfer import score_everywhere
@@ -80,7 +80,7 @@ def test_tests_in_other_scenes_are_without_pose_noise(tmp_path: Path, monkeypatc
 
 
 def experiment(folder: Path) -> Experiment:
-    return planned("tried", NODE, SCENES, folder, compose)
+    return planned("tried", checked("tried", NODE), SCENES, folder, compose)
 
 
 TESTS = [
