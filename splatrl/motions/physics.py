@@ -20,14 +20,13 @@ from splatrl.motions.base import Move
 from splatrl.motions.drive import DriveMotion
 from splatrl.motions.site import Fits, Site, narrowed
 from splatrl.motions.twin import TwinMotion
-from splatrl.physics import Kinematics, Physics, Terrain, level_ground
+from splatrl.physics import Kinematics, Physics, Solids, Terrain, level_ground
 from splatrl.physics.bank import Variation, bank
 from splatrl.physics.compose import RESERVED, SCENE
 from splatrl.physics.gaussians import Models
 from splatrl.physics.kinematics import rotated, turned_back
 from splatrl.physics.robot_world import RobotWorld
 from splatrl.physics.robots import mjcf_path
-from splatrl.physics.solids import Solids
 from splatrl.physics.standing import on_ground
 from splatrl.physics.survey import survey_ground, survey_terrain, without_ground
 from splatrl.renderers.parts import Parts

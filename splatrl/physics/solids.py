@@ -21,7 +21,6 @@ TINY = 1e-300
 PAIRS = 2**18
 """Maximum number of pairs of rays and faces that are computed at once: few enough for a processor's cache."""
 
-
 Vectors = Sequence[Tensor]
 """The coordinates of vectors, one tensor each."""
 
@@ -87,11 +86,9 @@ class Solids:
     """
 
     def __init__(self, models: Any, tops: Sequence[str]):
-        mujoco = needed()
         model = models[0] if isinstance(models, Sequence) else models
-        roots = {model.body(name).id for name in tops}
-        paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
-        kinds = mujoco.mjtGeom
+        roots, paired = {model.body(name).id for name in tops}, {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
+        kinds = needed().mjtGeom
         named = {
             int(kinds.mjGEOM_SPHERE): "ball",
             int(kinds.mjGEOM_ELLIPSOID): "ball",
@@ -109,7 +106,7 @@ class Solids:
                 chosen.setdefault((kind, mesh), []).append(geom)
         bodies = sorted({int(model.geom_bodyid[geom]) for geoms in chosen.values() for geom in geoms})
         self.kinematics = Kinematics(models, [model.body(number).name for number in bodies])
-        shapes = [_shapes(kind, model, mesh, geoms, bodies) for (kind, mesh), geoms in chosen.items()]
+        shapes = [_collected(kind, model, mesh, geoms, bodies) for (kind, mesh), geoms in chosen.items()]
         self._copies = {torch.device("cpu"): shapes}
 
     def ranges(self, state: Tensor, body_to_world: Tensor, beams: Tensor, reach: float) -> Tensor:
@@ -157,7 +154,7 @@ class Solids:
         return self._copies[device]
 
 
-def _shapes(kind: str, model: Any, mesh: int, geoms: list[int], bodies: list[int]) -> _Shapes:
+def _collected(kind: str, model: Any, mesh: int, geoms: list[int], bodies: list[int]) -> _Shapes:
     """Collect geoms of one kind, and of one mesh if they are hulls."""
     size, faces = model.geom_size[geoms].copy(), np.zeros((0, 4))
     rise = np.ones(len(geoms))

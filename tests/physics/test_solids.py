@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from splatrl.geometry import axis_rotations, quats_to_rotations, rigid
-from splatrl.physics import Physics
-from splatrl.physics.solids import Solids
+from splatrl.physics import Physics, Solids
 
 KINDS = {
     "sphere": 'type="sphere" size="0.4"',
