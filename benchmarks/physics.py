@@ -7,6 +7,7 @@ Times are CPU time of one thread. All calls take turns, round by round, in one p
 """
 
 import argparse
+import math
 from dataclasses import dataclass
 from functools import partial
 from statistics import median
@@ -30,6 +31,8 @@ from splatrl.renderers import Parts
 BATCH = 64
 LINKS, GAUSSIANS = 13, 800
 """Number of links of the robot in the images, and of Gaussians per link."""
+BEAMS, REACH = 64, 10.0
+"""Number of lidar beams, and how far they reach, metres."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,12 @@ def links_ahead(world: World, motion: PhysicsMotion, state: Tensor) -> Parts:
     return Parts(model, stands)
 
 
+def level_beams(count: int) -> Tensor:
+    """Return beams all around: [R, 3] float32."""
+    azimuth = torch.arange(count) * math.tau / count
+    return torch.stack([azimuth.cos(), azimuth.sin(), torch.zeros(count)], 1)
+
+
 def measure(name: str, overrides: list[str], rounds: int) -> list[Row]:
     """Measure all rows of one scene."""
     settings = ["task=push", "device=cpu", "renderer.threads=1", "task.motion.threads=1", *overrides]
@@ -91,6 +100,7 @@ def measure(name: str, overrides: list[str], rounds: int) -> list[Row]:
     action = motion.action_spec.rand((BATCH,))
     plain = PhysicsMotion("wheels", "eye", {"ball": "ball"}, ["ball"], threads=1)
     plain.stand_on(level_ground())
+    cast = motion.body_to_world(state), level_beams(BEAMS), REACH
     cameras, links = world.robot.cameras(motion.body_to_world(state)), links_ahead(world, motion, state)
     exact = build_world(load_config([*settings, "renderer.tolerance=0"]))
     assert isinstance(exact, World)
@@ -108,6 +118,8 @@ def measure(name: str, overrides: list[str], rounds: int) -> list[Row]:
             "scene": partial(alone, world, state, motion),
             "links": partial(with_links, world, cameras, links),
             "no links": partial(with_links, world, cameras, None),
+            "beams to things": partial(motion.ranges, state, *cast),
+            "beams to voxels": partial(world.checker.ranges, *cast),
             "exact links": partial(with_links, exact, cameras, links),
             "exact scene": partial(with_links, exact, cameras, None),
         },
@@ -129,6 +141,8 @@ def measure(name: str, overrides: list[str], rounds: int) -> list[Row]:
         ratio("picture", "scene", "image with robot, ball and mark / scene alone"),
         ratio("links", "no links", f"image with {LINKS} links of {GAUSSIANS} Gaussians / scene alone"),
         ratio("exact links", "exact scene", "the same, exact images"),
+        ratio("beams to things", "physics", f"{BEAMS} lidar beams against the ball / a step of physics"),
+        ratio("beams to voxels", "physics", f"{BEAMS} lidar beams against voxels / a step of physics"),
     ]
 
 

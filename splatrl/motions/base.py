@@ -147,6 +147,23 @@ class Motion(Protocol):
         """Return the scene and ``models`` where they are, [B, M] parts; None stands for the scene alone."""
         ...
 
+    def ranges(self, state: Tensor, body_to_world: Tensor, beams: Tensor, reach: float) -> Tensor | None:
+        """Return how far a lidar's beams go before they enter a thing that is no part of the scene's solid voxels.
+
+        The robot's own links do not stop beams.
+
+        Args:
+            state: [B, ...] states, which say where things are.
+            body_to_world: [B, 4, 4] float32, poses from whose origin the beams start, metres.
+            beams: [R, 3] float32 unit vectors, body frame.
+            reach: maximum range, metres.
+
+        Returns:
+            [B, R] float32, metres: 0 where a beam begins inside a thing, ``reach`` where it enters none. None if there
+            are no things.
+        """
+        ...
+
 
 class PlannedMotion(Motion, Protocol):
     """A motion for which shortest paths can be found: where an action leads does not depend on what it touches.
@@ -218,6 +235,10 @@ class MotionModule(nn.Module):
 
     def parts(self, state: Tensor) -> Parts | None:
         """Return None: only the scene is drawn."""
+        return None
+
+    def ranges(self, state: Tensor, body_to_world: Tensor, beams: Tensor, reach: float) -> Tensor | None:
+        """Return None: only the scene stops beams."""
         return None
 
 

@@ -6,6 +6,7 @@ The file is long because the class explains the keys of ``conf/motion/physics.ya
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -19,7 +20,7 @@ from splatrl.motions.base import Move
 from splatrl.motions.drive import DriveMotion
 from splatrl.motions.site import Fits, Site, narrowed
 from splatrl.motions.twin import TwinMotion
-from splatrl.physics import Kinematics, Physics, Terrain, level_ground
+from splatrl.physics import Kinematics, Physics, Solids, Terrain, level_ground
 from splatrl.physics.bank import Variation, bank
 from splatrl.physics.compose import RESERVED, SCENE
 from splatrl.physics.gaussians import Models
@@ -194,9 +195,14 @@ class PhysicsMotion(TwinMotion):
         if not self.models:  # appearance does not depend on the scene
             found = world.gaussians(self.looks)
             self.models, self._shown = Models(body.gaussians for body in found), [body.body for body in found]
-        self.kinematics = Kinematics(world.model, [world.body_of_camera(self.camera), *self._shown])
+        self._place_bodies()
         hits = [self.physics.sensor(f"touch/{name}") for name in (SCENE, *self.thing_paths) if name not in self.pushed]
         self.hits = [columns for columns in hits if columns is not None]
+
+    def obey(self, models: Sequence[Any]) -> None:
+        """Replace the bank of models by others, which differ from the first only in their numbers."""
+        self.physics = Physics(models, self.physics.substeps, self.threads)
+        self._place_bodies()
 
     def repeat(self, count: int) -> None:
         """Make ``count`` copies of each thing, with names numbered from 1."""
@@ -322,7 +328,7 @@ class PhysicsMotion(TwinMotion):
 
     def model_of(self, state: Tensor) -> Tensor:
         """Return the number of the bank's model that states obey, valid even if a state is NaN: [B, n] -> [B] int64."""
-        return state[:, self.layout.model].nan_to_num().long().clamp(0, len(self.physics.models) - 1)
+        return self.layout.model_of(state, len(self.physics.models))
 
     def with_model(self, state: Tensor, number: Tensor) -> Tensor:
         """Replace the models of the bank that states obey: [B, n], [B] -> [B, n]."""
@@ -359,6 +365,16 @@ class PhysicsMotion(TwinMotion):
         numbers = torch.arange(first, first + moving.shape[1], device=state.device)
         model = torch.cat([torch.zeros_like(numbers[:1]), numbers]).expand(len(state), -1)
         return Parts(model, torch.cat([scene, moving], 1))
+
+    def ranges(self, state: Tensor, body_to_world: Tensor, beams: Tensor, reach: float) -> Tensor:
+        """Return how far beams go before they enter a thing's solid geoms; see ``Motion``."""
+        return self.solids.ranges(state, body_to_world, beams, reach)
+
+    def _place_bodies(self) -> None:
+        """Prepare where the bodies of states are: those that carry the camera, are drawn, or are solid."""
+        models, world = self.physics.models, self.world
+        self.kinematics = Kinematics(models, [world.body_of_camera(self.camera), *self._shown])
+        self.solids = Solids(models, list(world.things.values()))
 
     def _check_names(self) -> None:
         """Refuse names that things cannot have in a model, and names of no thing."""

@@ -7,6 +7,7 @@ from splatrl.physics.gaussians import BodyGaussians, gaussians_from_mjcf
 from splatrl.physics.kinematics import Kinematics
 from splatrl.physics.mjcf import mjcf_files, read_mjcf
 from splatrl.physics.routes import RouteSettings
+from splatrl.physics.solids import Solids
 from splatrl.physics.state_layout import StateLayout
 from splatrl.physics.stepping import Physics, Stepped
 from splatrl.physics.terrain import Terrain, level_ground
@@ -18,6 +19,7 @@ __all__ = [
     "Kinematics",
     "Physics",
     "RouteSettings",
+    "Solids",
     "StateLayout",
     "Stepped",
     "Terrain",

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.geometry import multiply_quats, rigid
@@ -37,8 +38,8 @@ class _Level(NamedTuple):
 
     bodies: Tensor  # [K] int64
     parents: Tensor  # [K] int64
-    place: Tensor  # [K, 3], in the parent's frame
-    turn: Tensor  # [K, 4]
+    place: Tensor  # [M, K, 3], in the parent's frame, for each model; M is 1 if all models agree
+    turn: Tensor  # [M, K, 4]
     joints: list[_Joints]  # in the order in which they apply to a body
 
     def to(self, device: torch.device) -> "_Level":
@@ -48,23 +49,26 @@ class _Level(NamedTuple):
 
 
 class Kinematics:
-    """Computes the poses of a model's bodies from its states.
+    """Computes the poses of bodies from states.
 
     Args:
-        model: an ``MjModel``.
+        models: an ``MjModel``, or several that differ only in their numbers, such as where bodies without joints are; a
+            state says which one it obeys.
         bodies: names of the requested bodies, in order; only these and their ancestors are computed.
 
     Raises:
-        ValueError: for a body that the model lacks.
+        ValueError: for a body that the models lack.
     """
 
-    def __init__(self, model: Any, bodies: Sequence[str]):
+    def __init__(self, models: Any, bodies: Sequence[str]):
         mujoco = needed()
+        each: list[Any] = list(models) if isinstance(models, Sequence) else [models]
+        model = each[0]
         wanted: list[int] = []
         for name in bodies:
             number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
             if number < 0:
-                known = [model.body(each).name for each in range(1, model.nbody)]
+                known = [model.body(other).name for other in range(1, model.nbody)]
                 raise ValueError(f"body: expected one of {', '.join(known)}, got {name!r}")
             wanted.append(number)
         self.layout, self.count = StateLayout(int(model.nq), int(model.nv)), int(model.nbody)
@@ -79,11 +83,12 @@ class Kinematics:
         levels = []
         for level in range(1, max((depth[number] for number in needed_bodies), default=0) + 1):
             numbers = [number for number in range(1, model.nbody) if depth[number] == level and number in needed_bodies]
-            levels.append(self._level(mujoco, model, numbers))
+            levels.append(self._level(mujoco, each, numbers))
         self._copies = {torch.device("cpu"): levels}
 
     @staticmethod
-    def _level(mujoco: Any, model: Any, numbers: list[int]) -> _Level:
+    def _level(mujoco: Any, models: list[Any], numbers: list[int]) -> _Level:
+        model = models[0]
         kinds = {
             int(mujoco.mjtJoint.mjJNT_FREE): "free",
             int(mujoco.mjtJoint.mjJNT_BALL): "ball",
@@ -108,7 +113,9 @@ class Kinematics:
                     joints.append(_Joints(kind, rows, first, anchor, axis, rest))
         bodies = torch.tensor(numbers, dtype=torch.int64)
         parents = torch.from_numpy(np.asarray(model.body_parentid, np.int64))[bodies]
-        place, turn = torch.from_numpy(model.body_pos.copy())[bodies], torch.from_numpy(model.body_quat.copy())[bodies]
+        place, turn = (
+            _of_models([getattr(one, name)[numbers] for one in models]) for name in ("body_pos", "body_quat")
+        )
         return _Level(bodies, parents, place, turn, joints)
 
     def _levels(self, device: torch.device) -> list[_Level]:
@@ -132,13 +139,17 @@ class Kinematics:
         turn[:, 0, 0] = 1.0
         for level in self._levels(state.device):
             above = turn[:, level.parents]
-            x = place[:, level.parents] + rotated(above, level.place)
-            q = multiply_quats(above, level.turn)
+            x = place[:, level.parents] + rotated(above, self._of_rows(level.place, state))
+            q = multiply_quats(above, self._of_rows(level.turn, state))
             for joints in level.joints:
                 x[:, joints.rows], q[:, joints.rows] = _jointed(joints, qpos, x[:, joints.rows], q[:, joints.rows])
             place[:, level.bodies], turn[:, level.bodies] = x, normalised(q)
         wanted = self._wanted.to(state.device)
         return place[:, wanted], turn[:, wanted]
+
+    def _of_rows(self, values: Tensor, state: Tensor) -> Tensor:
+        """Return the values of the models that states obey: [M, K, 3] -> [B, K, 3], or [1, K, 3] if all agree."""
+        return values if len(values) == 1 else values[self.layout.model_of(state, len(values))]
 
     def poses(self, state: Tensor) -> Tensor:
         """Return ``body_to_world`` of the requested bodies: [B, n] float64 -> [B, N, 4, 4] float32."""
@@ -148,6 +159,12 @@ class Kinematics:
     def as_poses(place: Tensor, turn: Tensor) -> Tensor:
         """Convert positions [..., 3] and unit quaternions [..., 4] to poses [..., 4, 4] float32."""
         return rigid(matrices(turn), place).float()
+
+
+def _of_models(values: list[NDArray[np.float64]]) -> Tensor:
+    """Stack the values of models, [K, n] each, or keep one of them if all agree: [M, K, n]."""
+    stacked = np.stack(values)
+    return torch.from_numpy(stacked[:1] if (stacked == stacked[:1]).all() else stacked)
 
 
 def _jointed(joints: _Joints, qpos: Tensor, x: Tensor, q: Tensor) -> tuple[Tensor, Tensor]:

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
+from torch import Tensor
+
 
 @dataclass(frozen=True)
 class StateLayout:
@@ -85,3 +87,7 @@ class StateLayout:
     def free_joint(self, address: int) -> slice:
         """Return the position and orientation of a body with a free joint, given where this begins in ``positions``."""
         return slice(2 + address, 9 + address)
+
+    def model_of(self, state: Tensor, models: int) -> Tensor:
+        """Return the number of the model that each state obeys, valid even if a state is NaN: [B, n] -> [B] int64."""
+        return state[:, self.model].nan_to_num().long().clamp(0, models - 1)

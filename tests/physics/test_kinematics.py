@@ -61,6 +61,18 @@ def test_the_bits_of_a_pose_do_not_depend_on_the_batch() -> None:
         assert torch.equal(kinematics.poses(state[:count]), together[:count])
 
 
+def test_bodies_without_joints_are_where_the_model_of_a_state_has_them() -> None:
+    physics, state = states(4)
+    models = [physics.model, *(mujoco.MjModel.from_xml_string(ARM) for _ in range(2))]
+    models[1].body("still").pos[:] = 1.0, 2.0, 3.0
+    models[2].body("still").quat[:] = 0.0, 0.0, 1.0, 0.0
+    state[:, physics.layout.model] = torch.tensor([0.0, 1.0, 2.0, 1.0])
+    poses = Kinematics(models, NAMES).poses(state)
+    for row, model in enumerate((0, 1, 2, 1)):
+        assert torch.equal(poses[row], Kinematics(models[model], NAMES).poses(state)[row])
+    assert len({tuple(pose.flatten().tolist()) for pose in poses[:, NAMES.index("still")]}) == 3
+
+
 def test_a_missing_body_is_named() -> None:
     with pytest.raises(ValueError, match=r"body: expected one of base, upper, .* got 'leg'"):
         Kinematics(states(1)[0].model, ["leg"])

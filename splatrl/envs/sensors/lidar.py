@@ -14,6 +14,10 @@ from splatrl.values import require_number
 class Lidar(PlainSensor):
     """A planar scan from the body's centre: [B, beams] float32 metres, ``reach`` where nothing is hit.
 
+    A beam ends where it enters a solid voxel of the scene or, for a robot with physics, a solid geom of one of the
+    things, and is 0 where it begins in one. The robot's own links do not stop it, nor does what is only drawn, such as
+    marks and sprites.
+
     Beams are ordered counter-clockwise, as in ROS's ``sensor_msgs/LaserScan``: the first points half the field of view
     to the right of the body's +x. A 360° field does not repeat its first beam.
 
@@ -50,4 +54,6 @@ class Lidar(PlainSensor):
         device = moment.body_to_world.device
         if device not in self._beams:  # cached, since each copy would block the host
             self._beams[device] = self._beams[torch.device("cpu")].to(device)
-        return moment.checker.ranges(moment.body_to_world, self._beams[device], self.reach)
+        cast = moment.body_to_world, self._beams[device], self.reach
+        scene, things = moment.checker.ranges(*cast), moment.motion.ranges(moment.state, *cast)
+        return scene if things is None else torch.minimum(scene, things)

@@ -18,7 +18,6 @@ from splatrl.motions.physics import PhysicsMotion
 from splatrl.motions.site import Fits, Site
 from splatrl.physics.bank import bank
 from splatrl.physics.courses import CourseSettings, draw_courses
-from splatrl.physics.stepping import Physics
 from splatrl.values import require_number
 
 
@@ -119,7 +118,7 @@ class Course(TaskModule):
         models = bank(motion.physics.models[0], replace(motion.variation, models=many))
         for model, course in zip(models, places, strict=True):
             self._furnish(model, course[1:])
-        motion.physics = Physics(models, motion.physics.substeps, motion.threads)
+        motion.obey(models)
 
     @property
     def memory_spec(self) -> Mapping[str, TensorSpec]:

@@ -9,7 +9,7 @@ from torch import Tensor
 from splatrl.envs.tasks.base import Memory
 from splatrl.envs.tasks.course import Course, CourseRewards
 from splatrl.envs.teachers.pilot import Flying, fly_through
-from splatrl.geometry import axis_rotations, rigid, yaw_quat
+from splatrl.geometry import yaw_quat
 from splatrl.motions.physics import PhysicsMotion
 from splatrl.physics.tracks import TrackSettings
 from splatrl.renderers.parts import Parts
@@ -96,14 +96,9 @@ class Gates(Course):
     def parts(self, state: Tensor, memory: Memory) -> Parts:
         """Place the scene, the robot and the gates of its track, the next one lit; see ``Task.parts``."""
         moving, gates, own = self.motion.parts(state), self.course.gates, len(self.motion.models) - self.course.gates
-        x, y, z, yaw = self.places.to(state.device)[self.motion.model_of(state), 1:].unbind(2)
-        poses = rigid(axis_rotations(2, yaw), torch.stack([x, y, z], 2)).float()
         next_one = torch.arange(gates, device=state.device) == memory["passed"]
         model = torch.where(next_one, own + 2, own + 1)
-        kept = 1 + own
-        return Parts(
-            torch.cat([moving.model[:, :kept], model], 1), torch.cat([moving.model_to_world[:, :kept], poses], 1)
-        )
+        return Parts(torch.cat([moving.model[:, : 1 + own], model], 1), moving.model_to_world)
 
     def _furnish(self, model: Any, places: Tensor) -> None:
         for name, (x, y, z, yaw) in zip(self.motion.thing_paths, places.tolist(), strict=True):

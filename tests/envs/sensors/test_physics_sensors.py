@@ -7,11 +7,14 @@ from typing import Any
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torch import Tensor
 
+from splatrl.bodies import Box
 from splatrl.building import build_model, build_one_world, worlds
+from splatrl.collision import NativeChecker, Occupancy
 from splatrl.configuration import load_config
-from splatrl.envs.sensors import Felt, Joints, Measured, Moment, Velocity
+from splatrl.envs.sensors import Felt, Joints, Lidar, Measured, Moment, Velocity
 from splatrl.motions import DriveMotion, PhysicsMotion, StridesMotion
 from splatrl.motions.legs import JOINTS
 from tests.tiny import tiny_overrides
@@ -118,6 +121,75 @@ def test_a_sensor_that_the_robot_lacks_is_refused_before_scenes_are_built(
     lacks = r"^sensors\.imu: expected .* sensor accelerometer in its MJCF, got wheels, which has no sensors$"
     with pytest.raises(ValueError, match=lacks):
         build_one_world(load_config([*tiny_overrides(tmp_path, "push"), "sensors=[rgb,imu]"]))
+
+
+@cache
+def wheels() -> PhysicsMotion:
+    return PhysicsMotion("wheels", "eye", {"ball": "ball"}, ["ball"], threads=1)
+
+
+def beside(planar: list[float], ball: list[float]) -> Moment:
+    """Return wheels at a position and heading, a ball, and a wall that is nearer than x = 1.5 nowhere."""
+    motion = wheels()
+    state = motion.placed(torch.tensor([planar]))
+    state[:, motion.thing("ball")][:, :3] = torch.tensor([ball], dtype=torch.float64)
+    wall = Occupancy.from_boxes([[1.5, -3.0, -1.0]], [[1.6, 3.0, 3.0]], 0.05)
+    return moment(motion, state)._replace(checker=NativeChecker(wall, Box((0.1, 0.1, 0.1)), 1))
+
+
+def test_lidar_beams_end_at_the_nearer_of_things_and_walls() -> None:
+    height = float(wheels().body_to_world(wheels().home[None])[0, 2, 3])
+    ahead = Lidar(beams=4, reach=2.5)  # behind, to the right, ahead, to the left
+    seen = ahead.read(beside([0.0, 0.0, 0.0], [1.0, 0.0, height]))
+    torch.testing.assert_close(seen, torch.tensor([[2.5, 2.5, 1.0 - 0.09, 2.5]]))
+    behind_wall = ahead.read(beside([0.0, 0.0, 0.0], [2.0, 0.0, height]))
+    torch.testing.assert_close(behind_wall, torch.tensor([[2.5, 2.5, 1.5, 2.5]]))
+    turned = ahead.read(beside([0.0, 0.0, 0.5 * math.pi], [1.0, 0.0, height]))
+    torch.testing.assert_close(turned, torch.tensor([[2.5, 1.0 - 0.09, 2.5, 2.5]]))
+    beyond = Lidar(beams=4, reach=0.9).read(beside([0.0, 0.0, 0.0], [1.0, 0.0, height]))
+    torch.testing.assert_close(beyond, torch.full((1, 4), 0.9))
+    within = ahead.read(beside([0.0, 0.0, 0.0], [0.02, 0.0, height]))
+    assert (within == 0.0).all()
+
+
+def test_lidar_beams_pass_over_a_ball_unless_they_point_at_it() -> None:
+    motion = wheels()
+    here = beside([0.0, 0.0, 0.0], [0.8, 0.6, 0.09])  # where it rests
+    x, y, z = (motion.thing("ball").start + axis for axis in range(3))
+    way = here.state[0, [x, y, z]] - here.body_to_world[0, :3, 3].double()
+    down, left = math.degrees(math.atan2(float(-way[2]), float(way[:2].norm()))), torch.atan2(way[1], way[0])
+    scan = Lidar(beams=1, field_deg=0.0, elevation_deg=-down)
+    assert Lidar(beams=1, field_deg=0.0).read(here).item() > 1.4, "level beams are higher than the ball"
+    assert scan.read(here).item() > 1.4, "the ball is to the left"
+    facing = beside([0.0, 0.0, float(left)], here.state[0, [x, y, z]].tolist())
+    apart = facing.state[0, [x, y, z]] - facing.body_to_world[0, :3, 3].double()
+    assert scan.read(facing).item() == pytest.approx(float(apart.norm()) - 0.09, abs=2e-3)
+
+
+def test_depth_shows_the_ball_that_a_lidar_sees_and_pushing_it_is_no_contact(tmp_path: Path) -> None:
+    chosen = ["sensors=[rgb,depth,lidar,contact]", "sensors.lidar.beams=36", "sensors.lidar.elevation_deg=-20"]
+    world = build_one_world(load_config([*tiny_overrides(tmp_path, "push"), *chosen, "robot.image_height=24"]))
+    env, motion = world.env(1), world.task.motion
+    assert isinstance(motion, PhysicsMotion)
+    state = motion.placed(torch.tensor([[-0.8, -1.2, 0.5 * math.pi]]))
+    ball = motion.thing("ball")
+    state[:, ball.start : ball.start + 2] = torch.tensor([-0.8, -0.7], dtype=torch.float64)
+    gone = state.clone()
+    gone[:, ball.start + 2] = -9.0
+    with_ball, without = (
+        env.reset(TensorDict({"state": each}, batch_size=[1]), set_state=True) for each in (state, gone)
+    )
+    nearer = {key: without[key] - with_ball[key] for key in ("lidar", "depth")}
+    assert nearer["lidar"][0].argmax() == 18, "ahead"
+    assert nearer["lidar"].max() > 0.1 and (nearer["lidar"] >= 0.0).all()
+    assert nearer["depth"].max() > 0.005, "of 10 m"
+    after = with_ball
+    for _ in range(5):
+        after = env.step(after.set("action", torch.tensor([[0.5, 0.0]])))["next"]
+        assert not after["contact"].any() and (after["free_fraction"] == 1.0).all()
+    assert after["state"][0, ball.start + 1] > -0.65, "the ball was pushed"
+    alone = Lidar(36, elevation_deg=-20.0).read(moment(motion, after["state"])._replace(checker=world.checker))
+    assert torch.equal(alone, after["lidar"])
 
 
 def test_yaml_chooses_physics_sensors_for_actor_and_critic(tmp_path: Path) -> None:

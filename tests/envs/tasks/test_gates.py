@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from splatrl.envs.tasks import Gates, Outcome
+from splatrl.geometry import axis_rotations, rigid
 from splatrl.motions import PhysicsMotion
 from splatrl.physics import Terrain, TrackSettings
 from tests.envs.tasks.courses import NOTHING, PLANE, CourseContract, cache, judged, wander
@@ -64,6 +65,16 @@ def test_a_gate_is_passed_through_its_opening_from_its_front(start: Any, end: An
     assert not verdict.terminated.item()
     place = task.places[1, 2 if passes else 1].float()
     assert torch.equal(verdict.memory["next_place"][0], place)
+
+
+def test_beams_meet_the_gates_of_their_own_track_and_pass_through_the_openings() -> None:
+    task = gates()
+    below = seen_from(task, 1, 0, (-1.0, 0.0, -0.39))
+    rows = [seen_from(task, 0, 0, (-1.0, 0.39, 0.0)), seen_from(task, 1, 0, (-1.0, 0.0, 0.0)), below]
+    state, yaw = torch.cat(rows), task.places[[0, 1, 1], 1, 3]
+    poses = rigid(axis_rotations(2, yaw), state[:, task.motion.layout.position]).float()
+    ahead = task.motion.ranges(state, poses, torch.eye(3)[:1], 1.2)
+    torch.testing.assert_close(ahead, torch.tensor([[0.97], [1.2], [0.97]]))
 
 
 def test_gates_count_only_in_order_and_the_last_one_ends_the_episode() -> None:

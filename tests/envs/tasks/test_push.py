@@ -204,13 +204,15 @@ class TestPush(ConfiguredContract):
     @classmethod
     def overrides(cls) -> tuple[str, ...]:
         coarse = ("task.motion.spacing=0.5", "task.motion.headings=4", "task.motion.threads=1")
-        return ("push", *coarse, "task.clearance=0.3", "robot.body.size=[0.3,0.3,0.2]", "task.nearest=0.3")
+        sensing = ("sensors=[rgb,depth,lidar,contact]", "sensors.lidar.beams=9", "sensors.lidar.elevation_deg=-15")
+        return ("push", *coarse, *sensing, "task.clearance=0.3", "robot.body.size=[0.3,0.3,0.2]", "task.nearest=0.3")
 
     def test_an_episode_can_begin_at_a_given_state(self) -> None:
         env = self.make((3,))
-        given = env.rollout(3, break_when_any_done=False)[:, -1].select("state", "pixels", "mark", "ball")
-        seen = env.reset(given.clone(), set_state=True)
-        assert all(torch.equal(seen[key], given[key]) for key in ("state", "pixels", "mark", "ball"))
+        given = env.rollout(3, break_when_any_done=False)[:, -1]
+        keys = ("state", "pixels", "depth", "lidar", "mark", "ball")
+        seen = env.reset(given.select(*keys), set_state=True)
+        assert all(torch.equal(seen[key], given[key]) for key in keys)
         assert (seen["level"] == -1).all() and not seen["done"].any()
 
     def test_a_robot_does_not_depend_on_the_others(self) -> None:
