@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import gymnasium
 
 if TYPE_CHECKING:
-    from splatrl.envs.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
+    from splatrl.envs.gymnasium_env import GymnasiumEnv
+    from splatrl.envs.gymnasium_vector_env import GymnasiumVectorEnv
 
 TASKS: tuple[str, ...] = (
     *("grid", "fps", "apple", "sim2real", "snake", "drive", "circle", "polar_plane", "hemisphere", "poster"),
@@ -84,7 +85,7 @@ def make_batch(
         ValueError: for settings that are refused.
     """
     from splatrl.building import make_env
-    from splatrl.envs.gymnasium_env import GymnasiumVectorEnv
+    from splatrl.envs.gymnasium_vector_env import GymnasiumVectorEnv
 
     limit = [] if max_episode_steps in (None, -1) else [f"task.max_steps={max_episode_steps}"]
     chosen = [*_overrides(task, scene, overrides), *limit]

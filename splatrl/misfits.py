@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import ndimage
 from torch import Tensor
 
 from splatrl.collision.base import Checker
+from splatrl.collision.columns import cells_across
 from splatrl.collision.voxel_grid import widened
 from splatrl.collision.voxels import Voxels
 from splatrl.curriculum import Plan
@@ -115,12 +115,8 @@ def _above_floor(places: NDArray[np.float64], height: float, occupancy: Voxels) 
     edge, reach = occupancy.resolution, math.ceil(HOLE / occupancy.resolution)
     layers = max(0, math.floor(height / edge) - occupancy.origin_key[2])
     below = np.pad(occupancy.occupied[:, :, :layers].any(2), reach + 1)
-    if not below.any():
-        return np.zeros(len(places), bool)
-    near = ndimage.distance_transform_edt(~below) <= reach
-    keys = np.floor(places / edge).astype(np.int64) - np.array(occupancy.origin_key[:2]) + reach + 1
-    result: NDArray[np.bool_] = near[tuple(np.clip(keys, 0, np.array(near.shape) - 1).T)]
-    return result
+    first_key = [key - reach - 1 for key in occupancy.origin_key[:2]]
+    return cells_across(below, first_key, edge, places) <= reach
 
 
 def warn_of_cut_off(scene: Scene, paths: Plan) -> None:

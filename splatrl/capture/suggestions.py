@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from splatrl.capture.area import GRID, Area
 from splatrl.capture.world import Placed
+from splatrl.collision.columns import cells_across
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import OPAQUE
 from splatrl.spherical_harmonics import C0
@@ -167,12 +168,7 @@ def _clearance(area: Area, places: Floats, room: float) -> Floats:
         columns = (np.indices(free.shape).reshape(2, -1).T + origin + 0.5) * edge
         level = (area.floor.origin_key[2] + 0.5) * area.floor.resolution
         free &= area.floor.contains(np.insert(columns, 2, level, axis=1)).reshape(free.shape)
-    if free.all():
-        return np.full(places.shape[:2], FARTHEST)
-    across = np.minimum((ndimage.distance_transform_edt(free) - 1.0) * edge, FARTHEST)
-    index = np.clip(np.floor(places / edge).astype(np.int64) - origin, 0, np.array(free.shape) - 1)
-    result: Floats = across[tuple(np.moveaxis(index, -1, 0))]
-    return result
+    return np.minimum((cells_across(~free, origin.tolist(), edge, places) - 1.0) * edge, FARTHEST)
 
 
 def _scores(seen: Seen, varied: Floats, place: Floats, height: float, wider: float) -> Floats:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from splatrl.collision.base import Checker
 from splatrl.curriculum import Curriculum
+from splatrl.envs.rules import COUNTED
 from splatrl.envs.tasks.base import NOTHING, Anywhere, Step, Task
 from splatrl.envs.tasks.rewards import OutcomeTask
 from splatrl.motions.base import SweptMotion
@@ -18,8 +19,6 @@ from splatrl.native import _core
 
 MOST = 2**17
 """Maximum number of steps to precompute; this many take about a tenth of a second."""
-COUNTED = ("step_count", "episode_return", "level", "goals")
-"""Keys of the counters that a step reads and updates; besides them it reads ``state`` and ``action``."""
 
 
 class Taken(NamedTuple):
@@ -70,7 +69,7 @@ class LatticeSteps:
         like |= {"goals": number, "outcome": number, "free_fraction": share, "reward": share}
         self._like = like | dict.fromkeys(("success", "done", "terminated", "truncated"), flag)
         self._begun = {key: one for key, one in self._like.items() if key != "reward"}
-        self._poses = torch.empty(count, 4, 4)
+        self._count, self._poses = count, torch.empty(count, 4, 4)
         read = (like["state"], actions[:1].expand(count), *(like[key] for key in COUNTED))
         self._read = [_kind(values) for values in read]
 
@@ -87,9 +86,9 @@ class LatticeSteps:
         held = dict(given.items())
         read, count = [held["state"], held["action"], *(held[key] for key in COUNTED)], len(held["state"])
         like, poses_like, kinds = self._like, self._poses, self._read
-        if count < len(poses_like):
+        if count < self._count:
             like, poses_like = {key: one[:count] for key, one in like.items()}, poses_like[:count]
-            kinds = [(dtype, size // len(self._poses) * count, here) for dtype, size, here in kinds]
+            kinds = [(dtype, size // self._count * count, here) for dtype, size, here in kinds]
         if [_kind(values) for values in read] != kinds:
             return None
         read = [each.contiguous() for each in read]  # keeps copies alive while C++ reads them
@@ -98,7 +97,7 @@ class LatticeSteps:
         known = self._table.step(
             [each.data_ptr() for each in read],
             [each.data_ptr() for each in (*values.values(), poses)],
-            len(poses),
+            count,
             0 if rows is None else rows.data_ptr(),
             self.task.max_steps,
             self.task.goals_for_success or 1,
@@ -123,14 +122,15 @@ class LatticeSteps:
             return None
         old = [each.contiguous() for each in old]
         values = {key: torch.empty_like(one) for key, one in self._begun.items()}
-        poses, starts, level = torch.empty(len(rows), 4, 4), self.curriculum.starts, int(self.curriculum.progress[0])
-        uniform = torch.rand(len(self._poses), generator=generator, dtype=torch.float64)
+        count, starts, level = len(rows), self.curriculum.starts, int(self.curriculum.progress[0])
+        poses = torch.empty(count, 4, 4)
+        uniform = torch.rand(self._count, generator=generator, dtype=torch.float64)
         self._table.begin(
             [each.data_ptr() for each in old],
             [each.data_ptr() for each in (*values.values(), poses)],
-            len(uniform),
+            self._count,
             rows.data_ptr(),
-            len(rows),
+            count,
             uniform.data_ptr(),
             starts.ordered.data_ptr(),
             int(starts.counts[0, level]),
@@ -140,7 +140,7 @@ class LatticeSteps:
 
     def _counts(self) -> tuple[int, int, int, int, int, int]:
         """Return where the curriculum counts, and by which rules, as the table takes it."""
-        curriculum, schedule, count = self.curriculum, self.curriculum.schedule, len(self._poses)
+        curriculum, schedule, count = self.curriculum, self.curriculum.schedule, self._count
         curriculum.seat(count)
         addresses = curriculum.progress.data_ptr(), curriculum.cohort.data_ptr()
         return *addresses, count, schedule.levels, schedule.window, schedule.enough

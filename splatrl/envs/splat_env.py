@@ -1,7 +1,4 @@
-"""The one environment class: a batch of robots in a single scene, or each in one of several.
-
-The file is long because reset, step and state form a single contract, which the class documents.
-"""
+"""The one environment class: a batch of robots in a single scene, or each in one of several."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
@@ -22,19 +19,17 @@ from splatrl.envs.given import (
     check_batch_size,
     check_default_dtype,
     check_kind,
-    check_memory,
-    check_seeds,
-    given_scene,
-    given_state,
 )
-from splatrl.envs.lattice_steps import LatticeSteps, Taken, suits
+from splatrl.envs.lattice_steps import LatticeSteps, suits
+from splatrl.envs.lifecycle import Lifecycle
 from splatrl.envs.restart import StateWhenAsked, maybe_reset, with_rows
 from splatrl.envs.robot import Robot
-from splatrl.envs.senses import Senses, Standing
+from splatrl.envs.rules import Rules
+from splatrl.envs.senses import Senses
 from splatrl.envs.sensors.base import Sensor
 from splatrl.envs.specs import env_specs
 from splatrl.envs.stateful_env import StatefulEnv
-from splatrl.envs.tasks.base import NOTHING, Anywhere, Outcome, Step, Task
+from splatrl.envs.tasks.base import NOTHING, Task
 from splatrl.faults import Faulty
 from splatrl.values import checked_seed
 
@@ -131,6 +126,16 @@ class SplatEnv(StateWhenAsked):
         return Senses(self.drawing, self.robot, self.sensors)
 
     @property
+    def rules(self) -> Rules:
+        """What beginnings and steps of episodes consist of."""
+        return Rules(self.task, self.checker, self.senses, self._task_keys, self._sensor_keys)
+
+    @property
+    def lifecycle(self) -> Lifecycle:
+        """The succession of the robots' episodes."""
+        return Lifecycle(self.rules, self.curriculum, self.generator, self.batch_size.numel())
+
+    @property
     def capturable(self) -> bool:
         """Whether a step can be captured in a CUDA graph: parts that record errors on the device never synchronise."""
         checkers = self.checker.checkers if isinstance(self.checker, SeveralCheckers) else [self.checker]
@@ -177,121 +182,16 @@ class SplatEnv(StateWhenAsked):
         given = TensorDict(batch_size=self.batch_size) if tensordict is None else tensordict
         mask = given.get("_reset", None)
         only = None if mask is None else mask.flatten()
-        begun = torch.ones(self.numel(), dtype=torch.bool, device=self.device) if only is None else only
-        if set_state:
-            scene = None if self.scenes == 1 else given_scene(given, self.scenes, only)
-            state = given_state(given, self.task.motion.state_spec, only)
-            level = torch.full((self.numel(), 1), -1, device=self.device)  # given states belong to no level
-            memory = {**self._at(scene)[0].begin(state, self._chance(scene))}
-            check_memory(given, self.task.memory_spec, self.task.given_together, only)
-            self.curriculum.cut_off(begun)
-        else:
-            scene, state, memory = self._drawn(seeds)
-            self.curriculum.begin(begun)
-            level = self.curriculum.level.expand(self.numel(), 1).clone()
-        kept = given if set_state else {}
-        return self._made(self._beginning(scene, state, level, memory, kept, given.get("camera_offset", None), only))
+        start = self.lifecycle.given(given, only) if set_state else self.lifecycle.draw(only, seeds)
+        kept = given if set_state else NOTHING
+        return self._made(self.rules.begun(start, kept, given.get("camera_offset", None), only))
 
     def restarted(self, after: Mapping[str, Tensor], rows: Tensor) -> dict[str, Tensor]:
         """Return a step's result, [B, ...] by key, with some rows replaced by new episodes as in a reset.
 
         Only these rows, [N] int64 and ascending, are drawn. Keys that a reset does not return are left out.
         """
-        looked_up = None if self.lattice_steps is None else self.lattice_steps.begin(after, rows, self.generator)
-        if looked_up is None:
-            begun = self._begun(rows)
-        else:
-            state = looked_up.values["state"].index_select(0, rows)
-            view = self.senses.view(self._standing(state, looked_up.body_to_world))
-            begun = {"pixels": view.pixels, **view.shown}
-        merged = with_rows([after[key] for key in begun], rows, list(begun.values()))
-        return dict(zip(begun, merged, strict=True)) | (looked_up.values if looked_up else {})
-
-    def _begun(self, rows: Tensor) -> dict[str, Tensor]:
-        """Return the entries of episodes that begin in some rows, [N] int64: [N, ...] each."""
-        scene, state, memory = self._drawn(None)
-        self.curriculum.begin(
-            torch.zeros(self.numel(), dtype=torch.bool, device=self.device).index_fill_(0, rows, True)
-        )
-        level = self.curriculum.level.expand(len(rows), 1).clone()
-        scene = None if scene is None else scene.index_select(0, rows)
-        memory = {key: value.index_select(0, rows) for key, value in memory.items()}
-        return self._beginning(scene, state.index_select(0, rows), level, memory, {}, None, None)
-
-    def _drawn(self, seeds: Sequence[int | None] | None) -> tuple[Tensor | None, Tensor, dict[str, Tensor]]:
-        """Draw a new episode for each robot: scene, state, and the task's memory; see the class for ``seeds``."""
-        if seeds is not None:
-            check_seeds(seeds, self.numel())
-        scene, state, memory = self._episodes(self.numel(), self.generator)
-        for row, seed in enumerate(seeds or ()):
-            if seed is not None:
-                its_scene, its_state, its_memory = self._episodes(1, torch.Generator(self.device).manual_seed(seed))
-                state[row] = its_state[0]
-                if scene is not None and its_scene is not None:
-                    scene[row] = its_scene[0]
-                for key, value in memory.items():
-                    value[row] = its_memory[key][0]
-        return scene, state, memory
-
-    def _episodes(self, count: int, generator: torch.Generator) -> tuple[Tensor | None, Tensor, dict[str, Tensor]]:
-        """Draw N episodes of the current level with a generator: scene, state, and the task's memory."""
-        scene = self.curriculum.scenes(count, generator)
-        state = self.curriculum.sample(count, generator, scene)
-        task, anywhere = self._at(scene)[0], self._chance(scene, count, generator)
-        state = task.start(state, anywhere)
-        return scene, state, {**task.begin(state, anywhere)}
-
-    def _beginning(
-        self,
-        scene: Tensor | None,
-        state: Tensor,
-        level: Tensor,
-        memory: dict[str, Tensor],
-        kept: Mapping[str, Tensor] | TensorDictBase,
-        camera_offset: Tensor | None,
-        only: Tensor | None,
-    ) -> dict[str, Tensor]:
-        """Return the entries of N episodes that begin.
-
-        Args:
-            scene: [N] int64, scene of each episode; None if there is only one.
-            state: [N, ...], start states.
-            level: [N, 1] int64, curriculum levels.
-            memory: the task's memory, [N, ...] by key.
-            kept: given memory of task and sensors; where a key is present, it replaces the fresh value.
-            camera_offset: see the class.
-            only: [N] bool, the rows that are requested; None requests all. Other rows may hold anything.
-        """
-        task, checker = self._at(scene)
-        memory |= {key: kept[key].clone() for key in memory if kept.get(key, None) is not None}
-        robots = Standing(task, checker, scene, state, task.motion.body_to_world(state), memory)
-        view, free_fraction = self.senses.view(robots, camera_offset, only), torch.ones(len(state), device=self.device)
-        count = torch.zeros_like(level)
-        flag = torch.zeros_like(level, dtype=torch.bool)
-        return {
-            "pixels": view.pixels,
-            **view.shown,
-            "state": state,
-            **memory,
-            **self.senses.begin(robots, view, free_fraction, kept, only),
-            **({} if scene is None else {"scene": scene.unsqueeze(1)}),
-            "level": level,
-            "step_count": count,
-            "episode_return": torch.zeros_like(level, dtype=torch.float32),
-            "outcome": count.clone(),
-            "goals": count.clone(),
-            "success": flag,
-            "free_fraction": free_fraction.unsqueeze(1),
-            **{key: flag.clone() for key in ("done", "terminated", "truncated")},
-        }
-
-    def _at(self, scene: Tensor | None) -> tuple[Task, Checker]:
-        """Return task and checker for rows in some scenes, [B] int64; None stands for the only scene."""
-        if scene is None:
-            assert not isinstance(self.checker, SeveralCheckers)
-            return self.task, self.checker
-        assert isinstance(self.checker, SeveralCheckers)
-        return self.task.at(scene), self.checker.at(scene)
+        return self.lifecycle.restart(after, rows, self.lattice_steps)
 
     @torch.compiler.disable
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -303,11 +203,10 @@ class SplatEnv(StateWhenAsked):
         if (action := given.get("action", None)) is not None:
             check_kind(action, self._action)
         try:
-            taken = None if self.lattice_steps is None else self.lattice_steps.step(given, rows)
-            return self._stepped(given, rows) if taken is None else self._shown(taken, given)
+            return self.lifecycle.step(given, rows, self.lattice_steps)
         except KeyError as error:
             optional = {"camera_offset"} if self.scenes > 1 else {"camera_offset", "scene"}
-            absent = [key for key in self._reads if key not in {*given.keys(), *optional}]
+            absent = [key for key in self.rules.reads if key not in {*given.keys(), *optional}]
             if not absent:
                 raise
             raise ValueError(
@@ -322,16 +221,10 @@ class SplatEnv(StateWhenAsked):
         """Do the same for some robots only, [B, 1] bool; the others keep their inputs, or 0 where there is none."""
         rows = stepping.flatten().nonzero().squeeze(1)
         held = {key: value for key, value in given.items() if isinstance(value, Tensor)}
-        fresh = self._after({key: held[key].index_select(0, rows) for key in self._reads if key in held}, rows)
+        fresh = self._after({key: held[key].index_select(0, rows) for key in self.rules.reads if key in held}, rows)
         old = {key: value.new_zeros(self.numel(), *value.shape[1:]) for key, value in fresh.items()}
         old |= {key: held[key] for key, zeros in old.items() if key in held and _alike(held[key], zeros)}
         return dict(zip(fresh, with_rows(list(old.values()), rows, list(fresh.values())), strict=True))
-
-    @property
-    def _reads(self) -> tuple[str, ...]:
-        """Keys that a step reads; some of them may be absent."""
-        counted = ("step_count", "episode_return", "level", "goals")
-        return ("state", "action", *counted, "scene", "camera_offset", *self._task_keys, *self._sensor_keys)
 
     def _made(self, values: dict[str, Tensor]) -> TensorDict:
         """Wrap the env's own entries in a TensorDict, skipping its checks of each entry's shape and device."""
@@ -346,94 +239,13 @@ class SplatEnv(StateWhenAsked):
         """Table of all the task's steps, computed before the first one; None where steps cannot be looked up."""
         if self.device.type != "cpu" or self.scenes > 1 or self.sensors or not suits(self.task, self.curriculum):
             return None
-        task, checker = self._at(None)
-        return LatticeSteps(task, checker, self.curriculum, self.numel(), self._chance(None))
-
-    def _shown(self, taken: Taken, given: TensorDictBase | Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return the entries of steps that were looked up, with the views drawn."""
-        after, poses = taken
-        view = self.senses.view(self._standing(after["state"], poses), given.get("camera_offset", None))
-        return {"pixels": view.pixels, **view.shown, **after}
-
-    def _stepped(
-        self, tensordict: TensorDictBase | Mapping[str, Tensor], rows: Tensor | None = None
-    ) -> dict[str, Tensor]:
-        """Carry out and judge steps with motion and task, and return all entries; see ``_after``."""
-        before, action = tensordict["state"], tensordict["action"]
-        scene = tensordict["scene"].squeeze(1) if self.scenes > 1 else None
-        task, checker = self._at(scene)
-        memory = {key: tensordict[key] for key in self._task_keys}
-        move = task.motion.move(before, action, checker)
-        robots = Standing(task, checker, scene, move.state, move.body_to_world, memory)
-        view = self.senses.view(robots, tensordict.get("camera_offset", None))
-        reward, terminated, outcome, remembered = task.judge(
-            Step(before, action, move, memory, view.pixels, view.shown), self._chance(scene, len(before))
-        )
-        kept = {key: tensordict[key] for key in self._sensor_keys}
-        known = {**memory, **remembered, **kept}
-        step_count = tensordict["step_count"] + 1
-        truncated = (step_count >= task.max_steps) & ~terminated
-        goals = tensordict["goals"] + (outcome == Outcome.GOAL)
-        success = goals >= (task.goals_for_success or 1)
-        outcome = torch.where(truncated, Outcome.TIMEOUT, outcome)
-        level, done = tensordict["level"], terminated | truncated
-        self._record([level.flatten(), done.flatten(), success.flatten()], rows)
-        return {
-            "pixels": view.pixels,
-            **view.shown,
-            "state": move.state,
-            **{key: value.clone() for key, value in (kept | {**remembered}).items()},
-            **self.senses.read(robots, view, move.free_fraction, known, move.sensed),
-            **({} if scene is None else {"scene": tensordict["scene"].clone()}),
-            "step_count": step_count,
-            "episode_return": tensordict["episode_return"] + reward,
-            "level": level.clone(),
-            "outcome": outcome,
-            "goals": goals,
-            "success": success,
-            "free_fraction": move.free_fraction.unsqueeze(1),
-            "reward": reward,
-            "done": done,
-            "terminated": terminated,
-            "truncated": truncated,
-        }
-
-    def _record(self, ends: list[Tensor], rows: Tensor | None) -> None:
-        """Let the curriculum record level, end and success of robots in some rows, [N] each; see ``_after``."""
-        if rows is not None:
-            ends = [each.new_zeros(self.numel()).index_copy(0, rows, each) for each in ends]
-        self.curriculum.record(*ends)
-
-    def _standing(self, state: Tensor, body_to_world: Tensor) -> Standing:
-        """Place robots in the only scene, for a task that remembers nothing."""
-        task, checker = self._at(None)
-        return Standing(task, checker, None, state, body_to_world, NOTHING)
+        task, checker = self.rules.at(None)
+        return LatticeSteps(task, checker, self.curriculum, self.numel(), self.lifecycle.anywhere())
 
     @property
     def remembered(self) -> list[str]:
         """Memory keys that a new episode must reset: the sensors', and the task's if it chooses its own episodes."""
         return [*self._sensor_keys, *(self._task_keys if self.task.chooses_episodes else ())]
-
-    def _chance(
-        self, scene: Tensor | None, count: int | None = None, generator: torch.Generator | None = None
-    ) -> Anywhere:
-        generator = generator or self.generator
-        return Anywhere(partial(self.anywhere, scene, count, generator), generator)
-
-    def anywhere(
-        self, scene: Tensor | None = None, count: int | None = None, generator: torch.Generator | None = None
-    ) -> Tensor:
-        """Draw a state for each of N robots from all of the curriculum's starts in its scene, regardless of the level.
-
-        Args:
-            scene: [N] int64, scene of each robot; None if there is only one.
-            count: number of robots, N; None for all.
-            generator: draws the states; None for the env's own.
-
-        Returns:
-            [N, ...].
-        """
-        return self.curriculum.anywhere(self.numel() if count is None else count, generator or self.generator, scene)
 
     def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
         """Seed the env's generator; see ``EnvBase.set_seed``. None draws a seed, and others are refused by name."""

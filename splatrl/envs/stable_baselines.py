@@ -8,7 +8,8 @@ import numpy.typing as npt
 from gymnasium import Wrapper
 from torchrl.envs import EnvBase
 
-from splatrl.envs.gymnasium_env import Actions, GymnasiumVectorEnv, Infos, Observation, Pixels
+from splatrl.envs.gymnasium_conversion import Actions, Infos, Observation, Pixels
+from splatrl.envs.gymnasium_vector_env import GymnasiumVectorEnv
 from splatrl.extras import require
 
 require("stable_baselines3", "sb3")

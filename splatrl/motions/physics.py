@@ -18,6 +18,7 @@ from splatrl.files import expanded
 from splatrl.geometry import invert_rigid, planar_of, quat_yaws
 from splatrl.motions.base import Move
 from splatrl.motions.drive import DriveMotion
+from splatrl.motions.servos import driven, twin_speeds
 from splatrl.motions.site import Fits, Site, narrowed
 from splatrl.motions.twin import TwinMotion
 from splatrl.physics import Kinematics, Physics, Solids, Terrain, level_ground
@@ -33,9 +34,6 @@ from splatrl.renderers.parts import Parts
 from splatrl.scenes.scene import Scene
 from splatrl.values import require_number
 
-FORWARD, TURN = "forward", "turn"
-"""Names of velocity servos in metres and radians per second; with these two alone, a robot can follow shortest
-paths."""
 GROUNDS = ("scene", "level")
 LEAST_AHEAD = 0.1
 """Smallest horizontal part of the unit vector that points ahead, for which a standing robot has a heading."""
@@ -141,16 +139,10 @@ class PhysicsMotion(TwinMotion):
         self.stand_on(level_ground())
         self._check_ahead()
         self._check_sound()
-        servos = self.world.velocity_servos()
-        self.driven = servos == [FORWARD, TURN]
-        if servos == [TURN, FORWARD]:
-            raise ValueError(f"{self.path}: expected the actuator {FORWARD!r} before {TURN!r}, got it after")
-        if linear is None:
-            linear = self._told("linear", 0)
-        if angular_deg is None:
-            angular_deg = math.degrees(self._told("angular_deg", 1)[1])
+        self.driven = driven(self.world)
+        speeds = twin_speeds(self.world, linear, angular_deg)
         height = float(self.home[self.layout.position][2])
-        self.twin = DriveMotion(height, time_step, linear, angular_deg, lower, upper, spacing, headings)
+        self.twin = DriveMotion(height, time_step, *speeds, lower, upper, spacing, headings)
         self.step, self.angle_step, self.height = self.twin.step, self.twin.angle_step, None
 
     def obstacles(self, scene: Scene, occupancy: Occupancy, antialiased: bool) -> Occupancy:
@@ -410,12 +402,3 @@ class PhysicsMotion(TwinMotion):
                 f"{self.path}: expected physics that can carry out any action, got one that fails within the first; "
                 "lower the timestep or the actuators' gains (kv, kp), or add armature to their joints"
             )
-
-    def _told(self, key: str, actuator: int) -> list[float]:
-        """Return the speeds of a servo that takes the robot's own velocity, or refuse that a key gives none."""
-        if not self.driven:
-            raise ValueError(
-                f"task.motion.{key}: expected a value, got none, which needs a robot whose only actuators are "
-                f"<velocity> servos called {FORWARD!r} and {TURN!r}; {self.path} has others"
-            )
-        return [float(limit) for limit in self.world.model.actuator_ctrlrange[actuator]]

@@ -39,7 +39,8 @@ size_t steps_of(const float* weights, size_t steps) {
 }
 
 void change_appearance(const Tensor<const uint8_t, -1, -1, -1, 3>& pixels, const Rows& weights, const Rows& gain,
-                       const Rows& offset, const Numbers& grain, const std::optional<Tensor<const float, -1, -1, -1>>& noise,
+                       const Rows& offset, const Numbers& grain,
+                       const std::optional<Tensor<const float, -1, -1, -1>>& noise,
                        const Tensor<uint8_t, -1, -1, -1, 3>& out, size_t threads) {
     const size_t count = pixels.shape(0), height = pixels.shape(1), width = pixels.shape(2), line = 3 * width;
     const auto fits = [&](const auto& one) { return one.shape(0) == count; };

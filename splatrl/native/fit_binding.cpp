@@ -135,10 +135,10 @@ void bind_fit(nb::module_& m) {
     using nb::arg;
     nb::class_<Fitter>(m, "Fitter")
         .def("__init__", [](Fitter* self) { new (self) Fitter(choose_isa()); })
-        .def("render", &render, arg("values"), arg("count"), arg("near"), arg("camera_to_world"), arg("K"), arg("known"),
-             arg("rgb"), arg("agreement"), arg("alpha"), arg("threads"))
-        .def("pull", &pull, arg("values"), arg("count"), arg("near"), arg("camera_to_world"), arg("K"), arg("known"), arg("slopes"),
-             arg("gradients"), arg("pose_slopes"), arg("threads"))
+        .def("render", &render, arg("values"), arg("count"), arg("near"), arg("camera_to_world"), arg("K"),
+             arg("known"), arg("rgb"), arg("agreement"), arg("alpha"), arg("threads"))
+        .def("pull", &pull, arg("values"), arg("count"), arg("near"), arg("camera_to_world"), arg("K"), arg("known"),
+             arg("slopes"), arg("gradients"), arg("pose_slopes"), arg("threads"))
         .def("compare", &compare, arg("values"), arg("count"), arg("near"), arg("camera_to_world"), arg("K"),
              arg("pixels"), arg("known"), arg("chosen"), arg("exposure"), arg("ssim_weight"), arg("depth_weight"),
              arg("gradients"), arg("losses"), arg("threads"))

@@ -50,7 +50,8 @@ struct GruKernels {
                      const float* hidden_slope, float* slopes, float* scratch);
     // Compute the gradient of the features.
     void (*input_gradient)(const GruShape&, const GruWeights&, const float* slopes, size_t count, float* out);
-    // Compute the gradient of weights [rows, columns], from the slopes of their rows, [frames, step], and what they read.
+    // Compute the gradient of weights [rows, columns], from the slopes of their rows, [frames, step], and what they
+    // read.
     void (*weight_gradient)(const float* slopes, size_t step, const float* read, size_t read_step, size_t count,
                             size_t rows, size_t columns, float* out);
 };

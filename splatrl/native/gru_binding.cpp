@@ -83,8 +83,8 @@ void gru_forward(const std::array<size_t, 4>& sizes, const std::array<Address, 2
     });
 }
 
-// `made`: addresses of what is kept, as `gru_forward` wrote it, and of the gradient of hidden. `gradients`: addresses of the
-// results, of the weights in their order and of the features.
+// `made`: addresses of what is kept, as `gru_forward` wrote it, and of the gradient of hidden. `gradients`: addresses
+// of the results, of the weights in their order and of the features.
 void gru_backward(const std::array<size_t, 4>& sizes, const std::array<Address, 2>& known, Address features,
                   const std::array<Address, 4>& weights, const std::array<Address, 2>& made,
                   const std::array<Address, 5>& gradients, size_t threads) {

@@ -62,8 +62,8 @@ struct Cohort {
 
 class StepTable {
 public:
-    // Addresses of progress and members, and the number of rows, levels and episodes in a cohort, and how many successes
-    // are enough.
+    // Addresses of progress and members, and the number of rows, levels and episodes in a cohort, and how many
+    // successes are enough.
     using Curriculum = std::array<uintptr_t, 6>;
 
     StepTable(std::vector<int64_t> shape, Tensor<const int64_t, -1, -1> next, Tensor<const float, -1, -1> free_fraction,
@@ -88,8 +88,8 @@ public:
     // goals; `found` those of the same without action, then of outcome, free_fraction, reward, success, done,
     // terminated, truncated and the resulting poses. `rows` is the address of the rows of the batch that step, or 0 for
     // all. Returns false, and writes nothing, if a row is off the lattice.
-    bool step(const std::array<uintptr_t, 6>& given, const std::array<uintptr_t, 13>& found, size_t count, uintptr_t rows,
-              int64_t max_steps, int64_t goals_for_success, const Curriculum& curriculum) const {
+    bool step(const std::array<uintptr_t, 6>& given, const std::array<uintptr_t, 13>& found, size_t count,
+              uintptr_t rows, int64_t max_steps, int64_t goals_for_success, const Curriculum& curriculum) const {
         const auto *state = at<const int64_t>(given[0]), *action = at<const int64_t>(given[1]);
         for (size_t row = 0; row < count; ++row)
             if (!known(state + row * shape_.size(), action[row])) return false;
@@ -120,17 +120,18 @@ public:
         return true;
     }
 
-    // Copy a batch, and begin new episodes in some of its rows, in ascending order. `old` and `found` hold the addresses of state,
-    // step_count, episode_return, level, goals, outcome, free_fraction, success, done, terminated and truncated;
-    // `found` also that of the poses of the rows that begin.
-    void begin(const std::array<uintptr_t, 11>& old, const std::array<uintptr_t, 12>& found, size_t count, uintptr_t rows,
-               size_t some, uintptr_t uniform, uintptr_t starts, int64_t available,
+    // Copy a batch, and begin new episodes in some of its rows, in ascending order. `old` and `found` hold the
+    // addresses of state, step_count, episode_return, level, goals, outcome, free_fraction, success, done, terminated
+    // and truncated; `found` also that of the poses of the rows that begin.
+    void begin(const std::array<uintptr_t, 11>& old, const std::array<uintptr_t, 12>& found, size_t count,
+               uintptr_t rows, size_t some, uintptr_t uniform, uintptr_t starts, int64_t available,
                const Curriculum& curriculum) const {
         const size_t size = shape_.size() * sizeof(int64_t), number = sizeof(int64_t), share = sizeof(float);
         const size_t bytes[] = {size, number, share, number, number, number, share, 1, 1, 1, 1};  // per row
         Cohort cohort = cohort_of(curriculum);
         const int64_t level = cohort.progress[0];
-        for (size_t i = 0; i < old.size(); ++i) std::memcpy(at<char>(found[i]), at<const char>(old[i]), count * bytes[i]);
+        for (size_t i = 0; i < old.size(); ++i)
+            std::memcpy(at<char>(found[i]), at<const char>(old[i]), count * bytes[i]);
         for (size_t i = 0; i < some; ++i) {
             const size_t row = size_t(at<const int64_t>(rows)[i]);
             if (row >= count) throw std::invalid_argument("rows: expected row indices of the batch");

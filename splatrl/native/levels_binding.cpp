@@ -72,7 +72,8 @@ void bind_levels(nb::module_& m) {
         "build_levels",
         [](Tensor<const float, -1, 3> means, Tensor<const float, -1, 3, 3> axes, Tensor<const float, -1> opacities,
            Tensor<const float, -1, -1, 3> sh, int degree) {
-            const GaussianArrays gaussians{means.data(), axes.data(), opacities.data(), sh.data(), means.shape(0), degree};
+            const GaussianArrays gaussians{means.data(), axes.data(), opacities.data(), sh.data(), means.shape(0),
+                                           degree};
             Levels levels;
             {
                 const Release release;

@@ -180,17 +180,21 @@ LANE_INLINE uint32_t append(const Record& record, uint32_t mask, const Scratch& 
     for (int half = 0; half < 8; half += 4) {
         const __m512 a = kept(record.words[half], kept_lanes), b = kept(record.words[half + 1], kept_lanes);
         const __m512 c = kept(record.words[half + 2], kept_lanes), d = kept(record.words[half + 3], kept_lanes);
-        const __m512d low_ab = _mm512_castps_pd(_mm512_unpacklo_ps(a, b)), low_cd = _mm512_castps_pd(_mm512_unpacklo_ps(c, d));
-        const __m512d high_ab = _mm512_castps_pd(_mm512_unpackhi_ps(a, b)), high_cd = _mm512_castps_pd(_mm512_unpackhi_ps(c, d));
+        const __m512d low_ab = _mm512_castps_pd(_mm512_unpacklo_ps(a, b)),
+            low_cd = _mm512_castps_pd(_mm512_unpacklo_ps(c, d));
+        const __m512d high_ab = _mm512_castps_pd(_mm512_unpackhi_ps(a, b)),
+            high_cd = _mm512_castps_pd(_mm512_unpackhi_ps(c, d));
         pairs[half] = _mm512_castpd_ps(_mm512_unpacklo_pd(low_ab, low_cd));
         pairs[half + 1] = _mm512_castpd_ps(_mm512_unpackhi_pd(low_ab, low_cd));
         pairs[half + 2] = _mm512_castpd_ps(_mm512_unpacklo_pd(high_ab, high_cd));
         pairs[half + 3] = _mm512_castpd_ps(_mm512_unpackhi_pd(high_ab, high_cd));
     }
-    const __m512i near_half = _mm512_set_epi64(11, 10, 3, 2, 9, 8, 1, 0), far_half = _mm512_set_epi64(15, 14, 7, 6, 13, 12, 5, 4);
+    const __m512i near_half = _mm512_set_epi64(11, 10, 3, 2, 9, 8, 1, 0),
+        far_half = _mm512_set_epi64(15, 14, 7, 6, 13, 12, 5, 4);
     for (int i = 0; i < 4; ++i) {
         const __m512d front = _mm512_castps_pd(pairs[i]), back = _mm512_castps_pd(pairs[i + 4]);
-        const __m512d low = _mm512_permutex2var_pd(front, near_half, back), high = _mm512_permutex2var_pd(front, far_half, back);
+        const __m512d low = _mm512_permutex2var_pd(front, near_half, back),
+            high = _mm512_permutex2var_pd(front, far_half, back);
         float* to = reinterpret_cast<float*>(scratch.splats + count + i);
         _mm256_store_ps(to, _mm256_castpd_ps(_mm512_castpd512_pd256(low)));
         _mm256_store_ps(to + 32, _mm256_castpd_ps(_mm512_extractf64x4_pd(low, 1)));

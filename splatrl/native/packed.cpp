@@ -114,7 +114,8 @@ void bind_packed(nb::module_& m) {
         [](Tensor<const float, -1, 3> means, Tensor<const float, -1, 3, 3> axes, Tensor<const float, -1> opacities,
            Tensor<const float, -1, -1, 3> sh, int degree, std::optional<nb::dict> levels,
            std::array<float, 3> background, bool antialiased) {
-            const GaussianArrays gaussians{means.data(), axes.data(), opacities.data(), sh.data(), means.shape(0), degree};
+            const GaussianArrays gaussians{means.data(), axes.data(), opacities.data(), sh.data(), means.shape(0),
+                                           degree};
             const Levels tree = levels ? levels_of(*levels, gaussians) : build_levels(gaussians, CLUSTER, GROUP, false);
             return to_arrays(Scene(gaussians, tree, background, antialiased));
         },

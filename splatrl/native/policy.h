@@ -45,8 +45,8 @@ struct AdamSettings {
 
 struct PolicyKernels {
     // Write the gradients of the loss and its statistics. `scratch` has room for [count + 2 · actions].
-    void (*loss)(const PolicyFrames&, const PolicyHeads&, const PolicyWeights&, const PolicyGradients&, float* statistics,
-                 float* scratch);
+    void (*loss)(const PolicyFrames&, const PolicyHeads&, const PolicyWeights&, const PolicyGradients&,
+                 float* statistics, float* scratch);
     // Clip the joint norm of the gradients of all tensors, and take a step.
     void (*adam)(const Moments*, size_t count, const AdamSettings&);
 };

@@ -41,8 +41,8 @@ void policy_loss(const std::array<Address, 5>& frames, const std::array<size_t, 
 }
 
 // `tensors` holds the addresses of each tensor's values, gradient, first moment and second moment.
-void adam(const std::vector<std::array<Address, 4>>& tensors, const std::vector<size_t>& counts, double step, double rate,
-          double beta1, double beta2, double epsilon, double max_norm) {
+void adam(const std::vector<std::array<Address, 4>>& tensors, const std::vector<size_t>& counts, double step,
+          double rate, double beta1, double beta2, double epsilon, double max_norm) {
     if (tensors.size() != counts.size()) throw std::invalid_argument("counts: expected one count per tensor");
     std::vector<Moments> moments;
     for (size_t i = 0; i < tensors.size(); ++i)

@@ -19,8 +19,8 @@ namespace {
 
 using Shape = std::array<size_t, 4>;  // images, height, width, channels
 
-// Average images over square cells, in units of `most`, and subtract a half. A cell's rows are summed before its columns,
-// since the rows of an image are contiguous in memory.
+// Average images over square cells, in units of `most`, and subtract a half. A cell's rows are summed before its
+// columns, since the rows of an image are contiguous in memory.
 template <class Sum, class Value>
 void average_cells(const Value* pixels, const Shape& shape, size_t side, float most, float* out) {
     const auto [count, height, width, depth] = shape;

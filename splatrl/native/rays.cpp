@@ -37,7 +37,8 @@ using Room = Tensor<const uint8_t, -1, -1, -1>;
 class RayCaster {
 public:
     RayCaster(const Room& room, std::array<double, 3> corner, double resolution) : cast_(cast_beams_of(choose_isa())) {
-        if (!(resolution >= 1e-4 && resolution <= 1e3)) throw std::invalid_argument("RayCaster: resolution out of bounds");
+        if (!(resolution >= 1e-4 && resolution <= 1e3))
+            throw std::invalid_argument("RayCaster: resolution out of bounds");
         empty_ = room.size() == 0;
         room_ = make_buffer<uint8_t>(room.size() + 1);
         std::copy_n(room.data(), room.size(), room_.get());

@@ -152,7 +152,8 @@ const Scene& Renderer::scene(int64_t model) const {
 void Renderer::needs(const Bounds* bounds, const float* errors, size_t count, const Batch& batch, uint8_t* out) const {
     constexpr float SLACK = 1.001f;  // rounding may make a node's bounds extend beyond the root's
     for (size_t row = 0; row < batch.rows; ++row) {
-        const Camera camera = camera_of(batch.camera_to_models + 16 * row, batch.K + 9 * row, batch.width, batch.height);
+        const Camera camera = camera_of(batch.camera_to_models + 16 * row, batch.K + 9 * row, batch.width,
+                                        batch.height);
         const Frustum frustum = frustum_of(camera, {0, 0, batch.width, batch.height});
         for (size_t model = 0; model < count; ++model) {
             Cluster top{};
@@ -194,7 +195,8 @@ void Renderer::place(const Batch& batch, size_t row, const SceneView* views, std
         const int64_t model = batch.model(row, part);
         if (model < 0) continue;
         const float* pose = batch.camera_to_models + 16 * (row * batch.parts + part);
-        parts.push_back({views + model, camera_of(pose, batch.K + 9 * row, batch.width, batch.height), first_index, {}});
+        parts.push_back({views + model, camera_of(pose, batch.K + 9 * row, batch.width, batch.height),
+                         first_index, {}});
         first_index += uint32_t(scenes_[size_t(model)]->capacity());
     }
 }

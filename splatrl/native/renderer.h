@@ -29,7 +29,8 @@ public:
     Renderer(std::array<float, 3> background, bool antialiased, float tolerance, Isa isa);
     ~Renderer();
 
-    // Add, replace or remove a model; one that has been removed must not be drawn. Not to be called while anything is drawn.
+    // Add, replace or remove a model; one that has been removed must not be drawn. Not to be called while anything is
+    // drawn.
     void put(size_t model, std::optional<Scene> scene);
 
     // What each camera needs of each of several models in one frame, given the bounds of their trees: NOTHING if the

@@ -24,7 +24,8 @@ struct Swept {
         double s = clamp((across * u - turning * v) * per_area, 0.0, 1.0);
         const double t = clamp((v - s * turning) * per_across, 0.0, 1.0);
         s = clamp((u - t * turning) * per_along, 0.0, 1.0);
-        return {off[0] - s * axis[0] - t * way[0], off[1] - s * axis[1] - t * way[1], off[2] - s * axis[2] - t * way[2]};
+        return {off[0] - s * axis[0] - t * way[0], off[1] - s * axis[1] - t * way[1],
+                off[2] - s * axis[2] - t * way[2]};
     }
 };
 

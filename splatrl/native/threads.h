@@ -47,7 +47,8 @@ void parallel_for(size_t count, size_t threads, Work&& work) {
     {
         Joined others;
         try {
-            for (size_t worker = 1; worker < threads && worker < count; ++worker) others.threads.emplace_back(run, worker);
+            for (size_t worker = 1; worker < threads && worker < count; ++worker)
+                others.threads.emplace_back(run, worker);
         } catch (const std::exception&) {  // out of threads or memory: the running workers take all items
         }
         run(0);

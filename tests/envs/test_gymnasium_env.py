@@ -17,7 +17,8 @@ from torchrl.data import Unbounded
 from torchrl.envs import EnvBase
 from torchrl.envs.transforms import RewardScaling, TransformedEnv
 
-from splatrl.envs.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
+from splatrl.envs.gymnasium_env import GymnasiumEnv
+from splatrl.envs.gymnasium_vector_env import GymnasiumVectorEnv
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks import ImageNav, Outcome
 from splatrl.envs.transforms import Appearance

@@ -17,7 +17,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecFram
 from torchrl.envs import StepCounter, TransformedEnv
 
 from splatrl.building import env_makers
-from splatrl.envs.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
+from splatrl.envs.gymnasium_env import GymnasiumEnv
+from splatrl.envs.gymnasium_vector_env import GymnasiumVectorEnv
 from splatrl.envs.stable_baselines import StableBaselinesVecEnv
 from splatrl.envs.tasks import Outcome
 from tests.envs.rooms import drive_env

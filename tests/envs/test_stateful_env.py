@@ -23,7 +23,7 @@ from torchrl.envs import (
 )
 
 from splatrl.building import make_env, worlds
-from splatrl.envs.gymnasium_env import GymnasiumVectorEnv
+from splatrl.envs.gymnasium_vector_env import GymnasiumVectorEnv
 from splatrl.envs.nesting import layers
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.transforms import Latency

@@ -139,8 +139,8 @@ SPLAT_INLINE void find_range(Shared& shared, Key low, Key high) {
     __syncthreads();
 }
 
-// Sort the first `count` keys of shared.sorted, which are within the cut and in shared.histogram, at most `crowd` of them
-// in one bucket as far as this thread knows. They are grouped by its buckets, where each key finds its place by
+// Sort the first `count` keys of shared.sorted, which are within the cut and in shared.histogram, at most `crowd` of
+// them in one bucket as far as this thread knows. They are grouped by its buckets, where each key finds its place by
 // comparison with the others of its bucket; if a bucket holds too many for that, all are sorted by exchange.
 SPLAT_INLINE void sort_slab(Shared& shared, uint32_t count, uint32_t crowd, const SlabCut& cut) {
     constexpr uint32_t CROWD = 48;

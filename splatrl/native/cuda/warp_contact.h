@@ -21,7 +21,8 @@ struct Search {
 // warp first calls prepare() once. Few columns hold something solid, so these are collected before they are searched,
 // one per lane.
 template <class Prepare, class Contact>
-SPLAT_INLINE double first_by_warp(const Columns& columns, int* waiting, const Prepare& prepare, const Contact& contact) {
+SPLAT_INLINE double first_by_warp(const Columns& columns, int* waiting, const Prepare& prepare,
+                                  const Contact& contact) {
     const int along_y = columns.along_y(), count = columns.along_x() * along_y;
     const auto column = [&](int i) {
         return columns.column(from_middle(columns.xs, i / along_y), from_middle(columns.ys, i % along_y));

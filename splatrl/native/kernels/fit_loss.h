@@ -55,7 +55,8 @@ static void smooth_products(const FitGrid& grid, const float* view, const float*
         const size_t line = size_t(y) * size_t(grid.stride);
         const uint8_t* photo = target.pixels + (size_t(y) * size_t(grid.width)) * 3 + channel;
         float *x = rows.lines[P_X] + SSIM_EDGE, *t = rows.lines[P_T] + SSIM_EDGE;
-        float *xx = rows.lines[P_XX] + SSIM_EDGE, *tt = rows.lines[P_TT] + SSIM_EDGE, *xt = rows.lines[P_XT] + SSIM_EDGE;
+        float *xx = rows.lines[P_XX] + SSIM_EDGE, *tt = rows.lines[P_TT] + SSIM_EDGE,
+            *xt = rows.lines[P_XT] + SSIM_EDGE;
         for (int i = 0; i < grid.width; ++i) {
             x[i] = gain * view[line + i] + offset;
             t[i] = known[line + i] < 0.0f ? x[i] : float(photo[3 * i]) * (1.0f / 255.0f);

@@ -27,8 +27,10 @@ LANE_INLINE void turn(const float* in, float* out) {
         a[4 * i + 3] = _mm512_castpd_ps(_mm512_unpackhi_pd(r, s));
     }
     for (int i = 0; i < 4; ++i) {
-        const __m512 top = _mm512_shuffle_f32x4(a[i], a[4 + i], 0x88), low = _mm512_shuffle_f32x4(a[8 + i], a[12 + i], 0x88);
-        const __m512 odd = _mm512_shuffle_f32x4(a[i], a[4 + i], 0xdd), end = _mm512_shuffle_f32x4(a[8 + i], a[12 + i], 0xdd);
+        const __m512 top = _mm512_shuffle_f32x4(a[i], a[4 + i], 0x88),
+            low = _mm512_shuffle_f32x4(a[8 + i], a[12 + i], 0x88);
+        const __m512 odd = _mm512_shuffle_f32x4(a[i], a[4 + i], 0xdd),
+            end = _mm512_shuffle_f32x4(a[8 + i], a[12 + i], 0xdd);
         _mm512_store_ps(out + 16 * i, _mm512_shuffle_f32x4(top, low, 0x88));
         _mm512_store_ps(out + 16 * (8 + i), _mm512_shuffle_f32x4(top, low, 0xdd));
         _mm512_store_ps(out + 16 * (4 + i), _mm512_shuffle_f32x4(odd, end, 0x88));

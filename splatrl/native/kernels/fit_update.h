@@ -40,7 +40,8 @@ LANE_INLINE void adam(const FitUpdate& update, size_t row, size_t at) {
         gradient = gradient + load(update.gradients + view * update.rows * update.stride + place);
     gradient = gradient * (1.0f / float(update.views)) + regulariser(update, row, value);
     const Lanes first = load(update.first_moments + place) * update.beta1 + gradient * (1.0f - update.beta1);
-    const Lanes second = load(update.second_moments + place) * update.beta2 + gradient * gradient * (1.0f - update.beta2);
+    const Lanes second = load(update.second_moments + place) * update.beta2 +
+        gradient * gradient * (1.0f - update.beta2);
     const Lanes squared = max(second * update.correction2, 1e-36f);
     const Lanes root = squared * reciprocal_sqrt(squared);
     value = value - update.rates[row] * update.correction1 * first * reciprocal(root + update.epsilon);

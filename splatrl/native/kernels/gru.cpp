@@ -31,7 +31,8 @@ LANE_INLINE Register sigmoid(const Register& a) { return 1.0f / (1.0f + exponent
 LANE_INLINE Register hyperbolic_tangent(const Register& a) {
     const Register q = a * a, bound = splat_part(0.390625f);  // of |a| = 0.625, below which 1 - 2 / ... loses digits
     const Register small =
-        ((((-5.7049887e-3f * q + 2.0639088e-2f) * q - 5.3739716e-2f) * q + 1.3331442e-1f) * q - 3.3333282e-1f) * q * a + a;
+        ((((-5.7049887e-3f * q + 2.0639088e-2f) * q - 5.3739716e-2f) * q + 1.3331442e-1f) * q - 3.3333282e-1f) * q * a +
+        a;
     const Register large = 1.0f - 2.0f / (exponential(2.0f * a) + 1.0f);
     return q < bound ? small : large;
 }
@@ -104,7 +105,8 @@ static void backward(const GruShape& shape, const GruWeights& weights, const Epi
         for (size_t e = 0; e < some; ++e) {
             const size_t frame = episodes[e].begin + step;
             const float *mine = kept + frame * shape.kept(), *given = hidden_slope + frame * units;
-            float *to = slopes + frame * shape.slopes(), *carry = carried + e * units, *by_state = gates + e * shape.gates();
+            float *to = slopes + frame * shape.slopes(), *carry = carried + e * units,
+                *by_state = gates + e * shape.gates();
             for (size_t u = 0; u < units; u += WIDTH) {
                 const Register reset = get(mine + u), update = get(mine + units + u), fresh = get(mine + 2 * units + u);
                 const Register recalled = get(mine + 3 * units + u), before = get(mine + 4 * units + u);

@@ -31,7 +31,8 @@ static void normalise(const float* advantage, size_t count, float* out) {
     mean /= double(count);
     for (size_t i = 0; i < count; ++i) square += (double(advantage[i]) - mean) * (double(advantage[i]) - mean);
     const double spread = count > 1 ? std::max(std::sqrt(square / double(count - 1)), 1e-6) : 1.0;
-    for (size_t i = 0; i < count; ++i) out[i] = count > 1 ? float((double(advantage[i]) - mean) / spread) : advantage[i];
+    for (size_t i = 0; i < count; ++i)
+        out[i] = count > 1 ? float((double(advantage[i]) - mean) / spread) : advantage[i];
 }
 
 static void loss(const PolicyFrames& frames, const PolicyHeads& heads, const PolicyWeights& weights,
@@ -90,7 +91,8 @@ static void loss(const PolicyFrames& frames, const PolicyHeads& heads, const Pol
 
 static void adam(const Moments* tensors, size_t count, const AdamSettings& settings) {
     double square = 0.0;
-    for (size_t t = 0; t < count; ++t) square += double(dot(tensors[t].gradient, tensors[t].gradient, tensors[t].count));
+    for (size_t t = 0; t < count; ++t)
+        square += double(dot(tensors[t].gradient, tensors[t].gradient, tensors[t].count));
     const float share = std::min(1.0f, settings.max_norm / (float(std::sqrt(square)) + 1e-6f));
     const float step = settings.rate / settings.correction1, root = 1.0f / std::sqrt(settings.correction2);
     for (size_t t = 0; t < count; ++t) {

@@ -107,7 +107,8 @@ struct Flight {
     void look_all() {
         ends = false;
         for (int first = 0; first < LANES; first += WIDTH) {
-            const Part index[3] = {load(rays.index[0] + first), load(rays.index[1] + first), load(rays.index[2] + first)};
+            const Part index[3] = {load(rays.index[0] + first), load(rays.index[1] + first),
+                                   load(rays.index[2] + first)};
             look(first, places(index, load(rays.t + first) < load(rays.last + first)));
         }
     }

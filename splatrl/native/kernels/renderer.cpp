@@ -75,8 +75,9 @@ static Effort render(const Row& row, const Tile& whole, Tile& tile, const Scratc
         sort(scratch, keys, near);
         watch.add_to(effort.sort_ms);
         const bool firm = row.finished <= MIN_TRANSMITTANCE;
-        const auto blend = firm ? (peaked ? blend_splats<WITH_DEPTH, true, true> : blend_splats<WITH_DEPTH, true, false>)
-                                : (peaked ? blend_splats<WITH_DEPTH, false, true> : blend_splats<WITH_DEPTH, false, false>);
+        const auto blend =
+            firm ? (peaked ? blend_splats<WITH_DEPTH, true, true> : blend_splats<WITH_DEPTH, true, false>)
+                 : (peaked ? blend_splats<WITH_DEPTH, false, true> : blend_splats<WITH_DEPTH, false, false>);
         effort.blended += blend(tile, row, keys, near, scratch, blocks);
         blended += near;
         if (more) draw_veil(scratch.pixels, blocks.finished, veil);
@@ -89,8 +90,10 @@ static Effort render(const Row& row, const Tile& whole, Tile& tile, const Scratc
 static Effort render_any(const Row& row, const Tile& whole, Tile& piece, bool antialiased, bool with_depth,
                          const Scratch& scratch) {
     if (antialiased)
-        return with_depth ? render<true, true>(row, whole, piece, scratch) : render<true, false>(row, whole, piece, scratch);
-    return with_depth ? render<false, true>(row, whole, piece, scratch) : render<false, false>(row, whole, piece, scratch);
+        return with_depth ? render<true, true>(row, whole, piece, scratch)
+                          : render<true, false>(row, whole, piece, scratch);
+    return with_depth ? render<false, true>(row, whole, piece, scratch)
+                      : render<false, false>(row, whole, piece, scratch);
 }
 
 extern const RenderTile render_tile = render_any;

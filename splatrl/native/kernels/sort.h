@@ -37,7 +37,8 @@ static void order_by_heap(const uint64_t* ties, uint64_t* keys, uint32_t count) 
 
 // Sort runs of keys that agree in the bits sorted so far. Single precision alone leaves many where Gaussians lie on a
 // grid, as in quantised files. `found` has room for `count` numbers.
-static void order_ties(const uint64_t* ties, uint64_t* keys, uint32_t count, uint32_t low, int unsorted, uint32_t* found) {
+static void order_ties(const uint64_t* ties, uint64_t* keys, uint32_t count, uint32_t low, int unsorted,
+                       uint32_t* found) {
     constexpr uint32_t LONG = 24, FETCH_TIES = 16;
     uint32_t tied = 0;  // keys that agree with the one before them
     uint32_t last = count > 0 ? (uint32_t(keys[0] >> 32) - low) >> unsorted : 0;

@@ -104,7 +104,8 @@ static void draw_warped(const StereoPhotos& photos, const Warp& warp, size_t nei
             const float v = (start[1] + warp.turn[3] * across) * scale - 0.5f;
             const bool in = z > 0.0f && u >= -0.5f && v >= -0.5f && u <= last_x + 0.5f && v <= last_y + 0.5f;
             beyond[x] = in ? 0.0f : 1.0f;
-            const float cu = u > 0.0f ? (u < last_x ? u : last_x) : 0.0f, cv = v > 0.0f ? (v < last_y ? v : last_y) : 0.0f;
+            const float cu = u > 0.0f ? (u < last_x ? u : last_x) : 0.0f,
+                cv = v > 0.0f ? (v < last_y ? v : last_y) : 0.0f;
             const int left = int(cu) < stride - 1 ? int(cu) : std::max(stride - 2, 0);
             const int top = int(cv) < photos.height - 1 ? int(cv) : std::max(photos.height - 2, 0);
             const float a = cu - float(left), b = cv - float(top);
@@ -201,8 +202,8 @@ static void step(const float* __restrict cost, const float* __restrict before, i
 
 // Add the costs along the paths in one direction: `lines` parallel paths, `side` apart in memory, along which pixels
 // are `next` apart.
-static void smooth(const StereoTask& task, const StereoScratch& scratch, const float* grey, size_t first, ptrdiff_t next,
-                   int length, ptrdiff_t side, int lines) {
+static void smooth(const StereoTask& task, const StereoScratch& scratch, const float* grey, size_t first,
+                   ptrdiff_t next, int length, ptrdiff_t side, int lines) {
     constexpr int MOST = 256;
     const int depths = task.depths;
     float rows[2][MOST + 2];

@@ -44,7 +44,8 @@ struct ForwardRow {
                 Register w[WIDE];
                 UNROLL for (int v = 0; v < WIDE; ++v) w[v] = get(weight + v * WIDTH);
                 UNROLL for (int p = 0; p < PIXELS; ++p)
-                    UNROLL for (int v = 0; v < WIDE; ++v) sums[p][v] = sums[p][v] + w[v] * from[size_t(p) * step + size_t(k)];
+                    UNROLL for (int v = 0; v < WIDE; ++v)
+                        sums[p][v] = sums[p][v] + w[v] * from[size_t(p) * step + size_t(k)];
             }
         }
         UNROLL for (int p = 0; p < PIXELS; ++p)
@@ -52,7 +53,8 @@ struct ForwardRow {
     }
 };
 
-static void convolve(const Convolution& shape, const float* image, const float* weights, const float* bias, float* out) {
+static void convolve(const Convolution& shape, const float* image, const float* weights, const float* bias,
+                     float* out) {
     const size_t line = size_t(shape.width) * size_t(shape.in), wide = size_t(shape.wide());
     for (int y = 0; y < shape.tall(); ++y)
         in_widths(shape.out, [&](auto width, int first) {
@@ -93,7 +95,8 @@ struct WeightGradient {
     }
 };
 
-static void add_gradients(const Convolution& shape, const float* image, const float* slope, float* weights, float* bias) {
+static void add_gradients(const Convolution& shape, const float* image, const float* slope, float* weights,
+                          float* bias) {
     const size_t line = size_t(shape.width) * size_t(shape.in), outs = size_t(shape.out);
     for (int y = 0; y < shape.side; ++y)
         in_widths(shape.out, [&](auto width, int first) {
@@ -120,7 +123,8 @@ struct BackwardRow {
 
     template <int PIXELS>
     __attribute__((noinline)) void run(int begin) const {
-        const size_t step = size_t(shape.stride) * size_t(shape.in), outs = size_t(shape.out), run = size_t(shape.run());
+        const size_t step = size_t(shape.stride) * size_t(shape.in), outs = size_t(shape.out),
+            run = size_t(shape.run());
         const float* from = slope + size_t(begin) * outs;
         Register sums[PIXELS][WIDE];
         UNROLL for (int p = 0; p < PIXELS; ++p)
@@ -201,8 +205,8 @@ struct DenseForwards {
     }
 };
 
-static void forward(const TrunkShape& shape, const PackedTrunk& packed, const TrunkWeights& weights, const float* images,
-                    size_t count, const TrunkLayers& layers) {
+static void forward(const TrunkShape& shape, const PackedTrunk& packed, const TrunkWeights& weights,
+                    const float* images, size_t count, const TrunkLayers& layers) {
     const size_t flat = shape.flat();
     for (size_t i = 0; i < count; ++i) {
         float* between = layers.first + i * shape.first.written();

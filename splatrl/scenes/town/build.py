@@ -18,10 +18,13 @@ from splatrl.scenes.yard.materials import Rng, boards, plaster, shades, waves
 from splatrl.scenes.yard.plants import grass, lawn_colors, tree
 from splatrl.scenes.yard.sky import RADIUS, sky
 from splatrl.scenes.yard.surfels import Array, Rectangle, Surfels, faces, join
+from splatrl.scenes.yards.buildings import gable
 from splatrl.scenes.yards.ground import ground
-from splatrl.scenes.yards.kinds import IN_THE_WAY, UNDER_THE_EGG, Size, box, gable
+from splatrl.scenes.yards.kinds import IN_THE_WAY
+from splatrl.scenes.yards.pedestals import UNDER_THE_EGG
 from splatrl.scenes.yards.pieces import EGG_HEIGHT, Egg, Piece
 from splatrl.scenes.yards.sides import SIDES
+from splatrl.scenes.yards.solids import Size, box
 from splatrl.scenes.yards.style import Style
 from splatrl.scenes.yards.turning import turned, turned_solid
 

@@ -15,8 +15,8 @@ from splatrl.scenes.yard.plants import BARK, tree
 from splatrl.scenes.yard.sky import sky
 from splatrl.scenes.yard.surfels import Surfels, join
 from splatrl.scenes.yards.ground import ground
-from splatrl.scenes.yards.kinds import UNDER_THE_EGG
 from splatrl.scenes.yards.layout import drawn_layout
+from splatrl.scenes.yards.pedestals import UNDER_THE_EGG
 from splatrl.scenes.yards.pieces import Layout
 from splatrl.scenes.yards.sides import SIDES, neighbour
 from splatrl.scenes.yards.solvable import Difficulty, difficulty, place_near, solvable

@@ -11,9 +11,11 @@ from splatrl.scenes.yard.ground import Rect
 from splatrl.scenes.yard.layout import Solid, Tree
 from splatrl.scenes.yard.materials import Rng
 from splatrl.scenes.yards.ground import Laid
-from splatrl.scenes.yards.kinds import AT_THE_EDGE, IN_THE_WAY, UNDER_THE_EGG, Kind, Size
+from splatrl.scenes.yards.kinds import AT_THE_EDGE, IN_THE_WAY, Kind
+from splatrl.scenes.yards.pedestals import UNDER_THE_EGG
 from splatrl.scenes.yards.pieces import Egg, House, Layout, Piece, Side, fill
 from splatrl.scenes.yards.sides import SIDES
+from splatrl.scenes.yards.solids import Size
 from splatrl.scenes.yards.solvable import BLOCKED, CELL, HALF, Cells, difficulty, solvable
 from splatrl.scenes.yards.turning import QUARTERS
 

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from splatrl.scenes.yard.ground import Rect
 from splatrl.scenes.yard.layout import Solid, Tree
 from splatrl.scenes.yards.ground import Laid
-from splatrl.scenes.yards.kinds import Kind, Size
+from splatrl.scenes.yards.kinds import Kind
 from splatrl.scenes.yards.sides import SIDES
+from splatrl.scenes.yards.solids import Size
 from splatrl.scenes.yards.solvable import Cells
 from splatrl.scenes.yards.turning import turned_solid
 

@@ -13,7 +13,9 @@ from splatrl.scenes.yard.furniture import roof
 from splatrl.scenes.yard.layout import Solid
 from splatrl.scenes.yard.materials import Color, Rng, boards, brickwork, plaster
 from splatrl.scenes.yard.surfels import Rectangle, Surfels, faces, join
-from splatrl.scenes.yards.kinds import box, gable, greenery
+from splatrl.scenes.yards.buildings import gable
+from splatrl.scenes.yards.greenery import greenery
+from splatrl.scenes.yards.solids import box
 from splatrl.scenes.yards.style import Style
 
 Build = Callable[[Solid, Style, Rng], Surfels]
