@@ -13,7 +13,14 @@ from torchrl.modules import ActorValueOperator
 from splatrl.building.envs import worker_seed
 from splatrl.building.instantiation import instantiate
 from splatrl.configuration import with_absolute_paths
-from splatrl.datasets import Demonstrations, check_imitation, imitate, planner_episodes, read_demonstrations
+from splatrl.datasets import (
+    Demonstrations,
+    check_imitation,
+    check_taught,
+    imitate,
+    planner_episodes,
+    read_demonstrations,
+)
 from splatrl.device import AUTO
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.episode_sets import require_episodes
@@ -29,6 +36,7 @@ from splatrl.training import (
     Stage,
     Trainer,
     check_frames,
+    check_reads,
     check_tracker,
     inputs_of,
     make_tracker,
@@ -57,16 +65,23 @@ def check_training(cfg: DictConfig, new: bool) -> None:
     Raises:
         FileNotFoundError: for episodes or demonstrations that do not exist.
         ImportError: if the package of ``logger.backend`` is not installed.
-        ValueError: for a setting out of range, or damaged demonstrations.
+        ValueError: for a setting out of range, settings that do not fit each other, or damaged demonstrations.
     """
     check_frames(cfg.collector.frames_per_batch, cfg.collector.total_frames, cfg.env.num_envs)
     check_tracker(cfg.logger.backend, cfg.logger.exp_name)
     if cfg.evaluation.episodes is not None:
         require_episodes(Path(str(cfg.evaluation.episodes)))
-    for node in ("loss", "optim", "cloning", "dagger", "matching"):
+    for node in ("loss", "optim", "cloning"):
         instantiate(cfg[node])
-    if new:
-        _demonstrations(cfg)
+    dagger, matching = instantiate(cfg.dagger), instantiate(cfg.matching)
+    if not new:
+        return
+    shown = sum(map(len, _demonstrations(cfg)))
+    if cfg.demos is None and dagger.last_epochs and not dagger.rounds:
+        raise ValueError(f"dagger.last_epochs: expected 0 without dagger.rounds and demos, got {dagger.last_epochs}")
+    if matching.frames:
+        check_reads(list(cfg.inputs) or ["pixels"])
+    check_taught(dagger, cfg.env.num_envs, cfg.collector.total_frames, shown, matching.frames)
 
 
 def build_trainer(
@@ -138,7 +153,8 @@ def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> list[Stage]:
         one.warn_of_another_scene(world)
     if cfg.demos is None and not dagger.rounds and not matching.frames:
         return []
-    check_imitation(ppo, world, dagger, sum(map(len, shown)), matching.frames)
+    check_imitation(world, dagger, 0 if shown else cfg.demos or 0)
+    check_taught(dagger, cfg.env.num_envs, ppo.total_frames, sum(map(len, shown)), matching.frames)
     matcher = Matcher(ppo.model, matching) if matching.frames else None
 
     def match() -> Iterator[dict[str, float]]:

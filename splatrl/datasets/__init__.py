@@ -2,7 +2,7 @@
 
 from splatrl.datasets.demonstrations import Demonstrations
 from splatrl.datasets.folder import read_demonstrations, write_demonstrations
-from splatrl.datasets.imitation import check_imitation, imitate
+from splatrl.datasets.imitation import check_imitation, check_taught, imitate
 from splatrl.datasets.lerobot import check_lerobot, write_lerobot
 from splatrl.datasets.recorder import planner_episodes
 from splatrl.datasets.replay import replay
@@ -11,6 +11,7 @@ __all__ = [
     "Demonstrations",
     "check_imitation",
     "check_lerobot",
+    "check_taught",
     "imitate",
     "planner_episodes",
     "read_demonstrations",

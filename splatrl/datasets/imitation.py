@@ -34,7 +34,9 @@ def imitate(
             than ``collector.total_frames``.
     """
     known = _together([_frames(each, ppo, cloner.reads, world.repeats) for each in shown], ppo.device)
-    check_imitation(ppo, world, dagger, frames := len(known.get("frame", ())), ppo.frames)
+    check_imitation(world, dagger)
+    frames = len(known.get("frame", ()))
+    check_taught(dagger, ppo.env.numel(), ppo.total_frames, frames, ppo.frames)
     if known:
         ppo.frames += frames
         yield {"loss_cloning": cloner.fit(known)}
@@ -56,21 +58,20 @@ def _together(parts: Sequence[dict[str, Tensor]], device: torch.device) -> dict[
     return {key: torch.cat([part[key].to(device) for part in parts]) for key in (parts[0] if parts else ())}
 
 
-def check_imitation(ppo: PPO, world: World | Worlds, dagger: DaggerSettings, shown: int, matched: int) -> None:
-    """Refuse settings of an imitation that cannot be carried out.
+def check_imitation(world: World | Worlds, dagger: DaggerSettings, walked: int = 0) -> None:
+    """Refuse an imitation of teachers that a task does not have.
 
     Args:
-        ppo: holds the frame budget.
         world: the world in which the policy acts.
         dagger: settings of the DAgger rounds.
-        shown: number of demonstrated frames; 0 if they are not known yet.
-        matched: number of frames that are used before, for matching.
+        walked: number of the planner's episodes that are to be recorded and cloned.
 
     Raises:
-        ValueError: for a task without a teacher, a teacher whose actions are repeated, rounds that are no multiple of
-            the batch, or a need for more frames than ``collector.total_frames``.
+        ValueError: for a task without the planner's paths or a teacher, or a teacher whose actions are repeated.
     """
     name, taught = type(world.task).__name__, bool(dagger.rounds) and _has_teacher(world)
+    if walked and not world.planned:
+        raise ValueError(f"demos: expected null or a folder for a task without goal states ({name}), got {walked}")
     if taught and world.repeats > 1:
         raise ValueError(
             f"dagger.rounds: expected 0 with transforms/skip, since the teacher of {name} chooses single steps, got "
@@ -80,17 +81,32 @@ def check_imitation(ppo: PPO, world: World | Worlds, dagger: DaggerSettings, sho
         raise ValueError(
             f"dagger.rounds: expected 0 for a task with neither goal states nor a teacher ({name}), got {dagger.rounds}"
         )
-    if dagger.frames_per_round % ppo.env.numel():
-        raise ValueError(
-            f"dagger.frames_per_round: expected a multiple of env.num_envs = {ppo.env.numel()}, "
-            f"got {dagger.frames_per_round}"
-        )
+
+
+def check_taught(dagger: DaggerSettings, num_envs: int, total_frames: int, shown: int, matched: int) -> None:
+    """Refuse numbers of frames to be taught with that the robots cannot share evenly, or that exceed the frame budget.
+
+    Args:
+        dagger: settings of the DAgger rounds.
+        num_envs: number of robots.
+        total_frames: frames that the whole training may use.
+        shown: number of demonstrated frames; 0 if they are not known yet.
+        matched: number of frames that are used before, for matching.
+
+    Raises:
+        ValueError: for rounds or a matching that are no multiple of the batch, or a need for more frames than
+            ``collector.total_frames``.
+    """
     acted = dagger.rounds * dagger.frames_per_round
-    if (needed := matched + shown + acted) > ppo.total_frames:
+    a_round = dagger.frames_per_round if acted else 0
+    for name, frames in (("dagger.frames_per_round", a_round), ("matching.frames", matched)):
+        if frames % num_envs:
+            raise ValueError(f"{name}: expected a multiple of env.num_envs = {num_envs}, got {frames}")
+    if (needed := matched + shown + acted) > total_frames:
         of_matching = f"{matched:,} of matching.frames, " if matched else ""
         raise ValueError(
             f"collector.total_frames: expected at least {needed:,}, the sum of {of_matching}{shown:,} frames of demos "
-            f"and {acted:,} frames of dagger.rounds, got {ppo.total_frames:,}"
+            f"and {acted:,} frames of dagger.rounds, got {total_frames:,}"
         )
 
 

@@ -85,12 +85,16 @@ def test_demonstrations_whose_actions_were_repeated_otherwise_are_refused(
         next(imitate(ppo, cloner, world, [replace(shown, repeats=4)], once, 0))
 
 
-def test_a_teacher_of_single_steps_is_refused_where_actions_are_repeated(tmp_path: Path) -> None:
+def test_teachers_that_a_task_does_not_have_are_refused(tmp_path: Path) -> None:
     words = [*tiny_overrides(tmp_path, "pointnav"), "task.nearest=0.3", "task.goals=2", "task.test_goals=2"]
     cfg = load_config([*words, "transforms/skip=four"])
     world = build_world(cfg)
     with pytest.raises(ValueError, match=r"dagger\.rounds: expected 0 with transforms/skip, .* teacher of PointNav"):
-        check_imitation(make_ppo(cfg, world), world, DaggerSettings(1, 64, 1), 0, 0)
+        check_imitation(world, DaggerSettings(1, 64, 1))
+    with pytest.raises(
+        ValueError, match=r"demos: expected null or a folder for a task without goal .* \(PointNav\), got 5"
+    ):
+        check_imitation(world, DaggerSettings(0, 64, 1), 5)
 
 
 def cfg_overrides(cfg: DictConfig) -> list[str]:
