@@ -15,9 +15,9 @@ from splatrl.building.instantiation import instantiate
 from splatrl.configuration import with_absolute_paths
 from splatrl.datasets import (
     Demonstrations,
+    Imitation,
     check_imitation,
     check_taught,
-    imitate,
     planner_episodes,
     read_demonstrations,
 )
@@ -29,6 +29,7 @@ from splatrl.evaluation.starts import spread_starts
 from splatrl.files import expanded
 from splatrl.made_with import made_with
 from splatrl.training import (
+    KEPT,
     PPO,
     Actor,
     Cloner,
@@ -105,7 +106,7 @@ def build_trainer(
     ppo = PPO(
         env, model, loss, optim, collector.frames_per_batch, collector.total_frames, _cuda_graph(collector.cuda_graph)
     )
-    teaching = _teaching(cfg, world, ppo) if resumes is None else []  # refuses before anything is written
+    teaching = _teaching(cfg, world, ppo, folder) if resumes is None else []  # refuses before anything is written
     starts = spread_starts(world, cfg.logger.num_test_episodes)
     test_env = world.env(min(cfg.env.num_envs, len(starts.state)), seed=cfg.seed)
 
@@ -134,11 +135,11 @@ def build_trainer(
     )
     if resumes is not None:
         trainer.resume(partial(resumes, made))
-        trainer.prepare = [] if trainer.prepared else _teaching(cfg, world, ppo)
+        trainer.prepare = [] if trainer.prepared else _teaching(cfg, world, ppo, folder)
     return trainer
 
 
-def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> list[Stage]:
+def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO, folder: Path) -> list[Stage]:
     """Return the stages of teaching that precede learning from reward: matching, then cloning and DAgger.
 
     Matching is left out if it is done, as after an interruption: it comes first, and alone is saved before all is done.
@@ -164,11 +165,12 @@ def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> list[Stage]:
         ppo.frames += matching.frames
         yield {"loss_matching": loss}
 
-    def teach() -> Iterator[dict[str, float]]:
-        cloner = Cloner(ppo.model, cloning)
-        episodes = shown or _walked(world, cfg.demos or 0, cfg.seed)
-        yield from imitate(ppo, cloner, world, episodes, dagger, worker_seed(cfg.seed, 0))
+    def episodes() -> list[Demonstrations]:
+        return shown or _walked(world, cfg.demos, cfg.seed)
 
+    cloner, kept = Cloner(ppo.model, cloning), folder / KEPT
+    seed = worker_seed(cfg.seed, 0)
+    teach = Imitation(ppo, cloner, world, episodes if cfg.demos is not None else None, dagger, seed, kept)
     return [match, teach] if matching.frames and ppo.frames == 0 else [teach]
 
 

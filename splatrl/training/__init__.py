@@ -11,9 +11,10 @@ from splatrl.training.networks import actor_critic
 from splatrl.training.ppo import PPO, check_frames
 from splatrl.training.settings import LossSettings, OptimSettings
 from splatrl.training.trackers import check_tracker, make_tracker
-from splatrl.training.trainer import Stage, Trainer
+from splatrl.training.trainer import KEPT, Stage, Trainer
 
 __all__ = [
+    "KEPT",
     "PPO",
     "Actor",
     "Cloner",
