@@ -13,7 +13,14 @@ from torchrl.modules import ActorValueOperator
 from splatrl.building.envs import worker_seed
 from splatrl.building.instantiation import instantiate
 from splatrl.configuration import with_absolute_paths
-from splatrl.datasets import Demonstrations, check_imitation, imitate, planner_episodes, read_demonstrations
+from splatrl.datasets import (
+    Demonstrations,
+    Imitation,
+    check_imitation,
+    check_taught,
+    planner_episodes,
+    read_demonstrations,
+)
 from splatrl.device import AUTO
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.episode_sets import require_episodes
@@ -22,6 +29,7 @@ from splatrl.evaluation.starts import spread_starts
 from splatrl.files import expanded
 from splatrl.made_with import made_with
 from splatrl.training import (
+    KEPT,
     PPO,
     Actor,
     Cloner,
@@ -29,6 +37,7 @@ from splatrl.training import (
     Stage,
     Trainer,
     check_frames,
+    check_reads,
     check_tracker,
     inputs_of,
     make_tracker,
@@ -57,16 +66,23 @@ def check_training(cfg: DictConfig, new: bool) -> None:
     Raises:
         FileNotFoundError: for episodes or demonstrations that do not exist.
         ImportError: if the package of ``logger.backend`` is not installed.
-        ValueError: for a setting out of range, or damaged demonstrations.
+        ValueError: for a setting out of range, settings that do not fit each other, or damaged demonstrations.
     """
     check_frames(cfg.collector.frames_per_batch, cfg.collector.total_frames, cfg.env.num_envs)
     check_tracker(cfg.logger.backend, cfg.logger.exp_name)
     if cfg.evaluation.episodes is not None:
         require_episodes(Path(str(cfg.evaluation.episodes)))
-    for node in ("loss", "optim", "cloning", "dagger", "matching"):
+    for node in ("loss", "optim", "cloning"):
         instantiate(cfg[node])
-    if new:
-        _demonstrations(cfg)
+    dagger, matching = instantiate(cfg.dagger), instantiate(cfg.matching)
+    if not new:
+        return
+    shown = sum(map(len, _demonstrations(cfg)))
+    if cfg.demos is None and dagger.last_epochs and not dagger.rounds:
+        raise ValueError(f"dagger.last_epochs: expected 0 without dagger.rounds and demos, got {dagger.last_epochs}")
+    if matching.frames:
+        check_reads(list(cfg.inputs) or ["pixels"])
+    check_taught(dagger, cfg.env.num_envs, cfg.collector.total_frames, shown, matching.frames)
 
 
 def build_trainer(
@@ -90,7 +106,7 @@ def build_trainer(
     ppo = PPO(
         env, model, loss, optim, collector.frames_per_batch, collector.total_frames, _cuda_graph(collector.cuda_graph)
     )
-    teaching = _teaching(cfg, world, ppo) if resumes is None else []  # refuses before anything is written
+    teaching = _teaching(cfg, world, ppo, folder) if resumes is None else []  # refuses before anything is written
     starts = spread_starts(world, cfg.logger.num_test_episodes)
     test_env = world.env(min(cfg.env.num_envs, len(starts.state)), seed=cfg.seed)
 
@@ -119,11 +135,11 @@ def build_trainer(
     )
     if resumes is not None:
         trainer.resume(partial(resumes, made))
-        trainer.prepare = [] if trainer.prepared else _teaching(cfg, world, ppo)
+        trainer.prepare = [] if trainer.prepared else _teaching(cfg, world, ppo, folder)
     return trainer
 
 
-def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> list[Stage]:
+def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO, folder: Path) -> list[Stage]:
     """Return the stages of teaching that precede learning from reward: matching, then cloning and DAgger.
 
     Matching is left out if it is done, as after an interruption: it comes first, and alone is saved before all is done.
@@ -138,7 +154,8 @@ def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> list[Stage]:
         one.warn_of_another_scene(world)
     if cfg.demos is None and not dagger.rounds and not matching.frames:
         return []
-    check_imitation(ppo, world, dagger, sum(map(len, shown)), matching.frames)
+    check_imitation(world, dagger, 0 if shown else cfg.demos or 0)
+    check_taught(dagger, cfg.env.num_envs, ppo.total_frames, sum(map(len, shown)), matching.frames)
     matcher = Matcher(ppo.model, matching) if matching.frames else None
 
     def match() -> Iterator[dict[str, float]]:
@@ -148,11 +165,12 @@ def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> list[Stage]:
         ppo.frames += matching.frames
         yield {"loss_matching": loss}
 
-    def teach() -> Iterator[dict[str, float]]:
-        cloner = Cloner(ppo.model, cloning)
-        episodes = shown or _walked(world, cfg.demos or 0, cfg.seed)
-        yield from imitate(ppo, cloner, world, episodes, dagger, worker_seed(cfg.seed, 0))
+    def episodes() -> list[Demonstrations]:
+        return shown or _walked(world, cfg.demos, cfg.seed)
 
+    cloner, kept = Cloner(ppo.model, cloning), folder / KEPT
+    seed = worker_seed(cfg.seed, 0)
+    teach = Imitation(ppo, cloner, world, episodes if cfg.demos is not None else None, dagger, seed, kept)
     return [match, teach] if matching.frames and ppo.frames == 0 else [teach]
 
 

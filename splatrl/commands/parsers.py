@@ -198,7 +198,12 @@ def scene(arguments: Sequence[str]) -> argparse.Namespace:
         help="folder for scene.yaml and pictures; by default the file's folder; garden.spz makes a folder garden that "
         "also holds the splat as a small file",
     )
-    result.add_argument("--force", action="store_true", help="replace an existing scene.yaml and splat files")
+    result.add_argument(
+        "--force",
+        action="store_true",
+        help="replace existing splat files, and in an existing scene.yaml what this command estimates; name, source, "
+        "antialiased and cutoff stay as you wrote them",
+    )
     result.add_argument(
         "--split",
         type=float,

@@ -3,9 +3,10 @@
 import itertools
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 
@@ -18,17 +19,20 @@ from splatrl.building import build_one_world
 from splatrl.commands.entries import record as main
 from splatrl.commands.faults import in_one_line
 from splatrl.commands.stopping import handled, interrupted_by
-from splatrl.configuration import check_config, conf_dir, save_config
+from splatrl.configuration import check_config, conf_dir, save_config, with_absolute_paths
 from splatrl.datasets import Demonstrations, check_lerobot, planner_episodes, write_demonstrations, write_lerobot
 from splatrl.envs.world import World
-from splatrl.files import new_folder, require_room
+from splatrl.files import alone_in, new_folder, require_room
+from splatrl.made_with import made_with
 from splatrl.values import one_line, require_number
-from splatrl.viewer.driver import Takes
 from splatrl.viewer.driving import Driving
 from splatrl.viewer.keys import keys_of
 from splatrl.viewer.page import Page
+from splatrl.viewer.takes import Takes
 
 BY = ("planner", "keys")
+TAKES = ".takes"
+"""Appended to the name of ``out``: the folder of the episodes that a person has driven while recording goes on."""
 PAUSE = 10.0
 """Time after which a recording that could not be written is written again, seconds."""
 
@@ -61,7 +65,7 @@ def run(cfg: DictConfig) -> None:
             print(write(cfg, world, found, key, path))
         return
     with driven(cfg, world) as found:
-        for key, path in folders.items():
+        for key, path in reversed(folders.items()):  # out last: while it is missing, the same command continues
             told = patiently(partial(write, cfg, world, found, key, path))
             with suppress(OSError):  # the terminal may be closed, and the next folder is to be written all the same
                 print(told)
@@ -92,7 +96,7 @@ def patiently(write: Callable[[], str]) -> str:
         try:
             return write()
         except OSError as error:
-            again = f"the episodes are kept, and written in {PAUSE:.0f} seconds if there is room; Ctrl-C drops them"
+            again = f"the episodes are kept, and written in {PAUSE:.0f} seconds if there is room; Ctrl-C ends this"
             with suppress(OSError):  # the terminal may be closed
                 print(f"splatrl-record: {one_line(error)}; {again}", file=sys.stderr)
             with handled(signal.default_int_handler, signal.SIGINT, signal.SIGTERM):
@@ -116,23 +120,42 @@ def driven(cfg: DictConfig, world: World) -> Iterator[Demonstrations]:
     """Record episodes that a person drives in the browser; no signal interrupts the block, which writes them.
 
     Recording ends when there are enough episodes, when the person ends it in the browser or by Ctrl-C, or when the
-    terminal is closed.
+    terminal is closed. Until the block succeeds, each episode has a file of its own in a folder beside ``cfg.out``,
+    from which the same command continues after a kill.
     """
     require_number("episodes", cfg.episodes, 1, 10**6, whole=True)
     keys_of(world.task.motion)  # refuses motions that keys cannot drive, before a page is opened
+    folder, enough = Path(f"{Path(cfg.out)}{TAKES}"), threading.Event()
+    enough.set()
+    folder.mkdir(exist_ok=True)
+    with alone_in(folder):
+        takes = Takes(world, folder, made_with(with_absolute_paths(cfg), world.digest))
+        if takes.episodes:
+            print(f"{folder}: continuing after {len(takes.episodes)} episodes of an interrupted recording", flush=True)
+        try:
+            done = len(takes.episodes) >= cfg.episodes
+            with nullcontext(enough) if done else on_page(cfg, world, takes) as finished:
+                with suppress(KeyboardInterrupt), interrupted_by(signal.SIGTERM, signal.SIGHUP):
+                    while not finished.wait(1.0):
+                        pass
+                with handled(signal.SIG_IGN, signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                    finished.set()  # so that no further episode is added
+                    yield takes.demonstrations()
+                    takes.forget()
+        finally:
+            if not takes.episodes:
+                takes.forget()
+
+
+@contextmanager
+def on_page(cfg: DictConfig, world: World, takes: Takes) -> Iterator[threading.Event]:
+    """Let a person drive in the browser during the block; yields the event that ends the recording."""
     page = Page(world.scene, cfg.host, cfg.port)
     print(
         f"{page.address}: drive to the goal {cfg.episodes} times; Ctrl-C saves the episodes recorded so far", flush=True
     )
     try:
-        takes = Takes(world)
-        driving = Driving(page, world, cfg.seed, takes, cfg.episodes)
-        with suppress(KeyboardInterrupt), interrupted_by(signal.SIGTERM, signal.SIGHUP):
-            while not driving.finished.wait(1.0):
-                pass
-        with handled(signal.SIG_IGN, signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            driving.finished.set()  # so that no further episode is added
-            yield takes.demonstrations()
+        yield Driving(page, world, cfg.seed + len(takes.episodes), takes, cfg.episodes).finished
     finally:
         page.close()
 

@@ -69,6 +69,7 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
     """Inspect a splat file, and write the folder of its scene."""
     splat_reader(path)  # refuses what is no splat file before anything that its name would replace
     target.check(path)
+    name, kept = splat_name(path), target.kept(path)
     gaussians, origin = read_centred(path)
     stated, lines = stated.beside(path)
     if any(origin):
@@ -82,7 +83,7 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
     frame = stated.frame(upright)
     world_from_splat = similarity(**frame)
     standing = read_gaussians(path, transform=world_from_splat)
-    scene = Scene(splat_name(path), standing, captured_bounds(standing))
+    scene = Scene(kept.pop("name", name), standing, captured_bounds(standing))
     floor = floor_height(upright, world_from_splat)
     pictures = inspection.ScenePictures(target.path)
     height = options.height or ROBOT_HEIGHT
@@ -98,7 +99,9 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
     if proposed.settings and proposed.settings.get("goal") is None:
         print("goals       none: nothing to recognise near a free place")
     proposals = {"metric": False} if upright.units_guess.confidence in (UNKNOWN, GUESS) else {}
-    proposals |= proposed.settings
+    proposals |= proposed.settings | kept
+    if stays := [*(["name"] if scene.name != name else []), *kept]:
+        print(f"keeps       {', '.join(stays)} as they were; what is estimated has been replaced")
     if target.converts:
         show(target.write(scene, proposed.bounds, proposals, _trained(path)))
     else:
@@ -117,8 +120,10 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
 def look_again(options: argparse.Namespace, folder: Path, target: SceneFolder) -> None:
     """Inspect a folder that already has a ``scene.yaml``, and write it in another form if that is asked for."""
     described = read_description(folder)
+    kept = {}
     if target.converts:
         target.check(folder, described.get("free"))
+        kept = target.kept(folder)
     if any(getattr(options, name) is not None for name in FRAME_OPTIONS):
         raise ValueError(
             f"{folder}: expected a folder without options such as --up or --scale, got some; edit its scene.yaml, "
@@ -133,7 +138,7 @@ def look_again(options: argparse.Namespace, folder: Path, target: SceneFolder) -
     lower, upper = described.get("walk", [corner[:2] for corner in scene.bounds])
     show(inspection.inspect_terrain(scene, occupancy, (lower, upper), height, pictures))
     if target.converts:
-        proposals = {key: described[key] for key in PROPOSALS if key in described}
+        proposals = {key: value for key, value in (kept | described).items() if key in PROPOSALS}
         show(target.write(scene, scene.bounds, proposals, _trained(folder / described["splat"])))
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from splatrl.configuration.grammar import bare, overrides_parser, quoted, readable
@@ -116,6 +116,7 @@ def _check_chosen(name: str, words: Sequence[str]) -> None:
     if not any(word.startswith("hydra/sweeper=") for word in words):
         check_sweeps(overrides)
     _check_overrides(name, overrides)
+    _check_deletions(name, words, overrides)
 
 
 def _plain(words: Sequence[str]) -> list[Override]:
@@ -235,6 +236,36 @@ def _check_overrides(name: str, overrides: Sequence[Override]) -> None:
     for override in overrides:
         if override.key_or_group == "run":
             _check_run(override)
+
+
+def _check_deletions(name: str, words: Sequence[str], overrides: Sequence[Override]) -> None:
+    """Refuse to delete keys that do not exist, that Hydra cannot delete, that every command reads, or of a run."""
+    deleted = [word for word in words if word.startswith("~") and not word.startswith("~hydra")]
+    if not deleted:
+        return
+    if folder := _resumed(overrides):
+        raise UserError(f"resume={folder}: expected values for keys of the run, got {', '.join(deleted)}")
+    typed = [word.lstrip("+").partition("=")[0] for word in words if not word.startswith("~")]
+    chosen = [
+        f"{str(one.input_line).partition('=')[0]}={choices(one)[0]}" for one in overrides if is_group(one.key_or_group)
+    ]
+    with suppress(HydraException):  # Hydra will report what is wrong
+        cfg, groups = compositions([[word] for word in chosen], name)[0][""], choice_keys(name, chosen)
+        for word in deleted:
+            key = word[1:].partition("=")[0]
+            if key not in (*groups, *typed):
+                check_key(key, [{"": cfg}])
+            above, _, leaf = key.rpartition(".")
+            if not above:
+                raise UserError(f"{word}: expected a key within a node, such as ~task.goal; all others are needed")
+            if key not in (*groups, *typed) and _is_null(value_of(cfg, above), leaf):
+                raise UserError(f"{word}: expected a key with a value, which null is not; type {key}=... instead")
+
+
+def _is_null(node: object, key: str) -> bool:
+    """Return whether a key of a node is null itself, and does not refer to another key, which may get a value."""
+    assert isinstance(node, DictConfig), type(node)
+    return not OmegaConf.is_interpolation(node, key) and value_of(node, key) is None
 
 
 def _resumed(overrides: Sequence[Override]) -> Path | None:

@@ -2,16 +2,17 @@
 
 from splatrl.datasets.demonstrations import Demonstrations
 from splatrl.datasets.folder import read_demonstrations, write_demonstrations
-from splatrl.datasets.imitation import check_imitation, imitate
+from splatrl.datasets.imitation import Imitation, check_imitation, check_taught
 from splatrl.datasets.lerobot import check_lerobot, write_lerobot
 from splatrl.datasets.recorder import planner_episodes
 from splatrl.datasets.replay import replay
 
 __all__ = [
     "Demonstrations",
+    "Imitation",
     "check_imitation",
     "check_lerobot",
-    "imitate",
+    "check_taught",
     "planner_episodes",
     "read_demonstrations",
     "replay",

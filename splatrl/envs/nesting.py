@@ -1,5 +1,8 @@
 """Nested envs: a base env and the transformed envs around it."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from torchrl.envs import EnvBase, FrameSkipTransform, Transform, TransformedEnv
 
 
@@ -10,6 +13,26 @@ def layers(env: EnvBase) -> tuple[EnvBase, list[TransformedEnv]]:
         around.append(env)
         env = env.base_env
     return env, around
+
+
+def state_of(env: EnvBase) -> dict[str, Any]:
+    """Return the state of a base env and of the transforms around it, as tensors and plain values."""
+    base, transformed = layers(env)
+    return {"env": base.state_dict(), "transforms": [around.transform.state_dict() for around in transformed]}
+
+
+def set_state(env: EnvBase, state: Mapping[str, Any]) -> None:
+    """Let an env continue from the ``state_of`` another of the same kind.
+
+    Raises:
+        RuntimeError: for another number of transforms.
+    """
+    base, transformed = layers(env)
+    base.load_state_dict(state["env"])
+    if len(transformed) != len(state["transforms"]):
+        raise RuntimeError(f"expected {len(state['transforms'])} layers of transforms, got {len(transformed)}")
+    for around, saved in zip(transformed, state["transforms"], strict=True):
+        around.transform.load_state_dict(saved)
 
 
 def check_layers(env: EnvBase) -> None:

@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from splatrl.files import replacing
-from splatrl.scenes.blocks import BLOCKS_FILE
+from splatrl.scenes.blocks import BLOCKS_FILE, read_blocks_description
 from splatrl.scenes.description import (
     SCENE_FILE,
     SMALL_SPLAT,
     SPLAT,
     check_absent,
+    read_description,
     scene_folder,
     write_description,
 )
@@ -24,6 +25,8 @@ from splatrl.scenes.splitting import AROUND, BLOCK, write_split
 
 AS_IT_IS: Frame = {"axes": ["x", "y", "z"], "scale": 1.0}
 """Frame of a splat file whose Gaussians are in the world frame."""
+KEPT = ("name", "source", "antialiased", "cutoff")
+"""Keys of a description that people write and ``splatrl-scene`` cannot estimate: a new description keeps them."""
 ONE_FILE = (".ply", ".spz", ".splat", ".sog")
 """Formats of splats that are one file, which can be copied as it is."""
 
@@ -72,6 +75,26 @@ class SceneFolder:
             )
         for path in (self.path / SCENE_FILE, self.path / BLOCKS_FILE, *self._files(source, free)):
             check_absent(path, self.force)
+
+    def kept(self, source: Path) -> dict[str, Any]:
+        """Return what a description that is about to be replaced says about the same splat in the keys ``KEPT``.
+
+        Args:
+            source: the splat file, or the folder of a scene to convert.
+
+        Raises:
+            ValueError: for a description that cannot be read, whose replacement would lose what somebody wrote.
+        """
+        try:
+            if self.block is not None:
+                before = read_blocks_description(self.path) if (self.path / BLOCKS_FILE).exists() else {}
+            else:
+                before = read_description(self.path) if (self.path / SCENE_FILE).exists() else {}
+        except ValueError as error:
+            raise ValueError(f"{error}; correct or remove the file, of which --force keeps what is yours") from error
+        splat = SMALL_SPLAT if self.small else source.name if self._holds(source) else _copied_name(source)
+        same = self.block is not None or before.get("splat") == splat
+        return {key: before[key] for key in KEPT if same and key in before}
 
     def _files(self, source: Path, free: str | None) -> list[Path]:
         """Return the files to be written besides descriptions and pictures; of blocks, those of any earlier split."""

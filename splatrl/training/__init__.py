@@ -5,15 +5,16 @@ from splatrl.training.checkpoint import load_checkpoint, save_checkpoint
 from splatrl.training.cloning import Cloner, CloningSettings
 from splatrl.training.dagger import DaggerSettings, targets, visited
 from splatrl.training.inputs import Input, inputs_of
-from splatrl.training.matching import Matcher, MatchingSettings, views
+from splatrl.training.matching import Matcher, MatchingSettings, check_reads, views
 from splatrl.training.memory import memory_transforms
 from splatrl.training.networks import actor_critic
 from splatrl.training.ppo import PPO, check_frames
 from splatrl.training.settings import LossSettings, OptimSettings
 from splatrl.training.trackers import check_tracker, make_tracker
-from splatrl.training.trainer import Stage, Trainer
+from splatrl.training.trainer import KEPT, Stage, Trainer
 
 __all__ = [
+    "KEPT",
     "PPO",
     "Actor",
     "Cloner",
@@ -28,6 +29,7 @@ __all__ = [
     "Trainer",
     "actor_critic",
     "check_frames",
+    "check_reads",
     "check_tracker",
     "inputs_of",
     "load_checkpoint",

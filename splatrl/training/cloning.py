@@ -71,32 +71,36 @@ class Cloner:
         self._device = self.parameters[0].device
 
     def fit(self, shown: Mapping[str, Tensor], epochs: int | None = None, anneal: bool = False) -> float:
-        """Learn from frames, and return the mean imitation loss of the last pass.
+        """Learn from frames, and return the mean imitation loss of the last pass; see ``passes``."""
+        return list(self.passes(shown, self.settings.epochs if epochs is None else epochs, anneal))[-1]
+
+    def passes(self, shown: Mapping[str, Tensor], epochs: int, anneal: bool = False, done: int = 0) -> Iterator[float]:
+        """Learn from frames, and yield the mean imitation loss of each pass.
 
         Args:
             shown: N frames of episodes, in order: the observations that the policy ``reads``, [N, ...] each, such as
                 ``pixels`` [N, H, W, C] uint8; ``target`` [N, D] float32, see ``imitation``; ``value_target`` [N]
                 float32; ``frame`` [N] int64, 0 where episodes begin.
-            epochs: passes over the frames; None takes the number in the settings.
+            epochs: passes over the frames.
             anneal: whether the learning rate falls linearly to zero over these passes.
+            done: number of these passes that have been made already.
 
         Raises:
             ValueError: for frames that begin within an episode, of which a memory lacks what came before.
         """
         if self._memory and int(shown["frame"][0]) != 0:
             raise ValueError(f"frame: expected 0 first, where an episode begins, got {int(shown['frame'][0])}")
-        loss, passes = 0.0, self.settings.epochs if epochs is None else epochs
-        total = passes * len(shown["target"])
-        with tqdm(total=total, desc="imitate", unit="frame", leave=False, dynamic_ncols=True) as bar:
-            for number in range(passes):
+        count = len(shown["target"])
+        bars = {"total": epochs * count, "initial": done * count, "desc": "imitate", "unit": "frame"}
+        with tqdm(**bars, leave=False, dynamic_ncols=True) as bar:
+            for number in range(done, epochs):
                 for group in self.optimizer.param_groups:
-                    group["lr"] = self.settings.lr * (1.0 - number / passes if anneal else 1.0)
+                    group["lr"] = self.settings.lr * (1.0 - number / epochs if anneal else 1.0)
                 losses = list[Tensor]()
                 for frames in self._minibatches(shown):
                     losses.append(self._step(frames) * len(frames["target"]))
                     bar.update(len(frames["target"]))
-                loss = float(torch.stack(losses).sum()) / len(shown["target"])
-        return loss
+                yield float(torch.stack(losses).sum()) / count
 
     def _minibatches(self, shown: Mapping[str, Tensor]) -> Iterator[dict[str, Tensor]]:
         """Yield every frame once, in random order; with memory, every episode once, one or more per minibatch."""

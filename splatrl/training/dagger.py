@@ -39,7 +39,7 @@ class DaggerSettings:
         last_epochs: passes over all frames after the last round, while the learning rate falls to zero.
 
     Raises:
-        ValueError: if a value is out of range; the message names it.
+        ValueError: if a value is out of range, or more rounds are shown than there are; the message names it.
     """
 
     rounds: int
@@ -55,6 +55,8 @@ class DaggerSettings:
         require_number("dagger.guided", self.guided, 0.0, 1.0)
         for name in ("frames_per_round", "epochs"):
             require_number(f"dagger.{name}", getattr(self, name), 1, whole=True)
+        if 0 < self.rounds < self.shown_rounds:
+            raise ValueError(f"dagger.shown_rounds: expected at most rounds = {self.rounds}, got {self.shown_rounds}")
 
 
 def visited(

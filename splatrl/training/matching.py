@@ -4,6 +4,7 @@ Pairs cost nothing beyond the views themselves: any two views of a scene form a 
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -96,6 +97,15 @@ def views_of(image: Tensor, planar: Tensor, scene: Tensor) -> Views:
     return Views(image, planar, around, first[own], counts[own])
 
 
+def check_reads(keys: Sequence[str]) -> None:
+    """Refuse a policy that reads anything but a view and a goal's image, with a ValueError."""
+    if tuple(keys) != READS:
+        raise ValueError(
+            f"matching.frames: expected 0, or a policy that reads only {' and '.join(READS)}, got one that reads "
+            f"{', '.join(keys)}"
+        )
+
+
 class Matcher:
     """Trains a trunk with Adam to tell from where one of two views was seen, in the frame of the other view's robot.
 
@@ -112,11 +122,7 @@ class Matcher:
 
     def __init__(self, model: ActorValueOperator, settings: MatchingSettings):
         prepare, trunk, *_ = model.module[0].module
-        if tuple(prepare.in_keys) != READS:
-            raise ValueError(
-                f"matching.frames: expected 0, or a policy that reads only {' and '.join(READS)}, got one that reads "
-                f"{', '.join(prepare.in_keys)}"
-            )
+        check_reads(prepare.in_keys)
         self.settings, self._prepare, self._trunk = settings, prepare.module, trunk.module
         self._device = next(trunk.parameters()).device
 

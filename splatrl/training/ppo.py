@@ -7,7 +7,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
 
-from splatrl.envs.nesting import check_layers, layers
+from splatrl.envs.nesting import check_layers, layers, set_state, state_of
 from splatrl.envs.tasks import Outcome
 from splatrl.faults import Faulty
 from splatrl.training.actor import Actor
@@ -123,14 +123,12 @@ class PPO:
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that the rest of the training depends on, as tensors and plain values."""
-        base, transformed = layers(self.env)
         return {
             "device": self.device.type,
             "frames": self.frames,
             "model": self.model.state_dict(),
             "optimizer": self.learner.optimizer.state_dict(),
-            "env": base.state_dict(),
-            "transforms": [env.transform.state_dict() for env in transformed],
+            **state_of(self.env),
             "carried": self.collector.carried.to_dict(),
             "torch_rng": torch.get_rng_state(),
             "device_rng": torch.cuda.get_rng_state(self.device) if self.device.type == "cuda" else None,
@@ -143,7 +141,6 @@ class PPO:
             ValueError: for a state from another kind of device, whose random numbers cannot be continued here, or of
                 another number of robots.
         """
-        base, transformed = layers(self.env)
         made_on = state.get("device", "cpu")
         if made_on != self.device.type:
             raise ValueError(f"device: expected {made_on}, on which the checkpoint was made, got {self.device.type}")
@@ -155,11 +152,7 @@ class PPO:
         self.frames = state["frames"]
         self.model.load_state_dict(state["model"])
         self.learner.load_optimizer(state["optimizer"])
-        base.load_state_dict(state["env"])
-        if len(transformed) != len(state["transforms"]):
-            raise RuntimeError(f"expected {len(state['transforms'])} layers of transforms, got {len(transformed)}")
-        for env, saved in zip(transformed, state["transforms"], strict=True):
-            env.transform.load_state_dict(saved)
+        set_state(self.env, state)
         carried = self.env.fake_tensordict().exclude("next", "action")
         if missing := sorted(key for key in carried.keys() if key not in state["carried"]):  # noqa: SIM118
             raise RuntimeError(f"found no {', '.join(missing)} in the checkpoint")

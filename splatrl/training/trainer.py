@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 from tqdm import tqdm
 
@@ -24,8 +24,31 @@ from splatrl.training.trackers import Tracker
 from splatrl.values import require_number
 
 TABLE = "progress.csv"
+KEPT = "imitation"
+"""Folder in a run folder for what stages of ``prepare`` keep on the disk, removed when they are done."""
+PAUSE = 10.0
+"""Least time between two saves within a lesson of a stage, seconds."""
 Stage = Callable[[], Iterable[dict[str, float]]]
 """A part of what precedes learning from reward, which yields rows of the history."""
+
+
+@runtime_checkable
+class Resumable(Protocol):
+    """A stage that can be continued where it yields a row, and where it calls ``paused``."""
+
+    paused: Callable[[], object]
+
+    def __call__(self) -> Iterable[dict[str, float]]:
+        """Run the stage, or what is left of it."""
+        ...
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what the rest of the stage depends on, besides PPO's state."""
+        ...
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Continue from a ``state_dict()``."""
+        ...
 
 
 class Trainer:
@@ -47,7 +70,8 @@ class Trainer:
         made_with: plain values on which the training depends, kept in checkpoints.
         prepare: stages run before the first batch of a training, to begin with a policy that has already learned
             something. Each counts the frames that it used in ``ppo.frames``, and yields rows of the history. A stage
-            that is stopped on the way begins anew; those before it are kept.
+            that is stopped on the way continues from what was last saved of it if it is ``Resumable``, or else begins
+            anew; those before it are kept.
 
     Attributes:
         prepared: whether all these stages are done.
@@ -78,6 +102,9 @@ class Trainer:
         self.history: list[dict[str, float]] = []
         self.best: tuple[float, ...] = ()
         self.seconds = 0.0
+        self._stage: Resumable | None = None
+        self._left: dict[str, Any] | None = None  # of an interrupted stage
+        self._began = self._saved = 0.0
         (self.folder / "checkpoints").mkdir(parents=True, exist_ok=True)
 
     @property
@@ -137,11 +164,12 @@ class Trainer:
     def fit(self) -> None:
         """Train until all frames are used up, with a progress bar."""
         batch = self.ppo.frames_per_batch
-        began = time.monotonic() - self.seconds
+        self._began = time.monotonic() - self.seconds
         if self.ppo.frames == 0:
             self.save()  # so that no checkpoint means that the run has not begun
         if not self.prepared:
-            self._prepare(began)
+            self._prepare()
+        shutil.rmtree(self.folder / KEPT, ignore_errors=True)
         self._test_prepared()
         total = self.ppo.frames + (self.ppo.total_frames - self.ppo.frames) // batch * batch
         bars = {"total": total, "initial": self.ppo.frames, "unit": "frame", "desc": "train", "dynamic_ncols": True}
@@ -152,7 +180,7 @@ class Trainer:
                 row["level"] = self.level
                 if self.ppo.finished or _crossed(before, self.ppo.frames, self.test_interval):
                     row |= self._tested()
-                self.seconds = row["seconds"] = time.monotonic() - began
+                self.seconds = row["seconds"] = time.monotonic() - self._began
                 self._note(row)
                 if self.ppo.finished or _crossed(before, self.ppo.frames, self.checkpoint_interval):
                     self.save()
@@ -162,20 +190,25 @@ class Trainer:
                     self.save()
                     raise KeyboardInterrupt
 
-    def _prepare(self, began: float) -> None:
+    def _prepare(self) -> None:
         """Run the stages of ``prepare``, and save after each."""
         for number, stage in enumerate(self.prepare):
             if number > 0:
                 self.save()
             try:
-                self._run(stage, began)
+                self._run(stage)
             except KeyboardInterrupt:
-                told = "stopped within imitation or matching, which begins anew when the training continues"
-                print(f"\n{told}", file=sys.stderr)
+                told = (
+                    "matching, which begins anew"
+                    if self._stage is None
+                    else "imitation, which goes on where it was saved"
+                )
+                print(f"\nstopped within {told} when the training continues", file=sys.stderr)
                 raise
         self.prepared = True
         if self.prepare:
             self.save()
+            self.save()  # neither checkpoint needs what the stages kept
 
     def _test_prepared(self) -> None:
         """Test the policy with which learning from reward begins, unless it has been tested."""
@@ -184,8 +217,12 @@ class Trainer:
             self._note(self.history.pop() | tested)
             self.save()
 
-    def _run(self, stage: Stage, began: float) -> None:
+    def _run(self, stage: Stage) -> None:
         """Run a stage, and test the policy as often as in the rest of the training."""
+        if isinstance(stage, Resumable):
+            if self._left is not None:
+                stage.load_state_dict(self._left)
+            stage.paused, self._stage, self._left = self._paused, stage, None
         for row in stage():
             row |= {"frames": self.ppo.frames, "level": self.level}
             (lesson,) = (name for name in row if name.startswith("loss_"))
@@ -194,9 +231,18 @@ class Trainer:
             if tested_at == 0 or _crossed(tested_at, self.ppo.frames, self.test_interval):
                 row |= self._tested()
                 told = f"{told}, success {row['test_success']:.2f}"
-            self.seconds = row["seconds"] = time.monotonic() - began
+            self.seconds = row["seconds"] = time.monotonic() - self._began
             self._note(row)
             print(told, file=sys.stderr)
+            if self._stage is not None:
+                self.save()
+        self._stage = None
+
+    def _paused(self) -> None:
+        """Save the training within a lesson, unless it was saved just now."""
+        if time.monotonic() - self._saved >= PAUSE:
+            self.seconds = time.monotonic() - self._began
+            self.save()
 
     def _tested(self) -> dict[str, float]:
         return {f"test_{name}": value for name, value in self.test().items()}
@@ -223,6 +269,7 @@ class Trainer:
                 shutil.copyfileobj(source, stream)
         save_checkpoint(last, self.state_dict())
         self._write_table()
+        self._saved = time.monotonic()
 
     def _write_table(self) -> None:
         """Write the history, which checkpoints also hold, as a table."""
@@ -241,6 +288,7 @@ class Trainer:
         return {
             "ppo": self.ppo.state_dict(),
             "prepared": self.prepared,
+            "stage": self._left if self._stage is None else self._stage.state_dict(),
             "history": packed(self.history),
             "best": self.best,
             "seconds": self.seconds,
@@ -251,6 +299,7 @@ class Trainer:
         """Continue from a ``state_dict()``."""
         self.ppo.load_state_dict(state["ppo"])
         self.prepared = state.get("prepared", self.ppo.frames > 0)  # older ones were saved only before and after
+        self._left = state.get("stage")
         self.history, self.best, self.seconds = unpacked(state["history"]), tuple(state["best"]), state["seconds"]
 
 

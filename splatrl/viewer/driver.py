@@ -1,4 +1,4 @@
-"""A robot driven by a person, and the episodes recorded from it."""
+"""A robot driven by a person."""
 
 from collections.abc import Callable
 
@@ -7,8 +7,6 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from splatrl.datasets import Demonstrations
-from splatrl.datasets.demonstrations import joined
 from splatrl.datasets.recorder import recorded
 from splatrl.envs.tasks.base import Outcome
 from splatrl.envs.world import World
@@ -86,34 +84,3 @@ class Driver:
     def state(self) -> Tensor:
         """The robot's state: [1, ...]."""
         return self.now["state"]
-
-
-class Takes:
-    """Collects episodes that a person drove, as demonstrations.
-
-    Args:
-        world: the world in which they are recorded.
-    """
-
-    def __init__(self, world: World):
-        self.world = world
-        self.episodes: list[TensorDictBase] = []
-
-    def add(self, frames: TensorDictBase) -> None:
-        """Keep an episode: frames [T]."""
-        self.episodes.append(frames)
-
-    def discard(self) -> bool:
-        """Drop the last episode and return whether there was one."""
-        return bool(self.episodes) and bool(len(self.episodes.pop()))
-
-    def demonstrations(self) -> Demonstrations:
-        """Return all kept episodes.
-
-        Raises:
-            ValueError: if there are none.
-        """
-        if not self.episodes:
-            raise ValueError("by=keys: expected at least one episode that reached the goal, got none")
-        names = tuple(self.world.task.motion.action_names)
-        return Demonstrations(joined(self.episodes), names, repeats=self.world.repeats, scene=self.world.digest)

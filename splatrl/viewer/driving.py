@@ -10,11 +10,12 @@ from tensordict import TensorDictBase
 from splatrl.envs.tasks.base import Outcome
 from splatrl.envs.world import World
 from splatrl.values import tenths
-from splatrl.viewer.driver import Driver, Takes
+from splatrl.viewer.driver import Driver
 from splatrl.viewer.goals import GoalsShown
 from splatrl.viewer.keys import AGAIN, DISCARD, OTHER, input_script, keys_of
 from splatrl.viewer.page import Page
 from splatrl.viewer.robot import RobotShown, enlarged, words
+from splatrl.viewer.takes import Takes
 
 if TYPE_CHECKING:
     import viser

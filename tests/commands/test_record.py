@@ -5,7 +5,6 @@ import json
 import shutil
 import sys
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -21,7 +20,7 @@ from splatrl.datasets import Demonstrations, planner_episodes, read_demonstratio
 from splatrl.envs.world import World
 from splatrl.made_with import check_made_with
 from splatrl.scenes import write_gaussians
-from splatrl.training import load_checkpoint
+from splatrl.training import Cloner, load_checkpoint
 from splatrl.training.history import unpacked
 from tests.commands.test_train import SETTINGS, command, finish
 from tests.tiny import tiny_gaussians, tiny_overrides
@@ -238,7 +237,8 @@ def taught(demos: Path, scene: list[str], tmp_path_factory: pytest.TempPathFacto
         "cloning.epochs=2",
         "dagger.rounds=2",
         "dagger.frames_per_round=64",
-        "dagger.epochs=1",
+        "dagger.epochs=2",
+        "dagger.last_epochs=2",
     ]
     cfg = load_config([*scene, *SETTINGS, *settings, "collector.total_frames=768"])
     world, folder = build_world(cfg), tmp_path_factory.mktemp("taught")
@@ -246,33 +246,51 @@ def taught(demos: Path, scene: list[str], tmp_path_factory: pytest.TempPathFacto
     return cfg, world, folder
 
 
-@pytest.mark.parametrize("rows", [pytest.param(1, marks=pytest.mark.slow), 2, pytest.param(3, marks=pytest.mark.slow)])
-def test_a_training_killed_during_imitation_restarts_with_the_same_bytes(
-    rows: int, taught: tuple[DictConfig, World, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("step", "rows"),
+    [
+        pytest.param(1, 0, marks=pytest.mark.slow),  # in the first pass over the demonstrations
+        (2, 0),  # in the second
+        (4, 1),  # in the first pass of a DAgger round
+        pytest.param(11, 2, marks=pytest.mark.slow),  # in the second
+        (17, 3),  # in the last epochs, when all frames are known
+    ],
+)
+def test_a_training_killed_during_imitation_continues_with_the_same_bytes(
+    step: int,
+    rows: int,
+    taught: tuple[DictConfig, World, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     cfg, world, whole = taught
-    killed = build_trainer(cfg, world, tmp_path / "killed")
-    (prepare,) = killed.prepare
+    steps, really = list[int](), Cloner._step
 
-    def die() -> Iterator[dict[str, float]]:
-        for number, row in enumerate(prepare(), 1):
-            if number == rows:
-                raise KeyboardInterrupt
-            yield row
+    def counted(cloner: Cloner, frames: dict[str, torch.Tensor]) -> torch.Tensor:
+        steps.append(len(steps) + 1)
+        if steps[-1] == step:
+            raise KeyboardInterrupt
+        return really(cloner, frames)
 
-    killed.prepare = [die]
+    monkeypatch.setattr(Cloner, "_step", counted)
+    monkeypatch.setattr("splatrl.training.trainer.PAUSE", 0.0)
+    killed = build_trainer(cfg, world, tmp_path)
     with pytest.raises(KeyboardInterrupt):
         killed.fit()
-    assert "imitation or matching, which begins anew when the training continues" in capsys.readouterr().err
+    assert "stopped within imitation, which goes on where it was saved" in capsys.readouterr().err
+    saved = load_checkpoint(tmp_path / "checkpoints" / "last.pt")
+    assert len(unpacked(saved["history"])) == rows
     torch.manual_seed(99)
-    again = build_trainer(cfg, world, tmp_path / "killed")
-    again.resume()
+    again = build_trainer(cfg, world, tmp_path, check_made_with)
     again.fit()
-    one, other = (load_checkpoint(run / "checkpoints" / "last.pt") for run in (whole, tmp_path / "killed"))
+    assert len(steps) <= 18 + 3, "only the pass in which it was stopped is repeated"
+    one, other = (load_checkpoint(run / "checkpoints" / "last.pt") for run in (whole, tmp_path))
     assert one["ppo"]["frames"] == other["ppo"]["frames"] > 0
     assert all(torch.equal(value, other["ppo"]["model"][key]) for key, value in one["ppo"]["model"].items())
     rows = [[row | {"seconds": 0.0} for row in unpacked(state["history"])] for state in (one, other)]
     assert repr(rows[0]) == repr(rows[1])  # nan equals nan
+    assert not (tmp_path / "imitation").exists()
 
 
 def test_demonstrations_are_not_read_again_after_imitation(

@@ -19,7 +19,7 @@ from splatrl.commands.scene import main
 from splatrl.configuration import load_config
 from splatrl.evaluation.scene_pictures import survey_occupancy
 from splatrl.scenes import Gaussians, read_gaussians, read_scene, similarity, write_gaussians
-from splatrl.scenes.blocks import BlockScene
+from splatrl.scenes.blocks import BlockScene, read_blocks_description
 from splatrl.scenes.description import read_description
 from splatrl.scenes.formats.reading import trained_antialiased
 from splatrl.scenes.scene import FreeSpace
@@ -146,11 +146,48 @@ def test_a_description_is_replaced_only_with_force_and_nothing_is_drawn_without(
     splat.with_name("scene.yaml").write_text("mine")
     with pytest.raises(SystemExit, match="--force"):
         main([str(splat)])
+    with pytest.raises(SystemExit, match=r"scene\.yaml: expected the keys .*, got mine; correct or remove the file"):
+        main([str(splat), "--force"])
     assert splat.with_name("scene.yaml").read_text() == "mine"
     assert not splat.with_name("yard-view.png").exists()
+    splat.with_name("scene.yaml").write_text("splat: yard.ply\n")
     request.getfixturevalue("ungrounded")
     main([str(splat), "--force"])
     assert read_scene(splat.parent).name == "yard"
+
+
+@pytest.mark.usefixtures("unproposed")
+@pytest.mark.parametrize(
+    ("out", "words"),
+    [("yard", []), ("out", []), ("out.spz", []), ("out", ["--split=1.5"]), ("out.spz", ["--split=1.5"])],
+)
+def test_what_a_person_wrote_stays_when_a_scene_is_inspected_again(
+    splat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], out: str, words: list[str]
+) -> None:
+    arguments = [str(splat), "--axes=x,y,z", "--scale=1", *words, "--out", str(tmp_path / out)]
+    folder = tmp_path / Path(out).stem
+    description = folder / ("blocks.yaml" if words else "scene.yaml")
+    main(arguments)
+    mine = {"name": "Höfchen", "source": "Zoë, CC BY 4.0", "antialiased": False, "cutoff": 0.8}
+    estimated = description.read_text().replace('name: "yard"', 'name: "Höfchen"')
+    own = [f"{key}: {value}" for key, value in mine.items() if key != "name"]
+    description.write_text("\n".join([*own, "metric: false", "robot_height: 7.0", estimated]))
+    assert "keeps" not in capsys.readouterr().out
+    main([*arguments, "--force"])
+    said = "keeps       name, source, antialiased, cutoff as they were; what is estimated has been replaced"
+    assert said in capsys.readouterr().out
+    stated = (read_blocks_description if words else read_description)(folder)
+    assert {key: stated[key] for key in mine} == mine
+    assert "metric" not in stated and stated.get("robot_height") != 7.0
+
+
+@pytest.mark.usefixtures("unproposed")
+def test_what_a_person_wrote_about_another_splat_does_not_stay(splat: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "scene.yaml").write_text("splat: hall.ply\nname: hall\nsource: somebody else\n")
+    main([str(splat), "--axes=x,y,z", "--scale=1", "--out", str(tmp_path / "out"), "--force"])
+    stated = read_description(tmp_path / "out")
+    assert stated["name"] == "yard" and "source" not in stated
 
 
 @pytest.mark.usefixtures("few_places")

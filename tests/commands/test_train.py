@@ -320,6 +320,21 @@ def test_watching_several_scenes_is_refused_before_they_are_built(
         ("logger.backend=wandb", r"logger\.backend=wandb needs wandb: pip install"),
         ("logger.exp_name=a/b", r"logger\.exp_name: expected a name"),
         ("dagger.guided=2", r"dagger\.guided: expected a number from 0\.0 to 1\.0"),
+        ("dagger.rounds=100", r"collector\.total_frames: expected at least [\d,]+, .* of dagger\.rounds, got"),
+        (
+            "dagger.rounds=1 dagger.frames_per_round=100",
+            r"dagger\.frames_per_round: expected a multiple of env.num_envs =",
+        ),
+        ("dagger.rounds=1 dagger.shown_rounds=2", r"dagger\.shown_rounds: expected at most rounds = 1, got 2"),
+        ("dagger.last_epochs=2", r"dagger\.last_epochs: expected 0 without dagger\.rounds and demos, got 2"),
+        (
+            "matching.frames=32",
+            r"matching\.frames: expected 0, or a policy that reads only pixels and imagegoal, got .* pixels",
+        ),
+        (
+            "matching.frames=20 sensors=[rgb,imagegoal]",
+            r"matching\.frames: expected a multiple of env\.num_envs = 32, got 20",
+        ),
         ("collector.total_frames=1", r"collector\.total_frames: expected at least frames_per_batch = \d+, got 1"),
         ("env.num_envs=7", r"collector\.frames_per_batch: expected a multiple of env\.num_envs = 7, got \d+"),
     ],
@@ -329,7 +344,7 @@ def test_settings_are_checked_before_a_world_is_built(
 ) -> None:
     monkeypatch.setattr(train, "build_world", lambda cfg: pytest.fail("built"))
     monkeypatch.setitem(sys.modules, "wandb", None)
-    monkeypatch.setattr(sys, "argv", ["splatrl-train", *scene, word, f"hydra.run.dir={tmp_path / 'run'}"])
+    monkeypatch.setattr(sys, "argv", ["splatrl-train", *scene, *word.split(), f"hydra.run.dir={tmp_path / 'run'}"])
     with pytest.raises(SystemExit, match=message):
         train.main()
     assert not (tmp_path / "run").exists()

@@ -175,6 +175,19 @@ ERRORS = [
         "train sensors=[imu]",
         "sensors.imu.path: expected a value for robot.path, found no such key; choose a robot=... that has it",
     ),
+    # Keys that cannot be deleted.
+    ("train ~task.gaol", "task.gaol: no such key, did you mean task.goal? Valid keys of task:"),
+    ("train ~logger", "~logger: expected a key within a node, such as ~task.goal; all others are needed"),
+    ("train ~transforms/sprite", "~transforms/sprite: expected a key within a node, such as ~task.goal"),
+    ("train ~motion@task.motin", "motion@task.motin: no such key"),
+    (
+        "train ~evaluation.episodes",
+        "~evaluation.episodes: expected a key with a value, which null is not; type evaluation.episodes=... instead",
+    ),
+    ("train resume=run ~loss.gamma", "resume=run: expected values for keys of the run, got ~loss.gamma"),
+    ("evaluate run=run ~video", "~video: expected a key within a node, such as ~task.goal; all others are needed"),
+    ("evaluate run=run ~checkpont", "checkpont: no such key, did you mean checkpoint?"),
+    ("evaluate run=run ~evaluation", "evaluation: no such key. Valid keys at the top level: run, place,"),
     # The other commands.
     ("evaluate", "run: expected a value, got none; type run=<run folder>"),
     ("evaluate nowhere", "nowhere: expected key=value; did you mean run=nowhere?"),
@@ -221,6 +234,8 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / name).mkdir()
     (folder / "blank" / "scene.yaml").touch()
     (folder / "bad" / "scene.yaml").write_text("splat: gone.ply\n")
+    (folder / "run").mkdir()
+    save_config(load_config(), folder / "run")
     (folder / "vast").mkdir()
     write_gaussians(folder / "vast" / "room.ply", tiny_gaussians())
     walk = "walk: [[-1.0e+4, -1.0e+4], [1.0e+4, 1.0e+4]]"

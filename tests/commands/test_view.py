@@ -238,33 +238,41 @@ def drive(visitor: Visitor, driver: Driver) -> None:
     driver.begin()
 
 
-def test_episodes_driven_by_keys_are_a_dataset_like_the_planners(tmp_path: Path) -> None:
-    scene, out = tiny_overrides(tmp_path), tmp_path / "demos"
-    recording = command("record", *scene, "by=keys", "episodes=2", f"out={out}", "port=0")
-    visitor, driver = page_of(recording), Driver(build_world(load_config(scene)))
+def test_episodes_driven_by_keys_are_a_dataset_like_the_planners_even_after_a_kill(tmp_path: Path) -> None:
+    scene, out, takes = tiny_overrides(tmp_path), tmp_path / "demos", tmp_path / "demos.takes"
+    words = ["record", *scene, "by=keys", "episodes=2", f"out={out}/", "port=0"]
+    recording, world = command(*words), build_world(load_config(scene))
+    visitor = page_of(recording)
     visitor.field("save the kept episodes and stop")
-    drive(visitor, driver)
+    drive(visitor, Driver(world))
     visitor.find("GuiUpdateMessage", lambda m: "any key starts" in str(m) and "kept 1 of 2" in str(m))
-    visitor.press("another start")
+    recording.kill()
+    recording.communicate()
+    visitor.close()
+    assert [path.name for path in takes.iterdir()] == ["1.pt"] and not out.exists()
+    recording = command(*words)
+    visitor = page_of(recording)
     visitor.find("GuiUpdateMessage", lambda m: "step 0" in str(m) and "kept 1 of 2" in str(m))
-    drive(visitor, driver)
+    drive(visitor, Driver(world, 1))
     output = finish(recording)
-    assert f"{out}: 2 episodes, {len(read_demonstrations(out))} frames" in output
+    assert f"{out}: 2 episodes, {len(read_demonstrations(out))} frames" in output and not takes.exists()
     assert "are identical, byte for byte" in finish(command("replay", f"demos={out}"))
 
 
-def test_nothing_interrupts_the_writing_of_driven_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_interrupts_the_writing_of_driven_episodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     finished = threading.Event()
     finished.set()
     for name, made in (
         ("Page", SimpleNamespace(address="here", close=lambda: None)),
         ("Driving", SimpleNamespace(finished=finished)),
-        ("Takes", SimpleNamespace(demonstrations=lambda: "episodes")),
+        ("Takes", SimpleNamespace(demonstrations=lambda: "episodes", episodes=[], forget=lambda: None)),
+        ("made_with", None),
     ):
         monkeypatch.setattr(record, name, lambda *_, made=made: made)
     monkeypatch.setattr(record, "keys_of", lambda motion: ())
-    world = SimpleNamespace(scene=None, task=SimpleNamespace(motion=None))
-    with record.driven(OmegaConf.create({"episodes": 1, "host": "", "port": 0, "seed": 0}), world) as found:
+    world = SimpleNamespace(scene=None, digest="", task=SimpleNamespace(motion=None))
+    cfg = {"episodes": 1, "host": "", "port": 0, "seed": 0, "out": str(tmp_path / "demos")}
+    with record.driven(OmegaConf.create(cfg), world) as found:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             if signal.getsignal(number) is not signal.SIG_IGN:
                 pytest.fail(f"{number!r} would interrupt")

@@ -11,8 +11,8 @@ from splatrl.building import build_model, build_world
 from splatrl.configuration import load_config
 from splatrl.datasets import (
     Demonstrations,
+    Imitation,
     check_imitation,
-    imitate,
     planner_episodes,
     read_demonstrations,
     replay,
@@ -62,7 +62,9 @@ def test_a_policy_learns_from_sensor_readings(cfg: DictConfig, world: World, sho
     ppo = make_ppo(cfg, world)
     cloner = Cloner(ppo.model, CloningSettings(25, 64, 1e-3, 0.5))
     assert cloner.reads == ("pixels", "depth", "gps", "heading")
-    losses = [row["loss_cloning"] for row in imitate(ppo, cloner, world, [shown], DaggerSettings(1, 128, 2), 0)]
+    losses = [
+        row["loss_cloning"] for row in Imitation(ppo, cloner, world, lambda: [shown], DaggerSettings(1, 128, 2), 0)()
+    ]
     assert losses[0] < 1.0 and len(losses) == 2, "an untrained choice among six actions has a loss of 1.79"
 
 
@@ -72,7 +74,7 @@ def test_demonstrations_without_an_observation_that_the_policy_reads_are_refused
     shown = planner_episodes(plain, 2)
     cloner = Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5))
     with pytest.raises(ValueError, match=r"demos: expected depth as torch\.float32 \[12, 16, 1\] per frame, got none"):
-        next(imitate(ppo, cloner, world, [shown], DaggerSettings(0, 128, 1), 0))
+        next(Imitation(ppo, cloner, world, lambda: [shown], DaggerSettings(0, 128, 1), 0)())
 
 
 def test_demonstrations_whose_actions_were_repeated_otherwise_are_refused(
@@ -82,15 +84,19 @@ def test_demonstrations_whose_actions_were_repeated_otherwise_are_refused(
     cloner, once = Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5)), DaggerSettings(0, 128, 1)
     refused = r"demos: expected each action to be carried out once, .* \(transforms\.skip\), got 4 times"
     with pytest.raises(ValueError, match=refused):
-        next(imitate(ppo, cloner, world, [replace(shown, repeats=4)], once, 0))
+        next(Imitation(ppo, cloner, world, lambda: [replace(shown, repeats=4)], once, 0)())
 
 
-def test_a_teacher_of_single_steps_is_refused_where_actions_are_repeated(tmp_path: Path) -> None:
+def test_teachers_that_a_task_does_not_have_are_refused(tmp_path: Path) -> None:
     words = [*tiny_overrides(tmp_path, "pointnav"), "task.nearest=0.3", "task.goals=2", "task.test_goals=2"]
     cfg = load_config([*words, "transforms/skip=four"])
     world = build_world(cfg)
     with pytest.raises(ValueError, match=r"dagger\.rounds: expected 0 with transforms/skip, .* teacher of PointNav"):
-        check_imitation(make_ppo(cfg, world), world, DaggerSettings(1, 64, 1), 0, 0)
+        check_imitation(world, DaggerSettings(1, 64, 1))
+    with pytest.raises(
+        ValueError, match=r"demos: expected null or a folder for a task without goal .* \(PointNav\), got 5"
+    ):
+        check_imitation(world, DaggerSettings(0, 64, 1), 5)
 
 
 def cfg_overrides(cfg: DictConfig) -> list[str]:
@@ -106,7 +112,11 @@ def test_a_task_that_continues_after_its_goals_has_no_planner_to_learn_from(tmp_
         planner_episodes(world, 2)
     ppo = make_ppo(cfg, world)
     with pytest.raises(ValueError, match=r"dagger\.rounds: expected 0 for a task with neither goal .* \(Snake\)"):
-        list(imitate(ppo, Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5)), world, [], DaggerSettings(1, 64, 1), 0))
+        list(
+            Imitation(
+                ppo, Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5)), world, None, DaggerSettings(1, 64, 1), 0
+            )()
+        )
 
 
 def test_frames_that_a_gpu_has_no_room_for_stay_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,6 @@
 """DAgger: the planner labels the states that a policy visits, and the policy learns from them."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from torchrl.data import Bounded, Categorical
 
 from splatrl.building import build_model, build_trainer, build_world
 from splatrl.configuration import load_config
-from splatrl.datasets import imitate, planner_episodes
+from splatrl.datasets import Imitation, planner_episodes
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation import run_episodes
 from splatrl.training import PPO, Cloner, CloningSettings, DaggerSettings, LossSettings, OptimSettings, targets, visited
@@ -62,7 +63,7 @@ def test_a_policy_learns_from_its_own_mistakes(made: tuple[DictConfig, World]) -
     cloner = Cloner(ppo.model, CloningSettings(8, 64, 3e-3, 0.5))
     reached, frames, env = [], [], world.env(30)
     shown = planner_episodes(world, 6)
-    for row in imitate(ppo, cloner, world, [shown], DaggerSettings(3, 320, 6), 1):
+    for row in Imitation(ppo, cloner, world, lambda: [shown], DaggerSettings(3, 320, 6), 1)():
         assert row.keys() == {"loss_cloning"}
         frames.append(ppo.frames)
         if len(frames) in (1, 4):
@@ -106,7 +107,9 @@ def test_a_teacher_labels_discrete_actions(tmp_path: Path) -> None:
 def test_dagger_may_begin_with_an_untrained_policy(made: tuple[DictConfig, World]) -> None:
     cfg, world = made
     ppo = make_ppo(cfg, world)
-    (row,) = imitate(ppo, Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5)), world, [], DaggerSettings(1, 64, 2), 0)
+    (row,) = Imitation(
+        ppo, Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5)), world, None, DaggerSettings(1, 64, 2), 0
+    )()
     assert ppo.frames == 64 and row["loss_cloning"] < 1.8
 
 
@@ -117,13 +120,13 @@ def test_rounds_begin_where_an_episode_is_long_enough(tmp_path: Path, monkeypatc
     ppo, begun = make_ppo(cfg, world), list[Tensor]()
     cloner = Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5))
 
-    def fit(known: dict[str, Tensor], *_: int) -> float:
+    def passes(known: dict[str, Tensor], *_: int) -> Iterator[float]:
         begun.append(known["state"][known["frame"] == 0])
-        return 0.0
+        yield 0.0
 
     monkeypatch.setattr(cloner, "reads", ("state",))
-    monkeypatch.setattr(cloner, "fit", fit)
-    list(imitate(ppo, cloner, world, [], DaggerSettings(1, 64, 1), 0))
+    monkeypatch.setattr(cloner, "passes", passes)
+    list(Imitation(ppo, cloner, world, None, DaggerSettings(1, 64, 1), 0)())
     assert len(begun[0]) >= 16 and world.plan.cost_to_go(begun[0]).max() <= 2
 
 
@@ -148,16 +151,11 @@ def test_the_policy_is_fitted_once_more_after_the_last_round(made: tuple[DictCon
     cfg, world = made
     ppo = make_ppo(cfg, world)
     cloner, fits = Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5)), []
-    fit = cloner.fit
-    cloner.fit = lambda shown, *args, **kwargs: (
-        fits.append((len(shown["frame"]), args, kwargs))
-        or fit(  # type: ignore
-            shown, *args, **kwargs
-        )
-    )
-    rows = list(imitate(ppo, cloner, world, [], DaggerSettings(2, 64, 1, last_epochs=3), 0))
+    passes = cloner.passes
+    cloner.passes = lambda shown, *args: fits.append((len(shown["frame"]), *args)) or passes(shown, *args)  # type: ignore
+    rows = list(Imitation(ppo, cloner, world, None, DaggerSettings(2, 64, 1, last_epochs=3), 0)())
     assert len(rows) == 3 and ppo.frames == 128
-    assert fits == [(64, (1,), {}), (128, (1,), {}), (128, (3,), {"anneal": True})]
+    assert fits == [(64, 1, False, 0), (128, 1, False, 0), (128, 3, True, 0)]
 
 
 def test_targets_are_divided_equally_among_all_optimal_actions() -> None:
@@ -185,7 +183,9 @@ def test_a_policy_with_continuous_actions_learns_what_the_planner_would_do(tmp_p
     ppo, shown = make_ppo(cfg, world), planner_episodes(world, 4)
     assert "optimal" not in shown.frames.keys(), "it has no names"  # noqa: SIM118, a TensorDict is no dict
     cloner = Cloner(ppo.model, CloningSettings(10, 64, 1e-3, 0.5))
-    losses = [row["loss_cloning"] for row in imitate(ppo, cloner, world, [shown], DaggerSettings(1, 128, 20), 1)]
+    losses = [
+        row["loss_cloning"] for row in Imitation(ppo, cloner, world, lambda: [shown], DaggerSettings(1, 128, 20), 1)()
+    ]
     assert ppo.frames == len(shown) + 128 and min(losses) > 0
     found = visited(world.env(16, seed=5), ppo.learner, [world.plan], 128)
     known = ~found["target"].isnan().any(1)
@@ -203,7 +203,7 @@ def test_frame_counts_that_do_not_fit_are_refused(made: tuple[DictConfig, World]
         (DaggerSettings(3, 128, 1), "collector.total_frames: expected at least 384, the sum of 0 frames of demos"),
     ):
         with pytest.raises(ValueError, match=message):
-            next(imitate(ppo, cloner, world, [], settings, 0))
+            next(Imitation(ppo, cloner, world, None, settings, 0)())
 
 
 @pytest.mark.parametrize(

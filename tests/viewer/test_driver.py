@@ -1,6 +1,7 @@
 """A robot that is driven by hand, and the demonstrations that this yields."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 import torch
@@ -8,7 +9,8 @@ import torch
 from splatrl.datasets import planner_episodes, replay
 from splatrl.envs.tasks.base import Outcome
 from splatrl.envs.world import World
-from splatrl.viewer.driver import Driver, Takes
+from splatrl.viewer.driver import Driver
+from splatrl.viewer.takes import Takes
 
 
 def drive(driver: Driver, world: World, most: int = 60) -> None:
@@ -30,9 +32,11 @@ def drive(driver: Driver, world: World, most: int = 60) -> None:
         pytest.param("polar_plane", marks=pytest.mark.slow),
     ],
 )
-def test_episodes_driven_to_the_goal_are_replayed_byte_for_byte(make_world: Callable[..., World], task: str) -> None:
+def test_episodes_driven_to_the_goal_are_replayed_byte_for_byte(
+    make_world: Callable[..., World], task: str, tmp_path: Path
+) -> None:
     world = make_world(task)
-    takes = Takes(world)
+    takes = Takes(world, tmp_path, {})
     driver = Driver(world, seed=3, kept=takes.add)
     for _ in range(40):
         drive(driver, world)
@@ -85,8 +89,8 @@ def test_again_restarts_the_episode_from_the_same_start(make_world: Callable[...
     assert torch.equal(driver.pixels, view) and driver.steps == 0
 
 
-def test_only_successful_episodes_are_kept_and_the_last_can_be_discarded(world: World) -> None:
-    takes = Takes(world)
+def test_only_successful_episodes_are_kept_and_the_last_can_be_discarded(world: World, tmp_path: Path) -> None:
+    takes = Takes(world, tmp_path, {})
     with pytest.raises(ValueError, match="by=keys: expected at least one episode that reached the goal"):
         takes.demonstrations()
     assert not takes.discard()
@@ -99,4 +103,5 @@ def test_only_successful_episodes_are_kept_and_the_last_can_be_discarded(world: 
     driver.begin()
     drive(driver, world)
     assert len(takes.episodes) == 1
-    assert takes.discard() and takes.episodes == []
+    assert [path.name for path in tmp_path.iterdir()] == ["1.pt"]
+    assert takes.discard() and takes.episodes == [] and not list(tmp_path.iterdir())

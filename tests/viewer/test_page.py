@@ -13,13 +13,13 @@ from splatrl.envs.tasks.base import Outcome
 from splatrl.envs.world import World
 from splatrl.scenes import Scene
 from splatrl.scenes.description import read_description
-from splatrl.viewer.driver import Takes
 from splatrl.viewer.driving import Driving
 from splatrl.viewer.markdown import plain
 from splatrl.viewer.page import Page
 from splatrl.viewer.placing import Placing
 from splatrl.viewer.robot import BLUE, tone
 from splatrl.viewer.splats import BYTES, WIDER, Splats, parts_of
+from splatrl.viewer.takes import Takes
 from tests.tiny import tiny_gaussians
 from tests.viewer.visitor import Visitor, until
 
@@ -158,8 +158,8 @@ def test_one_key_press_waits_for_the_robot_and_further_ones_are_dropped(page: Pa
     assert driving.driver.steps == 1
 
 
-def test_driving_ends_once_enough_episodes_are_kept(page: Page, world: World, visit: Visit) -> None:
-    takes = Takes(world)
+def test_driving_ends_once_enough_episodes_are_kept(page: Page, world: World, tmp_path: Path) -> None:
+    takes = Takes(world, tmp_path, {})
     driving = Driving(page, world, 0, takes, 2)
 
     def show() -> None:
