@@ -209,6 +209,9 @@ class Trainer:
         if self.prepare:
             self.save()
             self.save()  # neither checkpoint needs what the stages kept
+        if self.ppo.finished and (left := self.ppo.total_frames - self.ppo.frames):
+            told = f"of collector.total_frames={self.ppo.total_frames} {left} are left, less than a batch"
+            print(f"no learning from reward: {told} of collector.frames_per_batch", file=sys.stderr)
 
     def _test_prepared(self) -> None:
         """Test the policy with which learning from reward begins, unless it has been tested."""

@@ -174,6 +174,21 @@ def test_an_interrupt_in_the_test_after_preparation_costs_only_this_test(tmp_pat
     assert [row["frames"] for row in again.history] == [32, 64, 128, 192, 256, 320, 384]
 
 
+def test_preparation_that_leaves_no_frames_to_learn_from_reward_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loop = trainer(tmp_path, [0.5])
+
+    def teach() -> Iterator[dict[str, float]]:
+        loop.ppo.frames += loop.ppo.total_frames - 5
+        yield {"loss_cloning": 1.0}
+
+    loop.prepare = [teach]
+    loop.fit()
+    said = f"no learning from reward: of collector.total_frames={loop.ppo.total_frames} 5 are left"
+    assert said in capsys.readouterr().err
+
+
 def test_resuming_with_an_env_or_a_network_of_another_shape_is_refused_in_one_line(tmp_path: Path) -> None:
     trainer(tmp_path, [0.4, 0.9, 0.6]).fit()
     others = [
