@@ -29,6 +29,7 @@ ORDER = [
         "faults",
         "files",
         "geometry",
+        "high_range",
         "images",
         "several",
         "spherical_harmonics",

@@ -5,14 +5,14 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
 
 from splatrl import images
 from splatrl.capture.base import CaptureError
-from splatrl.capture.high_range import UNKNOWN, usual_range
+from splatrl.high_range import usual_range
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -66,20 +66,8 @@ def size(path: Path) -> tuple[int, int]:
         return track.width, track.height
 
 
-class Encoding(NamedTuple):
-    """How a video's images are to be shown.
-
-    Attributes:
-        transfer: FFmpeg's number of the transfer function, by which values stand for light.
-        aspect: width of a pixel over its height.
-    """
-
-    transfer: int = UNKNOWN
-    aspect: float = 1.0
-
-
-def encoding_of(path: Path) -> Encoding:
-    """Return how a video's images are to be shown.
+def aspect_of(path: Path) -> float:
+    """Return the width of a video's pixels over their height.
 
     Args:
         path: the video file.
@@ -88,8 +76,7 @@ def encoding_of(path: Path) -> Encoding:
         CaptureError: as ``open_video`` does.
     """
     with open_video(path) as container:
-        transfer = int(images.video_track(container).codec_context.color_trc)
-        return Encoding(transfer, images.pixel_aspect(container))
+        return images.pixel_aspect(container)
 
 
 def packet_times(path: Path) -> np.ndarray:
@@ -228,15 +215,15 @@ def grey(frame: "VideoFrame", longest: int) -> np.ndarray:
     return frame.reformat(*size, "gray").to_ndarray()
 
 
-def upright(frame: "VideoFrame", longest: int, encoding: Encoding) -> Image.Image:
+def upright(frame: "VideoFrame", longest: int, aspect: float) -> Image.Image:
     """Return a frame's image as the phone was held, with square pixels, scaled down by area, in standard dynamic range.
 
     Args:
         frame: the frame as decoded.
         longest: maximum pixels along the longer side.
-        encoding: encoding of the video.
+        aspect: the video's ``aspect_of``.
     """
-    return usual_range(shrunk(images.displayed(frame, encoding.aspect), longest), encoding.transfer)
+    return usual_range(shrunk(images.displayed(frame, aspect), longest), frame.color_trc)
 
 
 def shrunk(image: Image.Image, longest: int) -> Image.Image:

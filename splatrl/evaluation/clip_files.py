@@ -18,6 +18,7 @@ from PIL import Image
 from torch import Tensor
 
 from splatrl.files import natural, new_folder
+from splatrl.high_range import usual_range
 from splatrl.images import (
     PHOTO_SUFFIXES,
     displayed,
@@ -184,7 +185,7 @@ def _video(path: Path) -> Iterator[Image.Image]:
         aspect = pixel_aspect(container)
         for frame in container.decode(video_track(container)):
             require_small(path, *square_size(frame.width, frame.height, aspect))  # the size may change within a stream
-            yield displayed(frame, aspect)
+            yield usual_range(displayed(frame, aspect), frame.color_trc)
 
 
 def write_clip(folder: Path, images: Tensor, allowed: Tensor, action_names: Sequence[str]) -> None:
