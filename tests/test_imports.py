@@ -23,6 +23,7 @@ ROOT = Path(__file__).parents[1]
 ORDER = [
     {
         "array_files",
+        "decoding",
         "device",
         "documents",
         "extras",
