@@ -200,7 +200,8 @@ def one_field(image: Image.Image) -> Image.Image:
 def displayed(frame: "VideoFrame", aspect: float) -> Image.Image:
     """Return a video frame as players show it: RGB, with square pixels, and turned or mirrored as the file says.
 
-    Of an interlaced frame, one of the two fields is shown.
+    Of an interlaced frame, one of the two fields is shown. The levels of a frame of high dynamic range are those that
+    the file stores; ``usual_range`` converts them, faster once the image is small.
 
     Args:
         frame: the frame as decoded.

@@ -23,12 +23,14 @@ ROOT = Path(__file__).parents[1]
 ORDER = [
     {
         "array_files",
+        "decoding",
         "device",
         "documents",
         "extras",
         "faults",
         "files",
         "geometry",
+        "high_range",
         "images",
         "several",
         "spherical_harmonics",

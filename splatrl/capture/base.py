@@ -96,7 +96,8 @@ class Reconstruction:
         mask: as in ``Photos``, without lens distortion.
         numbers: [N] int64, which of the given photos the images are; None where unknown.
         camera: [8] float64, OpenCV's fx, fy, cx, cy, k1, k2, p1, p2 of the photos before their lens distortion was
-            removed; None where they had none.
+            removed, or k1, k2, k3, k4 at the end of a fisheye's; None where they had none.
+        fisheye: whether ``camera`` is a fisheye.
     """
 
     paths: list[Path]
@@ -121,6 +122,7 @@ class Reconstruction:
     mask: Path | None = None
     numbers: Tensor | None = None
     camera: Tensor | None = None
+    fisheye: bool = False
 
     def K_at(self, width: int, height: int) -> Tensor:
         """Return the intrinsics [3, 3] float64 for these images at another size."""

@@ -141,7 +141,7 @@ def _from_video(
 ) -> Iterator[_Taken]:
     times = videos.packet_times(source)
     ends, start, found = buckets(times, count), float(times[0]), False
-    encoding = videos.encoding_of(source)
+    aspect = videos.aspect_of(source)
     shown: list[float] = []
     patterns: list[np.ndarray] = []
 
@@ -156,7 +156,7 @@ def _from_video(
 
     for seconds, frame in sharpest(graded()):
         found = True
-        yield _Taken(videos.upright(frame, longest, encoding), seconds - start)
+        yield _Taken(videos.upright(frame, longest, aspect), seconds - start)
     if not found:
         raise CaptureError(f"{source}: expected decodable frames that are not black, found none")
     told.cuts.extend(cuts(shown, patterns))

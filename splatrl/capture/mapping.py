@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from splatrl.capture.carrying import carried, longest_stretch
 from splatrl.capture.jerks import jerks, leaps
 from splatrl.capture.job import DATABASE, Job, tell
+from splatrl.capture.lens import fisheye, match_through
 
 LEAST_INLIERS, LEAST_SHARE, TRIALS = 15, 0.15, 10
 """Minimum number and minimum ratio of inliers of a pose, and how often a pose is sought. COLMAP's 30, 0.25 and 3 leave
@@ -49,6 +50,8 @@ def mapping_options(pycolmap: Any, job: Job) -> Any:
 def find_cameras(pycolmap: Any, folder: Path, job: Job) -> Any:
     """Find the cameras by incremental mapping, or by global mapping where that is better.
 
+    Where incremental mapping shows that the lens is a fisheye, the images are matched and mapped again through one.
+
     Args:
         pycolmap: the module.
         folder: the job's folder, which holds COLMAP's database of matches.
@@ -59,6 +62,9 @@ def find_cameras(pycolmap: Any, folder: Path, job: Job) -> Any:
     """
     at_once = functools.cache(functools.partial(map_at_once, pycolmap, folder, job))
     found = map_one_by_one(pycolmap, folder, job)
+    if found is not None and not job.fixed and (camera := fisheye(pycolmap, found)) is not None:
+        match_through(pycolmap, folder, job, camera)
+        found = map_one_by_one(pycolmap, folder, job)
     for share in (1.0,) if job.fixed else NARROWER:
         if len(joined(found, job)) >= ENOUGH * len(job.names):
             break

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from splatrl.capture.base import CaptureError, Photos, unless_forced
 from splatrl.capture.depth_points import with_measured_points
+from splatrl.capture.lens import straightened
 from splatrl.capture.poses import find_poses
 from splatrl.capture.progress import Progress, Say
 from splatrl.capture.quarters import how_turned
@@ -64,6 +65,8 @@ def place_photos(
         remarks.append(unless_forced(rotated, settings.force, "poses", say))
     if photos.up is None and (turned := how_turned(found)) is not None:
         remarks.append(unless_forced(turned, True, "poses", say))
+    if (bent := straightened(found)) is not None:
+        remarks.append(unless_forced(bent, True, "poses", say))
     if (changed := zoomed(found)) is not None:
         slightly = zoomed(found, REFUSED) is None
         remarks.append(unless_forced(changed, settings.force or slightly, "poses", say))

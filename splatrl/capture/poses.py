@@ -154,13 +154,13 @@ def _reconstruction(
     fx, fy, cx, cy = model["camera"][:4].tolist()
     K = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
     paths, mask = [photos.paths[number] for number in images], photos.mask
-    camera, ending = None, _ending(photos)
+    camera, ending, fisheye = None, _ending(photos), bool(model["fisheye"])
     if not exact_camera:
         size, distortion = (photos.width, photos.height), model["camera"][4:]
         camera = _tensor(model, "camera") if distortion.any() else None
         if mask is not None:
-            (mask,), _ = undistorted([mask], size, K, distortion, stages, f"undistorted_mask{ending}")
-        paths, K = undistorted(paths, size, K, distortion, stages, f"undistorted{ending}", progress)
+            (mask,), _ = undistorted([mask], size, K, distortion, stages, f"undistorted_mask{ending}", fisheye=fisheye)
+        paths, K = undistorted(paths, size, K, distortion, stages, f"undistorted{ending}", progress, fisheye)
     film = not photos.files and photos.camera_to_world is None
     seen = model["points"], model["seen_point"], model["seen_by"]
     return Reconstruction(
@@ -185,6 +185,7 @@ def _reconstruction(
         mask=mask,
         numbers=_tensor(model, "images"),
         camera=camera,
+        fisheye=fisheye,
     )
 
 

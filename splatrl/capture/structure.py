@@ -16,12 +16,14 @@ from typing import Any
 import numpy as np
 
 from splatrl.capture.job import DATABASE, Job, read_job, tell
+from splatrl.capture.lens import FISHEYE
 from splatrl.capture.loops import loop_pairs
 from splatrl.capture.mapping import find_cameras, joined, mapping_options
+from splatrl.capture.pairing import PAIRS, match_pairs
 from splatrl.capture.zoom import focal_lengths
 from splatrl.files import replacing
 
-MODEL, PAIRS, SEARCHED = "model.npz", "pairs.txt", "searched"
+MODEL, SEARCHED = "model.npz", "searched"
 FEATURES = 4096
 FAINTEST = 0.003
 """Minimum contrast of a feature; with COLMAP's 0.0067, shaded walls and lawns hold too few."""
@@ -138,11 +140,7 @@ def _match(pycolmap: Any, folder: Path, job: Job) -> None:
         chosen = sorted({*chosen, *loop_pairs(_descriptors(pycolmap, folder, job), **looks)})
     lines = [f"{job.names[first]} {job.names[second]}\n" for first, second in chosen]
     (folder / PAIRS).write_text("".join(lines), "utf-8")
-    pairing = pycolmap.ImportedPairingOptions(block_size=50, match_list_path=str(folder / PAIRS))
-    verification = pycolmap.TwoViewGeometryOptions()
-    verification.ransac.random_seed = job.seed
-    options = pycolmap.FeatureMatchingOptions(num_threads=1)  # with two, one pair in a thousand varies between runs
-    pycolmap.match_image_pairs(folder / DATABASE, options, pairing, verification, pycolmap.Device.cpu)
+    match_pairs(pycolmap, folder, job)
 
 
 def _descriptors(pycolmap: Any, folder: Path, job: Job) -> list[np.ndarray]:
@@ -192,12 +190,14 @@ def _keep(folder: Path, job: Job, model: Any, focal: dict[str, float] | None = N
         if len(cameras) > 1:
             points.append(point)
             sightings.append(cameras)
+    camera = None if model is None else next(iter(model.cameras.values()))
     with replacing(folder / MODEL) as stream:
         np.savez(
             stream,
             images=np.array(images, np.int64),
             camera_to_world=camera_to_world,
-            camera=np.zeros(0) if model is None else _opencv(next(iter(model.cameras.values()))),
+            camera=np.zeros(0) if camera is None else _opencv(camera),
+            fisheye=np.array(camera is not None and camera.model.name == FISHEYE),
             focal_lengths=np.array([focal[job.names[number]] for number in images] if focal else [], np.float64),
             points=np.array([point.xyz for point in points]).reshape(-1, 3),
             colors=np.array([point.color for point in points], np.uint8).reshape(-1, 3),
@@ -207,10 +207,10 @@ def _keep(folder: Path, job: Job, model: Any, focal: dict[str, float] | None = N
 
 
 def _opencv(camera: Any) -> np.ndarray:
-    """Return OpenCV's fx, fy, cx, cy, k1, k2, p1, p2."""
+    """Return OpenCV's fx, fy, cx, cy, k1, k2, p1, p2, or of a fisheye fx, fy, cx, cy, k1, k2, k3, k4."""
     parameters = np.zeros(8)
     parameters[:4] = camera.focal_length_x, camera.focal_length_y, camera.principal_point_x, camera.principal_point_y
-    if camera.model.name == "RADIAL":
+    if camera.model.name in ("RADIAL", FISHEYE):
         parameters[4:6] = camera.params[3:]
     return parameters
 

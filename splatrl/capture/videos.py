@@ -5,19 +5,19 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
 
 from splatrl import images
 from splatrl.capture.base import CaptureError
-from splatrl.capture.high_range import UNKNOWN, usual_range
+from splatrl.decoding import Damage, decoded, interval
+from splatrl.high_range import usual_range
 
 if TYPE_CHECKING:
     from av import VideoFrame
     from av.container import InputContainer
-    from av.video.stream import VideoStream
 
 
 MOST_DAMAGED = 0.03
@@ -30,8 +30,6 @@ JOINED = (
 BLACK, LIT, THINNEST, EDGE = 24, 0.2, 0.01, 0.005
 """Maximum grey level of a bar, the fraction of images from which on a brighter line is none, a bar's minimum width as a
 fraction of the image's side, and the extra fraction that is cut off because the bar's edge is blurred."""
-USUAL_RATE = 30
-"""Frames per second of a video that does not tell."""
 
 
 @contextmanager
@@ -66,20 +64,8 @@ def size(path: Path) -> tuple[int, int]:
         return track.width, track.height
 
 
-class Encoding(NamedTuple):
-    """How a video's images are to be shown.
-
-    Attributes:
-        transfer: FFmpeg's number of the transfer function, by which values stand for light.
-        aspect: width of a pixel over its height.
-    """
-
-    transfer: int = UNKNOWN
-    aspect: float = 1.0
-
-
-def encoding_of(path: Path) -> Encoding:
-    """Return how a video's images are to be shown.
+def aspect_of(path: Path) -> float:
+    """Return the width of a video's pixels over their height.
 
     Args:
         path: the video file.
@@ -88,8 +74,7 @@ def encoding_of(path: Path) -> Encoding:
         CaptureError: as ``open_video`` does.
     """
     with open_video(path) as container:
-        transfer = int(images.video_track(container).codec_context.color_trc)
-        return Encoding(transfer, images.pixel_aspect(container))
+        return images.pixel_aspect(container)
 
 
 def packet_times(path: Path) -> np.ndarray:
@@ -108,7 +93,7 @@ def packet_times(path: Path) -> np.ndarray:
     """
     with open_video(path) as container:
         stream = images.video_track(container)
-        base, interval = float(stream.time_base or 0), _interval(stream)
+        base, step = float(stream.time_base or 0), interval(stream)
         parts: list[list[int]] = [[]]
         last = -math.inf
         for packet in container.demux(stream):
@@ -122,7 +107,7 @@ def packet_times(path: Path) -> np.ndarray:
     times = np.array([time for part in parts for time in sorted(part)], np.float64) * base
     if not len(times) or not base:
         raise CaptureError(f"{path}: expected frames with timestamps, found none")
-    return np.array([*itertools.accumulate(times.tolist(), lambda before, time: _after(before, time, interval))])
+    return np.array([*itertools.accumulate(times.tolist(), lambda before, time: _after(before, time, step))])
 
 
 def frames(path: Path, remark: Callable[[str], object] = lambda _: None) -> Iterator[tuple[float, "VideoFrame"]]:
@@ -140,77 +125,43 @@ def frames(path: Path, remark: Callable[[str], object] = lambda _: None) -> Iter
         CaptureError: as ``open_video`` does, where the size of the images changes, or where more than ``MOST_DAMAGED``
             of the frames are damaged, or missing at the end.
     """
+    damage, size, last = Damage(), None, -math.inf
     with open_video(path) as container:
-        interval, last = _interval(images.video_track(container)), -math.inf
-        for frame in _decoded(path, container, remark):
-            if frame.time is not None:
-                last = _after(last, frame.time, interval)
-                yield last, frame
-
-
-def _decoded(path: Path, container: "InputContainer", remark: Callable[[str], object]) -> Iterator["VideoFrame"]:
-    import av
-
-    stream = images.video_track(container)
-    stream.thread_type = "AUTO"  # with threads for slices alone, no frame counts as corrupt
-    size, aspect, count, damaged = None, images.pixel_aspect(container), 0, 0
-    corrupt: list[int] = []
-    end = stream.start_time or 0
-    for packet in container.demux(stream):
-        count += packet.size > 0
-        if packet.pts is not None and not packet.is_discard:
-            end = max(end, packet.pts + (packet.duration or 0))
+        step = interval(images.video_track(container))
         try:
-            decoded = packet.decode()
-        except av.InvalidDataError:
-            damaged += 1
-            continue
-        for frame in decoded:
-            images.require_small(path, *images.square_size(frame.width, frame.height, aspect))
-            size = size or (frame.width, frame.height)
-            if size != (frame.width, frame.height):
-                raise CaptureError(f"{path}: expected frames of one size, got {size} and {frame.width, frame.height}")
-            if frame.is_corrupt:
-                corrupt.append(frame.pts or 0)
-            else:
-                yield frame
-    missing = _missing(stream, count, end)
-    damaged, count = damaged + len(corrupt) + missing, count + missing
-    ends = f"; it breaks off, and the last {missing} are missing" if missing else ""
-    if damaged > max(1.0, MOST_DAMAGED * count):
-        if corrupt:
-            ends += JOINED.format(float((corrupt[0] - (stream.start_time or 0)) * (stream.time_base or 0)))
+            for frame in decoded(path, container, damage):
+                size = size or (frame.width, frame.height)
+                if size != (frame.width, frame.height):
+                    got = f"{size} and {frame.width, frame.height}"
+                    raise CaptureError(f"{path}: expected frames of one size, got {got}")
+                if frame.time is not None and not frame.is_corrupt:
+                    last = _after(last, frame.time, step)
+                    yield last, frame
+        except ValueError as error:
+            raise CaptureError(str(error)) from error
+    if (said := _damaged(path, damage)) is not None:
+        remark(said)
+
+
+def _damaged(path: Path, damage: Damage) -> str | None:
+    """Return a sentence that says how many frames are damaged, if any; refuse a video of which too many are."""
+    damaged = damage.refused + len(damage.corrupt) + damage.missing
+    ends = f"; it breaks off, and the last {damage.missing} are missing" if damage.missing else ""
+    if damaged > max(1.0, MOST_DAMAGED * damage.frames):
+        if damage.corrupt:
+            ends += JOINED.format(damage.corrupt[0])
         raise CaptureError(
-            f"{path}: expected at most {100 * MOST_DAMAGED:.0f} % damaged frames, got {damaged} of {count}{ends}"
+            f"{path}: expected at most {100 * MOST_DAMAGED:.0f} % damaged frames, got {damaged} of {damage.frames}"
+            f"{ends}"
         )
-    if damaged:
-        remark(f"{damaged} of {count} frames of {path.name} are damaged, and are not used{ends}.")
+    return (
+        f"{damaged} of {damage.frames} frames of {path.name} are damaged, and are not used{ends}." if damaged else None
+    )
 
 
-def _missing(stream: "VideoStream", count: int, end: int) -> int:
-    """Return how many frames a file that breaks off lacks; 0 where it does not tell.
-
-    Frames that an edit has cut away are counted, but not shown, so number and duration must both say so.
-
-    Args:
-        stream: the video, after all of its packets were read.
-        count: number of packets that were read.
-        end: end of the last frame that is shown, in the time base of the stream.
-    """
-    if not stream.frames or stream.duration is None:
-        return 0
-    left = (stream.duration + (stream.start_time or 0) - end) * float(stream.time_base or 0) / _interval(stream)
-    return max(0, min(stream.frames - count, round(left)))
-
-
-def _interval(stream: "VideoStream") -> float:
-    """Return the usual time from frame to frame, seconds."""
-    return 1.0 / float(stream.average_rate or USUAL_RATE)
-
-
-def _after(before: float, time: float, interval: float) -> float:
+def _after(before: float, time: float, step: float) -> float:
     """Return when a frame is shown, which is after the frame before whatever time its file states, seconds."""
-    return time if time > before else before + interval
+    return time if time > before else before + step
 
 
 def grey(frame: "VideoFrame", longest: int) -> np.ndarray:
@@ -228,15 +179,15 @@ def grey(frame: "VideoFrame", longest: int) -> np.ndarray:
     return frame.reformat(*size, "gray").to_ndarray()
 
 
-def upright(frame: "VideoFrame", longest: int, encoding: Encoding) -> Image.Image:
+def upright(frame: "VideoFrame", longest: int, aspect: float) -> Image.Image:
     """Return a frame's image as the phone was held, with square pixels, scaled down by area, in standard dynamic range.
 
     Args:
         frame: the frame as decoded.
         longest: maximum pixels along the longer side.
-        encoding: encoding of the video.
+        aspect: the video's ``aspect_of``.
     """
-    return usual_range(shrunk(images.displayed(frame, encoding.aspect), longest), encoding.transfer)
+    return usual_range(shrunk(images.displayed(frame, aspect), longest), frame.color_trc)
 
 
 def shrunk(image: Image.Image, longest: int) -> Image.Image:

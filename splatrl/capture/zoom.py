@@ -67,17 +67,28 @@ def focal_lengths(pycolmap: Any, model: Any, job: Job) -> dict[str, float]:
         parts.append([images[row] for row in rows])
     for _, point in sorted(model.points3D.items()):
         several.add_point3D(point.xyz, point.track, point.color)
-    before = [_error(several, part) for part in parts]
-    options = pycolmap.BundleAdjustmentOptions(refine_extra_params=False, print_summary=False)
-    solver = options.ceres.solver_options
-    solver.num_threads, solver.max_num_iterations, solver.function_tolerance = 1, STEPS, CLOSE
-    pycolmap.bundle_adjustment(several, options)
+    before = [mean_error(several, part) for part in parts]
+    adjust(pycolmap, several, refine_extra_params=False)
     focal: dict[str, float] = {}
     for number, part in enumerate(parts, 1):
-        better = _error(several, part) <= (1.0 - LESS) * before[number - 1]
+        better = mean_error(several, part) <= (1.0 - LESS) * before[number - 1]
         camera = several.cameras[number] if better else common
         focal |= {image.name: float(camera.focal_length) for image in part}
     return focal
+
+
+def adjust(pycolmap: Any, model: Any, **options: bool) -> None:
+    """Adjust a COLMAP model by one bundle adjustment.
+
+    Args:
+        pycolmap: the module.
+        model: the model, which is changed.
+        options: COLMAP's options, where they differ from its own.
+    """
+    adjustment = pycolmap.BundleAdjustmentOptions(print_summary=False, **options)
+    solver = adjustment.ceres.solver_options
+    solver.num_threads, solver.max_num_iterations, solver.function_tolerance = 1, STEPS, CLOSE
+    pycolmap.bundle_adjustment(model, adjustment)
 
 
 def zoomed(found: Reconstruction, least: float = NOTED) -> str | None:
@@ -116,7 +127,7 @@ def _parts(take: NDArray[np.int64]) -> list[list[int]]:
     ]
 
 
-def _error(model: Any, images: list[Any]) -> float:
+def mean_error(model: Any, images: list[Any]) -> float:
     """Return the mean reprojection error of some images in a COLMAP model, pixels."""
     errors, points = [], model.points3D
     for image in (model.images[image.image_id] for image in images):

@@ -9,6 +9,7 @@ columns ``frame,action``, separated by commas, semicolons or tabs: frames count 
 import csv
 import io
 import re
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,17 +18,10 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+from splatrl.decoding import Damage, decoded
 from splatrl.files import natural, new_folder
-from splatrl.images import (
-    PHOTO_SUFFIXES,
-    displayed,
-    open_video,
-    pixel_aspect,
-    read_photo,
-    require_small,
-    square_size,
-    video_track,
-)
+from splatrl.high_range import usual_range
+from splatrl.images import PHOTO_SUFFIXES, displayed, open_video, pixel_aspect, read_photo
 
 VIDEOS = (".mp4", ".mov")
 ACTIONS = "actions.csv"
@@ -180,11 +174,28 @@ def _listed(folder: Path) -> list[Path]:
 
 
 def _video(path: Path) -> Iterator[Image.Image]:
+    damage = Damage()
     with open_video(path) as container:
         aspect = pixel_aspect(container)
-        for frame in container.decode(video_track(container)):
-            require_small(path, *square_size(frame.width, frame.height, aspect))  # the size may change within a stream
-            yield displayed(frame, aspect)
+        for frame in decoded(path, container, damage):
+            yield usual_range(displayed(frame, aspect), frame.color_trc)
+    if said := _damaged(path, damage):
+        warnings.warn(said, stacklevel=3)
+
+
+def _damaged(path: Path, damage: Damage) -> str:
+    """Return a warning that says how many frames of a video are lost or damaged; empty where none are.
+
+    Corrupt frames are shown all the same, so that those after them keep their numbers.
+    """
+    said, corrupt = [], damage.corrupt
+    if lost := damage.refused + damage.silent:
+        said.append(f"{lost} of {damage.frames} frames cannot be decoded; labels after them may belong to other frames")
+    if corrupt:
+        said.append(f"{len(corrupt)} of {damage.frames} frames are damaged, the first at {corrupt[0]:.1f} s")
+    if damage.missing:
+        said.append(f"the film breaks off, and its last {damage.missing} frames are missing")
+    return f"{path}: {'; '.join(said)}" if said else ""
 
 
 def write_clip(folder: Path, images: Tensor, allowed: Tensor, action_names: Sequence[str]) -> None:

@@ -6,8 +6,7 @@ import torch
 from scipy import ndimage
 from torch import Tensor
 
-GAMMA = 2.2
-"""Gamma exponent between stored values and linear light, accurate enough for a change of exposure."""
+from splatrl.high_range import GAMMA
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 Prints the policy's action for each frame. Needs numpy, onnxruntime and opencv-python, but not splatrl. Any other
 observation of the policy is held constant: --give pointgoal_with_gps_compass=2.5,0.3 or --give imagegoal=goal.png.
+OpenCV shows films of high dynamic range (HDR), as recent iPhones make them, in wrong colours: export them as SDR first.
 A picture of depth is grey, with 8 or 16 bits: black is the nearest depth of the policy's camera, white the farthest.
 """
 

@@ -69,18 +69,18 @@ def test_much_moves_only_above_a_few_percent_and_a_folder_without_masks_shows_no
     assert much_moves(moving)
 
 
-def test_masks_are_moved_to_where_the_lens_showed_the_same() -> None:
+@pytest.mark.parametrize("fisheye", [False, True])
+def test_masks_are_moved_to_where_the_lens_showed_the_same(fisheye: bool) -> None:
     camera = [70.0, 68.0, 41.0, 29.0, 0.2, 0.05, 0.0, 0.0]
-    found = _reconstruction([0], camera)
+    found = replace(_reconstruction([0], camera), fisheye=fisheye)
     masks = np.zeros((1, 60, 80), bool)
     masks[0, 8:11, 10:13] = True
     fx, fy, cx, cy, *distortion = camera
     ray = np.linalg.inv(found.K.numpy()) @ [11.5, 9.5, 1.0]
-    (there,), _ = cv2.projectPoints(
-        ray[None], np.zeros(3), np.zeros(3), np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), np.array(distortion)
-    )
+    lens, K = cv2.fisheye if fisheye else cv2, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    there = lens.projectPoints(ray[None, None], np.zeros(3), np.zeros(3), K, np.array(distortion))[0].reshape(1, 2)
     line, column = np.argwhere(distorted(masks, (80, 60), found)[0]).mean(0) + 0.5
-    assert np.linalg.norm(there[0] - [11.5, 9.5]) > 2
+    assert np.linalg.norm(there[0] - [11.5, 9.5]) > 1
     assert np.linalg.norm(there[0] - [column, line]) < 0.8
     assert distorted(masks, (80, 60), _reconstruction([0])) is masks, "images without distortion"
 

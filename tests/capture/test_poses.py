@@ -204,6 +204,7 @@ def test_the_global_map_of_a_bent_film_is_used_where_it_is_less_bent(
         models.append(model)
     monkeypatch.setattr(mapping, "map_one_by_one", lambda *_: models[0])
     monkeypatch.setattr(mapping, "map_at_once", lambda *_: models[1])
+    monkeypatch.setattr(mapping, "fisheye", lambda *_: None)
     job = Job("", names, 8, 6, seconds=seconds.tolist())
     assert find_cameras(None, tmp_path, job) is models[taken]
     photos = dataclasses.replace(job, seconds=None)

@@ -1,4 +1,5 @@
 import struct
+import warnings
 import zlib
 from pathlib import Path
 
@@ -10,8 +11,9 @@ from PIL import Image
 
 from splatrl import images
 from splatrl.evaluation import clip_files
-from splatrl.evaluation.clip_files import read_clips, write_clip
+from splatrl.evaluation.clip_files import film_images, read_clips, write_clip
 from splatrl.files import new_folder
+from tests.capture.ray_cast import damage_frame, write_video
 
 NAMES = ("forward", "back", "left", "right")
 
@@ -204,6 +206,33 @@ def test_a_video_that_is_damaged_or_too_large_is_refused(tmp_path: Path, monkeyp
     clip.source.write_bytes(b"no video")
     with pytest.raises(ValueError, match="expected a complete video"):
         list(clip.images())
+
+
+def test_frames_that_a_film_lost_are_counted_since_labels_may_belong_to_others(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mp4", [np.full((48, 64, 3), 5 * number, np.uint8) for number in range(40)], intra=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(list(film_images(tmp_path / "a.mp4"))) == 40
+    for number in (12, 17):
+        damage_frame(tmp_path / "a.mp4", number)
+    with pytest.warns(UserWarning, match=r"a\.mp4: 2 of 40 frames cannot be decoded; labels after them"):
+        assert len(list(film_images(tmp_path / "a.mp4"))) == 38
+
+
+def test_a_film_that_begins_within_a_group_of_pictures_is_told(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    options = {"g": "12", "bf": "0", "x264-params": "scenecut=0"}
+    with av.open(str(tmp_path / "a.ts"), "w") as container:
+        stream = container.add_stream("h264", rate=10, options=options)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        packets = []
+        for _ in range(30):
+            image = rng.integers(0, 256, (48, 64, 3), dtype=np.uint8)
+            packets += stream.encode(av.VideoFrame.from_ndarray(image))
+        for packet in [*packets, *stream.encode(None)][5:]:
+            container.mux(packet)
+    with pytest.warns(UserWarning, match=r"a\.ts: 7 of 25 frames cannot be decoded; labels after them"):
+        assert len(list(film_images(tmp_path / "a.ts"))) == 18
 
 
 def test_a_playlist_disguised_as_a_video_cannot_read_other_files(tmp_path: Path) -> None:

@@ -8,7 +8,8 @@ import pytest
 from PIL import Image
 
 from splatrl.capture.frames import read_photos
-from splatrl.capture.high_range import HLG, PQ, UNKNOWN, usual_range
+from splatrl.evaluation.clip_files import film_images
+from splatrl.high_range import HLG, PQ, usual_range
 
 FROM_SRGB = np.array([[0.6274, 0.3293, 0.0433], [0.0691, 0.9195, 0.0114], [0.0164, 0.0880, 0.8956]])
 MEANT = np.array([[200, 60, 60], [60, 180, 60], [60, 60, 200], [255, 255, 255], [60, 60, 60], [200, 150, 110]])
@@ -33,7 +34,7 @@ def test_high_dynamic_range_is_converted_to_the_intended_colours(transfer: int) 
     assert usual_range(image, 1) is image
 
 
-@pytest.mark.parametrize(("transfer", "shown"), [(UNKNOWN, 173), (HLG, 220)])
+@pytest.mark.parametrize(("transfer", "shown"), [(2, 173), (HLG, 220)])
 def test_the_dynamic_range_of_a_film_is_read_from_its_metadata(transfer: int, shown: int, tmp_path: Path) -> None:
     with av.open(str(tmp_path / "a.mp4"), "w") as container:
         stream = container.add_stream("h264", rate=10)
@@ -44,4 +45,5 @@ def test_the_dynamic_range_of_a_film_is_read_from_its_metadata(transfer: int, sh
             container.mux(stream.encode(av.VideoFrame.from_ndarray(grey, format="rgb24")))
         container.mux(stream.encode())
     photos = read_photos(tmp_path / "a.mp4", tmp_path / "out", count=(3, 3))
-    assert np.asarray(Image.open(photos.paths[0])).mean() == pytest.approx(shown, abs=4)
+    for image in (Image.open(photos.paths[0]), *film_images(tmp_path / "a.mp4")):
+        assert np.asarray(image).mean() == pytest.approx(shown, abs=4)

@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from splatrl.evaluation.walk_looks import GAMMA
-
-UNKNOWN, PQ, HLG = 2, 16, 18
+PQ, HLG = 16, 18
 """FFmpeg's numbers of transfer functions."""
 PAPER = 203.0
 """Luminance of white paper, nits."""
+GAMMA = 2.2
+"""Gamma exponent between stored values and linear light, close enough to sRGB's."""
+STEPS = 2**16
+"""Number of brightnesses that are told apart, as many as the darkest of the 256 levels need."""
 TO_SRGB = np.array([[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]])
 
 Floats = NDArray[np.float64]
@@ -31,8 +33,11 @@ def usual_range(image: Image.Image, transfer: int) -> Image.Image:
         return image
     levels = np.arange(256) / 255.0
     light = (_hlg(levels) / _hlg(np.array(0.75))) if transfer == HLG else _pq(levels) / PAPER
-    seen = light[np.asarray(image.convert("RGB"))] @ TO_SRGB.T
-    return Image.fromarray((255.0 * np.clip(seen, 0.0, 1.0) ** (1.0 / GAMMA)).round().astype(np.uint8))
+    stored = np.asarray(image.convert("RGB"))
+    # in single precision and by tables, since films have millions of pixels in each frame
+    seen = np.take((STEPS - 1) * light.astype(np.float32), stored).reshape(-1, 3) @ TO_SRGB.T.astype(np.float32)
+    shown = (255.0 * (np.arange(STEPS) / (STEPS - 1)) ** (1.0 / GAMMA)).round().astype(np.uint8)
+    return Image.fromarray(np.take(shown, np.clip(seen, 0, STEPS - 1).astype(np.uint16)).reshape(stored.shape))
 
 
 def _hlg(signal: Floats) -> Floats:
