@@ -35,8 +35,8 @@ def read_recording(
     since an autofocus changes the focal length by a few per mille.
 
     Args:
-        source: ``transforms.json`` or its folder; a folder with a COLMAP model in it, in ``sparse`` or ``sparse/0``,
-            and ``images``; a folder of Polycam's raw data or of Stray Scanner; Record3D's ``.r3d`` or its folder.
+        source: ``transforms.json`` or its folder; a folder with a COLMAP model in it, in ``sparse`` or a sub-folder of
+            that, and ``images``; a folder of Polycam's raw data or of Stray Scanner; Record3D's ``.r3d`` or its folder.
         folder: the capture's folder; images are written to its sub-folder ``shots``, or ``recorded`` where they were
             prepared already but cannot stay where they are.
         count: minimum (where there are so many) and maximum number of images that are chosen.

@@ -22,6 +22,7 @@ from splatrl.capture.recordings.base import (
     read_depth,
     read_json,
     read_text,
+    without_pose,
 )
 from splatrl.files import natural
 
@@ -73,6 +74,9 @@ def read(source: Path) -> Recording:
         shots.append(Shot(frame["file_path"], float(number), lens, pose, image, depth, () if file is None else (file,)))
     wanted = sum(frame.get("depth_file_path") is not None for frame in frames) if measured else 0
     missing = wanted - sum(shot.depth is not None for shot in shots)
+    remarks = [*without_pose(paths, (file for shot in shots for file in shot.depth_files))]
+    if missing:
+        remarks.append(f"{missing} of {wanted} depth images are missing: these images are used without depth.")
     return Recording(
         path,
         shots,
@@ -81,9 +85,7 @@ def read(source: Path) -> Recording:
         up=np.array([0.0, 0.0, 1.0]) if data.get("orientation_override") == "none" else None,
         metric=wanted > 0,
         prepared=True,
-        remarks=(f"{missing} of {wanted} depth images are missing: these images are used without depth.",)
-        if missing
-        else (),
+        remarks=tuple(remarks),
     )
 
 
