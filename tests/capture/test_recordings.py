@@ -131,6 +131,16 @@ def test_transforms_without_an_image_size_take_it_from_the_first_image(tmp_path:
     torch.testing.assert_close(photos.K, torch.tensor([[260, 0, 160], [0, 260, 120], [0, 0, 1]]).double())
 
 
+def test_the_transforms_for_training_are_read_where_a_folder_has_no_others(tmp_path: Path) -> None:
+    source = _write(tmp_path / "in")
+    (source / "transforms.json").rename(source / "transforms_train.json")
+    (source / "transforms_test.json").write_text("{}")
+    assert is_recording(source) and len(read_recording(source, tmp_path / "out").paths) == 3
+    (source / "transforms.json").write_text("{}")
+    with pytest.raises(CaptureError, match=r"transforms\.json: frames: expected a list"):
+        read_recording(source, tmp_path / "out")
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

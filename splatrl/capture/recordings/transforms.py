@@ -1,4 +1,4 @@
-"""``transforms.json`` of nerfstudio and instant-ngp: a list of images with OpenGL camera-to-world poses."""
+"""``transforms.json`` of nerfstudio, instant-ngp and NeRF: a list of images with OpenGL camera-to-world poses."""
 
 import json
 import math
@@ -27,6 +27,8 @@ from splatrl.capture.recordings.base import (
 from splatrl.files import natural
 
 MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+NAMES = "transforms.json", "transforms_train.json"
+"""Names of the file in a folder; the second is that of NeRF's synthetic scenes, beside those for tests."""
 FARTHEST = 65_534
 """Maximum depth, millimetres; the largest number of 16 bits stands for no depth, as in 7-Scenes."""
 
@@ -90,7 +92,9 @@ def read(source: Path) -> Recording:
 
 
 def _file(source: Path) -> Path:
-    return source / "transforms.json" if source.is_dir() else source
+    if not source.is_dir():
+        return source
+    return next((source / name for name in NAMES if (source / name).is_file()), source / NAMES[0])
 
 
 def _depth_file(folder: Path, name: object) -> Path | None:
