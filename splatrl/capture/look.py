@@ -3,10 +3,11 @@
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from splatrl.capture.around import around
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.matches import Features, Pair, features, related
 from splatrl.capture.progress import Progress, silent
@@ -57,6 +58,7 @@ class Look:
         unordered: whether the images are photos, whose order may mean nothing, or few.
         bare: fraction of images with fewer than ``BARE`` points.
         apart: time from one of these images to the next in a film, seconds; 0 for photos.
+        around: whether the images show all directions, as those of a 360° camera do.
     """
 
     images: int
@@ -69,6 +71,7 @@ class Look:
     unordered: bool = False
     bare: float = 0.0
     apart: float = 0.0
+    around: bool = False
 
     @property
     def later(self) -> int:
@@ -79,6 +82,13 @@ class Look:
         """Return why this capture cannot work, with figures and advice; None where it can work."""
         if self.images < 3:
             return f"too few images: {self.images}, but at least 3 are needed. Take 50 to 200, or a one-minute video."
+        if self.around:
+            what = "film" if self.apart else "photos"
+            return (
+                f"360° {what}: the images are twice as wide as high, and their right edge continues at their left. No "
+                "pinhole camera sees all directions: export a flat view of one direction from the camera's app, and "
+                "capture that."
+            )
         if self.brightness < MIN_BRIGHTNESS:
             return (
                 f"too dark: the mean grey level of the images is {self.brightness:.0f} of 255, but at least "
@@ -184,7 +194,8 @@ def look(photos: Photos, progress: Progress = silent) -> Look:
         others[[first, second]] += found[first, second].kind != "none"
     progress("look", 1, 1)
     apart = 0.0 if photos.files or len(chosen) < 2 else float(np.median(np.diff(photos.seconds.numpy()[chosen])))
-    return summed(seen, found, unordered, apart)
+    all_around = around([photos.paths[number] for number in chosen.tolist()], (photos.width, photos.height))
+    return replace(summed(seen, found, unordered, apart), around=all_around)
 
 
 def summed(seen: list[Features], found: dict[tuple[int, int], Pair], unordered: bool, apart: float = 0.0) -> Look:

@@ -158,11 +158,12 @@ def too_much(mask: Path) -> str | None:
 
 def _where(dark: Mask) -> str:
     """Return where in the image most of some pixels are, in words."""
-    thirds = [
-        min(2, int(3 * middle / side)) for middle, side in zip(ndimage.center_of_mass(dark), dark.shape, strict=True)
-    ]
+    middle = ndimage.center_of_mass(dark)
+    thirds = [min(2, int(3 * place / side)) for place, side in zip(middle, dark.shape, strict=True)]
     words = [("top", "", "bottom")[thirds[0]], ("left", "", "right")[thirds[1]]]
-    return f"mostly at the {' '.join(filter(None, words))}" if any(words) else "mostly around its middle"
+    if any(words):
+        return f"mostly at the {' '.join(filter(None, words))}"
+    return "mostly around its middle" if dark[tuple(map(int, middle))] else "mostly along its edges"
 
 
 def _greys(paths: list[Path], progress: Progress) -> Floats:

@@ -24,6 +24,8 @@ GOOD = Look(60, 120.0, 900.0, 0.98, 0.1, 0.2, math.radians(20))
     ("change", "cause"),
     [
         ({"images": 2}, "too few images: 2"),
+        ({"around": True, "apart": 0.3}, "^360° film: .* export a flat view of one direction from the camera's app"),
+        ({"around": True, "unordered": True, "brightness": 12.0}, "^360° photos: "),
         ({"brightness": 12.0}, "too dark: the mean grey level of the images is 12 of 255, but at least 25 is needed"),
         (
             {"keypoints": 40.0, "verified": 0.1},

@@ -1,7 +1,9 @@
 """Recordings with known poses: axes, intrinsics and distortion; malformed and malicious files are refused."""
 
+import itertools
 import json
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -129,6 +131,16 @@ def test_transforms_without_an_image_size_take_it_from_the_first_image(tmp_path:
     torch.testing.assert_close(photos.K, torch.tensor([[260, 0, 160], [0, 260, 120], [0, 0, 1]]).double())
 
 
+def test_the_transforms_for_training_are_read_where_a_folder_has_no_others(tmp_path: Path) -> None:
+    source = _write(tmp_path / "in")
+    (source / "transforms.json").rename(source / "transforms_train.json")
+    (source / "transforms_test.json").write_text("{}")
+    assert is_recording(source) and len(read_recording(source, tmp_path / "out").paths) == 3
+    (source / "transforms.json").write_text("{}")
+    with pytest.raises(CaptureError, match=r"transforms\.json: frames: expected a list"):
+        read_recording(source, tmp_path / "out")
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -168,21 +180,22 @@ CAMERAS = {
 """Parameters of each COLMAP camera model that the reader supports."""
 
 
-def _model(source: Path, camera: str, text: bool) -> Path:
-    """Write a COLMAP model of three images with COLMAP's own writer."""
+def _model(source: Path, camera: str, text: bool, numbers: Sequence[int] = range(3), name: str = "0") -> Path:
+    """Write a COLMAP model of some images of a walk with COLMAP's own writer."""
     pycolmap = pytest.importorskip("pycolmap")
-    (source / "images").mkdir(parents=True)
-    (source / "sparse" / "0").mkdir(parents=True)
+    (source / "images").mkdir(parents=True, exist_ok=True)
+    (source / "sparse" / name).mkdir(parents=True)
     model = pycolmap.Reconstruction()
     model.add_camera_with_trivial_rig(
         pycolmap.Camera(camera_id=7, model=camera, width=320, height=240, params=CAMERAS[camera])
     )
-    for number, pose in enumerate(walk(3)):
+    for number in numbers:
+        pose = walk(number + 1)[number]
         Image.fromarray(room_image(pose)).save(source / "images" / f"{number} a.png")
         points = np.ones((number, 2))
         image = pycolmap.Image(name=f"{number} a.png", keypoints=points, camera_id=7, image_id=number + 1)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(np.linalg.inv(pose)[:3]))
-    (model.write_text if text else model.write)(source / "sparse" / "0")
+    (model.write_text if text else model.write)(source / "sparse" / name)
     return source
 
 
@@ -199,6 +212,43 @@ def test_a_colmap_model_in_text_with_line_ends_of_windows_is_read(tmp_path: Path
         file.write_bytes(file.read_bytes().replace(b"\n", b"\r\n"))
     photos = read_recording(source, tmp_path / "out")
     torch.testing.assert_close(photos.camera_to_world, torch.from_numpy(walk(3)))
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_of_several_colmap_models_the_one_with_the_most_images_is_read(text: bool, tmp_path: Path) -> None:
+    for name, numbers in (("0", [0]), ("1", [1, 2, 3]), ("2", [4, 5])):
+        source = _model(tmp_path / "in", "PINHOLE", text, numbers, name)
+    (source / "sparse" / "3").mkdir()
+    (source / "sparse" / "3" / "cameras.bin").write_bytes(b"broken")
+    photos = read_recording(source, tmp_path / "out")
+    torch.testing.assert_close(photos.camera_to_world, torch.from_numpy(walk(4)[1:]))
+    assert photos.remarks == (
+        "COLMAP joined the images into 4 models: sparse/1, with the most images (3), is used, and not sparse/0 (1), "
+        "sparse/2 (2), sparse/3 (0).",
+        f"3 of the 6 images in {source / 'images'} have no pose, and are not used.",
+    )
+
+
+def test_images_beside_those_that_transforms_name_are_counted(tmp_path: Path) -> None:
+    source = _write(tmp_path / "in")
+    assert read_recording(source, tmp_path / "out").remarks == ()
+    for name in ("12.JPG", "._12.jpg", "notes.txt"):
+        (source / "images" / name).touch()
+    remark = f"1 of the 4 images in {source / 'images'} have no pose, and are not used."
+    assert read_recording(source, tmp_path / "out").remarks == (remark,)
+
+
+@pytest.mark.parametrize("points", [["1 1e-05 -1 2.5 3 17", "", "0.5 1 -1"], [""] * 4, []])
+def test_a_colmap_model_in_text_may_lack_the_lines_with_points(points: list[str], tmp_path: Path) -> None:
+    source = _model(tmp_path / "in", "PINHOLE", True, range(4))
+    file = source / "sparse" / "0" / "images.txt"
+    images = [line for line in file.read_text().split("\n") if line.endswith(".png")]
+    lines = [line for pair in itertools.zip_longest(images, points) for line in pair if line is not None]
+    file.write_text("\n".join(lines))
+    assert [shot.name for shot in colmap.read(source).shots] == [f"{number} a.png" for number in range(4)]
+    file.write_text("\n".join([*lines, "5 1 0 0"]))
+    with pytest.raises(CaptureError, match=r"images\.txt: .*'5 1 0 0': expected an id, a pose of 7 numbers"):
+        colmap.read(source)
 
 
 @pytest.mark.parametrize("text", [False, True])

@@ -14,6 +14,7 @@ from splatrl.capture.recordings import read_recording
 from splatrl.capture.recordings.turning import stated_turns, turned_camera, turned_poses
 from splatrl.images import orientation
 from tests.capture.ray_cast import K, room_image
+from tests.capture.recorded import as_seen
 
 COUNT = 6
 NUMBERED = tuple(f"images/{number}.png" for number in range(COUNT))
@@ -145,3 +146,43 @@ def test_an_image_that_breaks_off_is_named_where_distortion_is_removed(tmp_path:
     with pytest.raises(CaptureError, match=r"images/2\.png: expected a complete PNG"):
         read_recording(source, tmp_path / "out")
     assert not (tmp_path / "out" / "recorded").exists()
+
+
+LENSES = {"radial": (-0.1, 0.02, 0.0, 0.0), "tangential": (0.05, 0.0, 0.002, -0.003), "pinhole": (0.0,) * 4}
+"""OpenCV's k1, k2, p1 and p2, by what is special about them."""
+
+
+def _lens_each(folder: Path, kind: str, sides: Sequence[tuple[int, int]]) -> Path:
+    """Write images of given sizes, each with a focal length, principal point and distortion of its own."""
+    cv2 = pytest.importorskip("cv2")
+    (folder / "images").mkdir(parents=True)
+    frames, random = [], np.random.default_rng(0)
+    for number, (pose, (width, height)) in enumerate(zip(around(), sides, strict=True)):
+        f, cx, cy = 260 + random.normal(), width / 2 + 2 + random.normal(), height / 2 - 3 + random.normal()
+        distortion = np.array(LENSES[kind]) * random.uniform(0.7, 1.3)
+        lens = np.array([[f, 0, cx], [0, f, cy], [0, 0, 1]])
+        wide = np.array([[f, 0, width], [0, f, height], [0, 0, 1]])
+        x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+        rays = cv2.undistortPoints(np.stack([x, y], -1).reshape(-1, 1, 2), lens, distortion).reshape(height, width, 2)
+        at = (rays * f + [width - 0.5, height - 0.5]).astype(np.float32)  # OpenCV's first pixel has its centre at 0
+        seen = cv2.remap(room_image(pose, K=wide, size=(2 * width, 2 * height)), at, None, cv2.INTER_CUBIC)
+        Image.fromarray(seen).save(folder / "images" / f"{number}.png")
+        own = {"w": width, "h": height, "fl_x": f, "fl_y": f, "cx": cx, "cy": cy}
+        own |= dict(zip(("k1", "k2", "p1", "p2"), distortion.tolist(), strict=True))
+        opengl = (pose @ np.diag([1.0, -1, -1, 1])).tolist()
+        frames.append({"file_path": f"images/{number}.png", "transform_matrix": opengl, **own})
+    (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
+    return folder
+
+
+@pytest.mark.parametrize("kind", LENSES)
+def test_images_with_a_lens_and_a_size_each_are_shown_as_one_camera_sees_them(tmp_path: Path, kind: str) -> None:
+    sides = [(320 - number % 4, 240 - number % 3) for number in range(COUNT)]
+    source = _lens_each(tmp_path / "in", kind, sides)
+    for longest, width in ((960, 317), (160, 160)):
+        photos = read_recording(source, tmp_path / str(longest), longest=longest)
+        assert photos.width == width and photos.K is not None
+        assert photos.K[0, 0] / width == pytest.approx(0.82, rel=0.06), "hardly more is cut off than must be"
+        for number in range(COUNT):
+            off, moved = as_seen(photos, number, np.eye(4))
+            assert off < 4.5 and off < 0.35 * moved

@@ -196,6 +196,10 @@ def test_the_common_camera_sees_only_what_every_image_shows() -> None:
     ("other", "message"),
     [
         (Lens(240, 320, 260, 260, 120, 160), "expected images of one size and one camera, got 240 × 320 and 320 × 240"),
+        (
+            Lens(320, 240, 260, 260, 160, 120, (50.0, 0, 0, 0, 0)),
+            "expected lens distortion that leaves at least a third",
+        ),
         (Lens(320, 240, 130, 130, 160, 120), "expected one camera, got focal lengths from 130 to 260 pixels"),
         (Lens(320, 240, 260, 260, 210, 120), "a principal point that moves by 16 % of the width"),
     ],

@@ -200,6 +200,15 @@ def test_an_image_that_is_left_out_as_a_whole_has_a_brightness_and_no_features(t
     assert found.brightness == features(path).brightness and len(found.points) == 0
 
 
+def test_corners_and_bars_that_never_change_are_said_to_be_along_the_edges(tmp_path: Path) -> None:
+    rows, columns = np.indices((60, 90))
+    corners = np.hypot(rows - 30, columns - 45) > 48
+    bars = (rows < 6) | (rows >= 52)
+    for dark, where in ((corners, "along its edges"), (bars, "along its edges"), (~corners, "around its middle")):
+        Image.fromarray(np.uint8(255) * ~dark).save(tmp_path / "mask.png")
+        assert f"% of the image, mostly {where}, never changes" in said(tmp_path / "mask.png")
+
+
 def test_a_mask_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     Image.fromarray(np.zeros((3, 4), np.uint8)).save(tmp_path / "good.png")
     assert left_out(tmp_path / "good.png").all()

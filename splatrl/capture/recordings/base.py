@@ -3,7 +3,7 @@
 Recordings come from untrusted sources: images are looked for only beside their files, and nothing in them is executed.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
@@ -149,6 +149,23 @@ class FilePicture:
 def pictures_of(paths: Sequence[Path]) -> Callable[[Sequence[int]], Iterator[tuple[int, Picture]]]:
     """Return a ``Recording.pictures`` for images that are files of their own."""
     return lambda numbers: ((number, FilePicture(paths[number])) for number in numbers)
+
+
+def without_pose(paths: Sequence[Path], others: Iterable[Path] = ()) -> tuple[str, ...]:
+    """Return a remark on the photos beside a recording's images that have no pose; none where there are none.
+
+    Args:
+        paths: the images that have one.
+        others: further files, such as depth, that may lie beside them.
+    """
+    folders = {path.parent for path in paths}
+    files = [file for folder in folders for file in folder.iterdir() if not file.name.startswith(".")]
+    count = sum(file.suffix.lower() in PHOTO_SUFFIXES for file in files)
+    missing = count - sum(path.parent in folders for path in {*paths, *others})
+    if missing <= 0:
+        return ()
+    where = f"{len(folders)} folders" if len(folders) > 1 else str(min(folders))
+    return (f"{missing} of the {count} images in {where} have no pose, and are not used.",)
 
 
 def read_text(path: Path) -> str:

@@ -3,15 +3,26 @@
 The files are parsed here rather than by COLMAP, which allocates as much memory as a file claims to need.
 """
 
+import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from splatrl.capture.base import CaptureError
-from splatrl.capture.recordings.base import MAX_BYTES, Lens, Recording, Shot, beside, pictures_of, quaternion_poses
+from splatrl.capture.recordings.base import (
+    Lens,
+    Recording,
+    Shot,
+    beside,
+    pictures_of,
+    quaternion_poses,
+    without_pose,
+)
 from splatrl.files import natural
 
 Kept = TypeVar("Kept")
@@ -25,21 +36,28 @@ DISTORTION: dict[str, tuple[str, ...]] = {
     "OPENCV": ("k1", "k2", "p1", "p2"),
 }
 """Perspective camera models, each with the distortion coefficients that come last among its parameters."""
+POINTS = re.compile(r"[-+.\deE\s]*")
+"""What a line of ``images.txt`` with points consists of, three numbers each; tools may leave such lines out."""
+MOST = 100_000
+"""Maximum number of cameras and of images in a model."""
+LONGEST = 2**13
+"""Number of bytes from which a line of a text holds points, and maximum length of a name."""
 
 
 def found(source: Path) -> bool:
-    """Return whether a folder holds a model, itself or in ``sparse``, ``sparse/0`` or ``colmap/sparse/0``."""
-    return _folder(source) is not None
+    """Return whether a folder holds a model, itself, in ``sparse``, or in a sub-folder of that or ``colmap/sparse``."""
+    return bool(_models(source))
 
 
 def read(source: Path) -> Recording:
-    """Read a model whose images are in ``images`` or beside it.
+    """Read a model whose images are in ``images`` or beside it; of several, the one with the most images.
 
     Raises:
         CaptureError: where it is broken, lacks images, or has a camera that is not perspective.
     """
-    model = _folder(source)
-    assert model is not None
+    models = _models(source)
+    counts = [_claimed(model) for model in models]
+    model = models[counts.index(max(counts))]
     kind = "bin" if (model / "cameras.bin").is_file() else "txt"
     read_cameras, read_images = (_cameras, _images) if kind == "bin" else (_cameras_text, _images_text)
     files = [model / f"{name}.{kind}" for name in ("cameras", "images")]
@@ -60,7 +78,12 @@ def read(source: Path) -> Recording:
         Shot(image.name, float(n), lenses[image.camera], pose, path)
         for n, (image, pose, path) in enumerate(zip(images, poses, paths, strict=True))
     ]
-    return Recording(model, shots, pictures_of(paths), [*files, *paths], prepared=True)
+    remarks = without_pose(paths)
+    others = [f"{_shown(each)} ({count})" for each, count in zip(models, counts, strict=True) if each != model]
+    if others:
+        used = f"{_shown(model)}, with the most images ({len(images)}), is used, and not {', '.join(others)}"
+        remarks = (f"COLMAP joined the images into {len(models)} models: {used}.", *remarks)
+    return Recording(model, shots, pictures_of(paths), [*files, *paths], prepared=True, remarks=remarks)
 
 
 class _Image(NamedTuple):
@@ -71,21 +94,29 @@ class _Image(NamedTuple):
     name: str
 
 
-def _read(path: Path, read: Callable[[bytes], Kept]) -> Kept:
+def _read(path: Path, read: Callable[[mmap], Kept]) -> Kept:
+    """Parse a file of any size, most of which are points: what is skipped is not read."""
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise ValueError(f"more than {MAX_BYTES:,} bytes")
-        return read(path.read_bytes())
+        with path.open("rb") as stream, mmap(stream.fileno(), 0, access=ACCESS_READ) as content:
+            return read(content)
     except CaptureError as error:
         raise CaptureError(f"{path}: {error}") from error
     except (OSError, ValueError, IndexError, OverflowError, struct.error) as error:
         raise CaptureError(f"{path}: expected a COLMAP model: {error}") from error
 
 
-def _cameras(content: bytes) -> dict[int, Lens]:
+def _count(content: mmap) -> int:
+    """Return the number with which a binary file begins."""
+    (count,) = struct.unpack_from("<Q", content)
+    if count > MOST:
+        raise ValueError(f"at most {MOST:,} entries, got {count:,}")
+    return int(count)
+
+
+def _cameras(content: mmap) -> dict[int, Lens]:
     """Parse ``cameras.bin``: id, model, width, height, parameters."""
-    (count,), at, lenses = struct.unpack_from("<Q", content), 8, {}
-    for _ in range(count):
+    at, lenses = 8, {}
+    for _ in range(_count(content)):
         number, model, width, height = struct.unpack_from("<IiQQ", content, at)
         name = MODELS[model] if 0 <= model < len(MODELS) else str(model)
         size = _parameters(name)
@@ -94,12 +125,14 @@ def _cameras(content: bytes) -> dict[int, Lens]:
     return lenses
 
 
-def _images(content: bytes) -> list[_Image]:
+def _images(content: mmap) -> list[_Image]:
     """Parse ``images.bin``: id, pose, camera id, zero-terminated name, and points, which are skipped."""
-    (count,), at, images = struct.unpack_from("<Q", content), 8, []
-    for _ in range(count):
+    at, images = 8, list[_Image]()
+    for _ in range(_count(content)):
         *pose, camera = struct.unpack_from("<7dI", content, at + 4)
-        end = content.index(b"\0", at + 64)
+        end = content.find(b"\0", at + 64, at + 64 + LONGEST)
+        if end < 0:
+            raise ValueError(f"the name of image {len(images) + 1} does not end")
         images.append(_Image(tuple(pose), camera, content[at + 64 : end].decode()))
         (points,) = struct.unpack_from("<Q", content, end + 1)
         at = end + 9 + 24 * points
@@ -108,7 +141,7 @@ def _images(content: bytes) -> list[_Image]:
     return images
 
 
-def _cameras_text(content: bytes) -> dict[int, Lens]:
+def _cameras_text(content: mmap) -> dict[int, Lens]:
     lenses = {}
     for line in _lines(content):
         number, name, width, height, *values = line.split()
@@ -116,27 +149,60 @@ def _cameras_text(content: bytes) -> dict[int, Lens]:
     return lenses
 
 
-def _images_text(content: bytes) -> list[_Image]:
+def _images_text(content: mmap) -> list[_Image]:
     images = []
-    for line in _lines(content)[::2]:  # every other line lists points
-        _, *numbers, camera, name = line.split(maxsplit=9)
-        images.append(_Image(tuple(map(float, numbers)), int(camera), name))
+    for line in _lines(content):
+        if POINTS.fullmatch(line) and len(line.split()) % 3 == 0:
+            continue
+        words = line.split(maxsplit=9)
+        if len(words) < 10:
+            raise ValueError(f"{line[:80]!r}: expected an id, a pose of 7 numbers, a camera's id and a name")
+        _, *numbers, camera, name = words
+        images.append(_Image(tuple(map(float, numbers)), int(camera), name.rstrip()))
     return images
 
 
-def _lines(content: bytes) -> list[str]:
-    """Return the lines of a text, without comments and without blank lines at its beginning and end."""
-    lines = [line for line in content.decode().replace("\r\n", "\n").split("\n") if not line.startswith("#")]
-    while lines and not lines[0].strip():
-        lines.pop(0)
-    return lines[:-1] if lines and not lines[-1].strip() else lines
+def _lines(content: mmap) -> Iterator[str]:
+    """Yield the lines of a text that are neither blank nor comments, nor so long that they hold points."""
+    at, count = 0, 0
+    while at < len(content):
+        end = content.find(b"\n", at)
+        end = len(content) if end < 0 else end
+        line = content[at:end].decode().rstrip("\r") if end - at < LONGEST else ""
+        at = end + 1
+        if line.strip() and not line.startswith("#"):
+            count += not POINTS.fullmatch(line)
+            if count > MOST:
+                raise ValueError(f"at most {MOST:,} entries")
+            yield line
 
 
-def _folder(source: Path) -> Path | None:
-    for folder in (source, source / "sparse", source / "sparse" / "0", source / "colmap" / "sparse" / "0"):
-        if any((folder / name).is_file() for name in ("cameras.bin", "cameras.txt")):
-            return folder
-    return None
+def _models(source: Path) -> list[Path]:
+    """Return the folders with a model: those of the first place that has any."""
+    for folders in ([source], [source / "sparse"], *map(_within, (source / "sparse", source / "colmap" / "sparse"))):
+        found = [each for each in folders if any((each / name).is_file() for name in ("cameras.bin", "cameras.txt"))]
+        if found:
+            return found
+    return []
+
+
+def _within(folder: Path) -> list[Path]:
+    return sorted((each for each in folder.iterdir() if each.is_dir()), key=natural) if folder.is_dir() else []
+
+
+def _claimed(model: Path) -> int:
+    """Return how many images a model claims to have; 0 where that cannot be read."""
+    with suppress(CaptureError, OSError, struct.error):
+        if (model / "cameras.bin").is_file():
+            with (model / "images.bin").open("rb") as stream:
+                (count,) = struct.unpack("<Q", stream.read(8))
+            return int(count)
+        return len(_read(model / "images.txt", _images_text))
+    return 0
+
+
+def _shown(model: Path) -> str:
+    return f"{model.parent.name}/{model.name}"
 
 
 def _parameters(name: str) -> int:

@@ -1,4 +1,4 @@
-"""The images of a recording that are used: chosen, turned upright, and cropped to what one camera would have seen."""
+"""The images of a recording that are used: chosen, turned upright, and as one camera would have seen them."""
 
 import json
 from collections.abc import Callable, Iterator, Sequence
@@ -14,6 +14,7 @@ from splatrl.capture.frames import buckets, sharpest, sharpness
 from splatrl.capture.photo_files import orientation
 from splatrl.capture.progress import Progress
 from splatrl.capture.recordings.base import Depth, Floats, Lens, Picture, Recording
+from splatrl.capture.recordings.straightening import seen_by, straight
 from splatrl.capture.recordings.turning import (
     quarter_turns,
     stated_turns,
@@ -30,6 +31,8 @@ SPREAD = 1.1
 """Maximum ratio of the largest to the smallest focal length of what still counts as one camera."""
 WANDER = 0.1
 """Maximum movement of that camera's principal point, as by an image stabiliser, in widths of the image."""
+CROPPED = 3.0
+"""Maximum ratio of the focal length of what every image shows to that of the images."""
 
 
 def keep(recording: Recording, folder: Path, count: tuple[int, int], longest: int, progress: Progress) -> Photos:
@@ -38,7 +41,7 @@ def keep(recording: Recording, folder: Path, count: tuple[int, int], longest: in
     A second call with the same files and settings reads what the first one kept.
 
     Args:
-        recording: a recording without lens distortion whose poses have been checked.
+        recording: a recording whose poses have been checked; depth of images with lens distortion is ignored.
         folder: the capture's folder; images are written to its sub-folder ``shots``, depth to ``shots/depth``.
         count: minimum (where there are so many) and maximum number of images.
         longest: maximum pixels along the longer side.
@@ -60,47 +63,60 @@ def one_camera(source: object, lenses: Sequence[Lens], border: float = 0.0) -> t
     """Return a camera that sees only what every image shows.
 
     Images of pinhole cameras in one place differ only by a scale and a shift. So the camera has the median principal
-    point of the others, and the shortest focal length with which each image, cropped and scaled, fills its view.
+    point of the others, and the shortest focal length with which each image, cropped and scaled, fills its view. Of an
+    image with lens distortion, what counts is the largest part that fills a rectangle without it.
 
     Args:
         source: the recording, for messages.
-        lenses: N cameras, at least one, without distortion.
+        lenses: N cameras, at least one.
         border: pixels to cut off along the edges of each image.
 
     Returns:
-        The camera; and the crop of each image that is its view: [N, 4] left, upper, right and lower edge, pixels.
+        The camera, without distortion; and the crop of each image, without distortion, that is its view: [N, 4] left,
+        upper, right and lower edge, pixels.
 
     Raises:
-        CaptureError: for images of different sizes, or cameras too different to be one.
+        CaptureError: for cameras too different to be one.
     """
-    sizes = sorted({(lens.width, lens.height) for lens in lenses})
-    if len(sizes) > 1:
-        shown = " and ".join(f"{width:.0f} × {height:.0f}" for width, height in sizes[:2])
+    own, sizes = _table(lenses), np.array([[lens.width, lens.height] for lens in lenses])
+    if (sizes.max(0) > SPREAD * sizes.min(0)).any():
+        least, most = sizes[sizes[:, 0].argmin()], sizes[sizes[:, 0].argmax()]
+        shown = " and ".join(f"{width:.0f} × {height:.0f}" for width, height in (least, most))
         raise CaptureError(f"{source}: expected images of one size and one camera, got {shown}")
-    width, height = sizes[0]
-    own = np.array([[lens.fx, lens.fy, lens.cx, lens.cy] for lens in lenses])
-    fx, fy, cx, cy = own.T
-    wander = max(np.ptp(cx), np.ptp(cy)) / width
+    size = sizes.min(0)
+    fx, fy, aside = own[:, 0], own[:, 1], own[:, 2:] - sizes / 2
+    wander = np.ptp(aside, axis=0).max() / size[0]
     if max(fx.max() / fx.min(), fy.max() / fy.min()) > SPREAD or wander > WANDER:
         raise CaptureError(
             f"{source}: expected one camera, got focal lengths from {fx.min():.0f} to {fx.max():.0f} pixels, and a "
             f"principal point that moves by {100 * wander:.0f} % of the width; keep only the images of one camera"
         )
-    focal, middle = np.median(own[:, :2], axis=0), np.median(own[:, 2:], axis=0)
-    reach = np.minimum(middle, [width - middle[0], height - middle[1]])
-    if (reach < 0.2 * np.array([width, height])).any():
+    focal, middle = np.median(own[:, :2], axis=0), size / 2 + np.median(aside, axis=0)
+    reach = np.minimum(middle, size - middle)
+    if (reach < 0.2 * size).any():
         raise CaptureError(
-            f"{source}: expected a principal point near the middle of {width:.0f} × {height:.0f} pixels, got "
+            f"{source}: expected a principal point near the middle of {size[0]:.0f} × {size[1]:.0f} pixels, got "
             f"({middle[0]:.0f}, {middle[1]:.0f}); are the intrinsics for another image size?"
         )
-    before = own[:, 2:] - border  # extents of the part that shows something
-    behind = [width - border, height - border] - own[:, 2:]
-    zoom = (own[:, :2] / focal * np.maximum(middle / before, ([width, height] - middle) / behind)).max()
-    camera = Lens(width, height, float(zoom * focal[0]), float(zoom * focal[1]), float(middle[0]), float(middle[1]))
-    across, down = fx / camera.fx, fy / camera.fy
-    left, upper = cx - camera.cx * across, cy - camera.cy * down
-    boxes = np.stack([left, upper, left + width * across, upper + height * down], 1)
-    return camera, np.clip(boxes, 0.0, [width, height, width, height])
+    straightened = _table([straight(lens) for lens in lenses])
+    focals, before = straightened[:, :2], straightened[:, 2:] - border  # extents of the part that shows something
+    behind = sizes - border - straightened[:, 2:]
+    zoom = (focals / focal * np.maximum(middle / before, (size - middle) / behind)).max()
+    if (focals <= 0).any() or not zoom < CROPPED:
+        raise CaptureError(
+            f"{source}: expected lens distortion that leaves at least a third of each image without it, got less; are "
+            "the coefficients those of OpenCV?"
+        )
+    camera = Lens(*size.tolist(), *(zoom * focal).tolist(), *middle.tolist())
+    scale = focals / (zoom * focal)
+    upper_left = straightened[:, 2:] - middle * scale
+    boxes = np.concatenate([upper_left, upper_left + size * scale], 1)
+    return camera, np.clip(boxes, 0.0, np.tile(sizes, 2))
+
+
+def _table(lenses: Sequence[Lens]) -> Floats:
+    """Return fx, fy, cx and cy of each lens: [N, 4]."""
+    return np.array([[lens.fx, lens.fy, lens.cx, lens.cy] for lens in lenses])
 
 
 def _write(made: Path, recording: Recording, count: tuple[int, int], longest: int, progress: Progress) -> None:
@@ -113,11 +129,14 @@ def _write(made: Path, recording: Recording, count: tuple[int, int], longest: in
     size: tuple[int, int] | None = None
     for number, picture in _chosen(recording, count, progress, index["remarks"].append):
         image, shot, name = picture.image(), shots[number], f"{len(index['names']):04}"
-        stored = _scale(f"{recording.source}: {shot.name}", image, camera)
+        stored = _scale(f"{recording.source}: {shot.name}", image, shot.lens)
         size = size or _size(camera, min(*stored, longest / max(camera.width, camera.height)))
-        seen = _cut(image, boxes[number] * np.tile(stored, 2), size, turns)
-        seen.save(made / f"{name}.jpg", quality=95, subsampling=0)
-        depths.write(name, None if shot.depth is None else _cut_depth(shot.depth(), boxes[number], camera, turns))
+        distorted = any(shot.lens.distortion)
+        box = boxes[number] * np.tile(stored, 2)
+        seen = seen_by(camera, image, shot.lens, size) if distorted else _cut(image, box, size)
+        turned_image(seen, turns).save(made / f"{name}.jpg", quality=95, subsampling=0)
+        depth = None if shot.depth is None or distorted else _cut_depth(shot.depth(), boxes[number], shot.lens, turns)
+        depths.write(name, depth)
         index["names"].append(name)
         index["seconds"].append(shot.seconds - shots[0].seconds)
         index["files"] += [] if recording.timed else [shot.name]
@@ -140,11 +159,11 @@ def _turns(recording: Recording, poses: Floats) -> int:
     return stated_turns(poses, map(orientation, files)) if files else 0
 
 
-def _scale(name: str, image: Image.Image, camera: Lens) -> Floats:
+def _scale(name: str, image: Image.Image, lens: Lens) -> Floats:
     """Return how much larger an image is than its intrinsics say, across and down: it may have been rescaled since."""
-    stored = np.array(image.size) / [camera.width, camera.height]
+    stored = np.array(image.size) / [lens.width, lens.height]
     if abs(stored[0] / stored[1] - 1) > 0.01:
-        shape = f"{camera.width:.0f} × {camera.height:.0f}"
+        shape = f"{lens.width:.0f} × {lens.height:.0f}"
         raise CaptureError(
             f"{name}: expected an image with the aspect ratio of {shape}, got {image.width} × {image.height}"
         )
@@ -182,15 +201,15 @@ def _chosen(
         remark(f"{unread} of {len(numbers)} images are damaged, and are not used.")
 
 
-def _cut(image: Image.Image, box: Floats, size: tuple[int, int], turns: int) -> Image.Image:
-    """Crop an image to what the one camera sees, resize it, and turn it."""
+def _cut(image: Image.Image, box: Floats, size: tuple[int, int]) -> Image.Image:
+    """Crop an image to what the one camera sees, and resize it."""
     box = np.clip(box, 0.0, np.tile(image.size, 2))
-    return turned_image(image.resize(size, Image.Resampling.BICUBIC, tuple(box.tolist())), turns)
+    return image.resize(size, Image.Resampling.BICUBIC, tuple(box.tolist()))
 
 
-def _cut_depth(depth: Depth, box: Floats, camera: Lens, turns: int) -> Depth:
+def _cut_depth(depth: Depth, box: Floats, lens: Lens, turns: int) -> Depth:
     """Crop measured depth to what the one camera sees, at the sensor's size, and turn it; never interpolate depths."""
-    left, upper, right, lower = box / [camera.width, camera.height, camera.width, camera.height]
+    left, upper, right, lower = box / [lens.width, lens.height, lens.width, lens.height]
     places = []
     for start, end, size in ((upper, lower, depth.shape[0]), (left, right, depth.shape[1])):
         middles = start + (np.arange(size) + 0.5) / size * (end - start)

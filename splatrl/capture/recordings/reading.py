@@ -27,16 +27,16 @@ def is_recording(source: Path) -> bool:
 def read_recording(
     source: Path, folder: Path, count: tuple[int, int] = (120, 200), longest: int = 960, progress: Progress = silent
 ) -> Photos:
-    """Read images with known poses, without lens distortion, all from one camera.
+    """Read images with known poses, as one camera without lens distortion sees them.
 
-    Images that were chosen and prepared already (``transforms.json``, a COLMAP model) stay as they are where they are
-    from one camera and either come without depth or have lens distortion, which is taken out while the depth is
-    ignored. All others are chosen as from a video, turned upright, and cropped to what one camera would have seen,
-    since an autofocus changes the focal length by a few per mille.
+    Images that were chosen and prepared already (``transforms.json``, a COLMAP model) stay as they are where they share
+    one lens and either come without depth or have lens distortion, which is taken out while the depth is ignored. All
+    others are turned upright, after a choice as from a video where they were not prepared, and shown as one camera
+    would have seen them: an autofocus changes the focal length by a few per mille, and COLMAP may find a lens for each.
 
     Args:
-        source: ``transforms.json`` or its folder; a folder with a COLMAP model in it, in ``sparse`` or ``sparse/0``,
-            and ``images``; a folder of Polycam's raw data or of Stray Scanner; Record3D's ``.r3d`` or its folder.
+        source: ``transforms.json`` or its folder; a folder with a COLMAP model in it, in ``sparse`` or a sub-folder of
+            that, and ``images``; a folder of Polycam's raw data or of Stray Scanner; Record3D's ``.r3d`` or its folder.
         folder: the capture's folder; images are written to its sub-folder ``shots``, or ``recorded`` where they were
             prepared already but cannot stay where they are.
         count: minimum (where there are so many) and maximum number of images that are chosen.
@@ -60,10 +60,6 @@ def read_recording(
     check_recording(recording)
     lenses = {shot.lens for shot in recording.shots}
     distorted = any(any(lens.distortion) for lens in lenses)
-    if distorted and len(lenses) > 1:
-        raise CaptureError(
-            f"{source}: expected one camera, or several without distortion, got {len(lenses)} with distortion"
-        )
     measured = any(shot.depth is not None for shot in recording.shots)
     if recording.prepared and len(lenses) == 1 and (distorted or not measured):
         return as_prepared(recording, folder, progress)

@@ -1,4 +1,4 @@
-"""``transforms.json`` of nerfstudio and instant-ngp: a list of images with OpenGL camera-to-world poses."""
+"""``transforms.json`` of nerfstudio, instant-ngp and NeRF: a list of images with OpenGL camera-to-world poses."""
 
 import json
 import math
@@ -22,10 +22,13 @@ from splatrl.capture.recordings.base import (
     read_depth,
     read_json,
     read_text,
+    without_pose,
 )
 from splatrl.files import natural
 
 MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+NAMES = "transforms.json", "transforms_train.json"
+"""Names of the file in a folder; the second is that of NeRF's synthetic scenes, beside those for tests."""
 FARTHEST = 65_534
 """Maximum depth, millimetres; the largest number of 16 bits stands for no depth, as in 7-Scenes."""
 
@@ -73,6 +76,9 @@ def read(source: Path) -> Recording:
         shots.append(Shot(frame["file_path"], float(number), lens, pose, image, depth, () if file is None else (file,)))
     wanted = sum(frame.get("depth_file_path") is not None for frame in frames) if measured else 0
     missing = wanted - sum(shot.depth is not None for shot in shots)
+    remarks = [*without_pose(paths, (file for shot in shots for file in shot.depth_files))]
+    if missing:
+        remarks.append(f"{missing} of {wanted} depth images are missing: these images are used without depth.")
     return Recording(
         path,
         shots,
@@ -81,14 +87,14 @@ def read(source: Path) -> Recording:
         up=np.array([0.0, 0.0, 1.0]) if data.get("orientation_override") == "none" else None,
         metric=wanted > 0,
         prepared=True,
-        remarks=(f"{missing} of {wanted} depth images are missing: these images are used without depth.",)
-        if missing
-        else (),
+        remarks=tuple(remarks),
     )
 
 
 def _file(source: Path) -> Path:
-    return source / "transforms.json" if source.is_dir() else source
+    if not source.is_dir():
+        return source
+    return next((source / name for name in NAMES if (source / name).is_file()), source / NAMES[0])
 
 
 def _depth_file(folder: Path, name: object) -> Path | None:
