@@ -8,7 +8,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from splatrl.bodies import Box
+from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum.ground import Ground
+from splatrl.several import rows_of, stacked
 
 MOST_DISTANCES = 2**29
 """Most distances, nodes times goals, of one scene: each takes 4 bytes."""
@@ -25,6 +28,7 @@ class Geodesics(nn.Module):
         grounds: the ground of each scene.
         for_training: number of goals per scene that are drawn in training; they come first.
         for_tests: number of goals per scene that are drawn in tests; they come next.
+        motion: how robots move in each scene, ``stacked``.
     """
 
     metres: Tensor  # [sum of X · Y] float32, the distance fields of all goals, one after the other
@@ -40,7 +44,7 @@ class Geodesics(nn.Module):
         """Compute the distances to the goal nodes of each ground."""
         super().__init__()
         self.grounds, self.for_training, self.cell = tuple(grounds), for_training, grounds[0].cell
-        self._scene: Tensor | None = None
+        self.motion, self._scene = stacked([each.motion for each in grounds]), None
         self._nodes = [np.asarray(nodes, np.int64) for nodes in goals]
         counts = np.array([len(nodes) for nodes in goals])
         sizes = np.repeat([each.shape[0] * each.shape[1] for each in grounds], counts)
@@ -61,6 +65,11 @@ class Geodesics(nn.Module):
     def longest(self) -> float:
         """Length of the longest of all shortest paths to a goal, metres."""
         return float(self.metres[self.metres.isfinite()].max())
+
+    @property
+    def round(self) -> bool:
+        """Whether the body is round about z, so that it can turn wherever it fits."""
+        return not isinstance(self.grounds[0].checker.body, Box)
 
     def _keep(self, name: str, values: NDArray[Any]) -> None:
         self.register_buffer(name, torch.from_numpy(values), persistent=False)
@@ -88,6 +97,7 @@ class Geodesics(nn.Module):
         result.grounds = tuple(each.grounds[0] for each in scenes)
         result.for_training, result.cell, result._scene = first.for_training, first.cell, None
         result.for_tests = min(each.for_tests for each in scenes)
+        result.motion = stacked([each.motion for each in result.grounds])
         result._nodes = [each._nodes[0] for each in scenes]
         sizes = torch.tensor([len(each.metres) for each in scenes])
         shifts = sizes.cumsum(0) - sizes
@@ -157,6 +167,24 @@ class Geodesics(nn.Module):
         at = (place - self.corner[goal]) / self.cell
         inside = ((at >= 0) & (at <= self.shape[goal] - 1)).all(1)
         return torch.where(inside, self._between_nodes(self.open, self.first_open, place, goal), 0.0)
+
+    def clear(self, start: Tensor, end: Tensor, goal: Tensor) -> Tensor:
+        """Return whether the body touches nothing between poses in the goals' scenes, and ends within the bounds.
+
+        Args:
+            start: [B, N, 3] float32, x and y in metres and yaw in radians.
+            end: [B, N, 3] float32, likewise.
+            goal: [B] int64, rows of goals.
+
+        Returns:
+            [B, N] bool.
+        """
+        scene = (torch.searchsorted(self.begins, goal, right=True) - 1).repeat_interleave(start.shape[1])
+        motion = rows_of(self.motion, scene)
+        checker = SeveralCheckers([each.checker for each in self.grounds]).at(scene)
+        begins, ends = start.flatten(0, 1), end.flatten(0, 1)
+        touched = checker.sweeps(motion.body_to_world(begins), motion.body_to_world(ends))
+        return (motion.inside(ends) & ~touched).view(start.shape[:2])
 
     def reachable(self, place: Tensor, goal: Tensor) -> Tensor:
         """Return whether paths lead from free places, next to open nodes, to goals: [B, 2], [B] int64 -> [B] bool."""
