@@ -14,7 +14,7 @@ from splatrl.curriculum.ground import Ground
 from splatrl.several import rows_of, stacked
 
 MOST_DISTANCES = 2**29
-"""Most distances, nodes times goals, of one scene: each takes 4 bytes."""
+"""Most distances, nodes times goals, to the goals of one scene or those of a file: each takes 4 bytes."""
 AT_ONCE = 2**20
 """Most distances that ``Geodesics.within`` looks up at once, unless there are more places."""
 NEAR = 2.0
@@ -124,19 +124,33 @@ class Geodesics(nn.Module):
         """Return a copy with further goals at places [N, 2] of scenes [N], and the rows of these goals, [N] int64.
 
         Raises:
-            ValueError: for a place where the robot does not fit, or outside the largest connected component.
+            ValueError: for a place where the robot does not fit, or outside the largest connected component, or for
+                more than ``MOST_DISTANCES`` distances to further goals.
         """
-        nodes, rows = [list(each) for each in self._nodes], np.zeros(len(places), np.int64)
-        for number, (place, own) in enumerate(zip(places, scene, strict=True)):
-            each = self.grounds[int(own)]
-            node = int(each.node(place[None])[0])
-            if not each.open[node] or np.abs(each.place(np.array([node]))[0] - place).max() > each.cell:
-                raise ValueError(f"goal of episode {number}: expected a free place, got {np.round(place, 3).tolist()}")
-            if node not in nodes[int(own)]:
-                nodes[int(own)].append(node)
-            rows[number] = nodes[int(own)].index(node)
-        result = Geodesics(self.grounds, [np.array(own) for own in nodes], self.for_training)
-        return result.to(self.metres.device), torch.from_numpy(rows) + result.begins.cpu()[torch.from_numpy(scene)]
+        node, fits = np.zeros(len(places), np.int64), np.ones(len(places), bool)
+        for number, each in enumerate(self.grounds):
+            mine = np.flatnonzero(scene == number)
+            node[mine] = each.node(places[mine])
+            off = np.abs(each.place(node[mine]) - places[mine]).max(1, initial=0.0)
+            fits[mine] = each.open[node[mine]] & (off <= each.cell)
+        if not fits.all():
+            wrong = int(fits.argmin())
+            got = np.round(places[wrong], 3).tolist()
+            raise ValueError(f"goal of episode {wrong}: expected a free place, got {got}")
+        further = [np.setdiff1d(node[scene == number], own) for number, own in enumerate(self._nodes)]
+        needed = sum(len(new) * each.open.size for new, each in zip(further, self.grounds, strict=True))
+        if needed > MOST_DISTANCES:
+            raise ValueError(
+                f"goals: expected at most {MOST_DISTANCES:,} distances to further goals, got {needed:,} to "
+                f"{sum(map(len, further)):,}; type starts=... for the first episodes alone, or a larger task.cell"
+            )
+        nodes = [np.concatenate(pair) for pair in zip(self._nodes, further, strict=True)]
+        result = Geodesics(self.grounds, nodes, self.for_training)
+        begins, rows = result.begins.cpu().numpy(), np.zeros(len(places), np.int64)
+        for number, all_of in enumerate(nodes):
+            mine, order = scene == number, all_of.argsort()
+            rows[mine] = begins[number] + order[np.searchsorted(all_of, node[mine], sorter=order)]
+        return result.to(self.metres.device), torch.from_numpy(rows)
 
     def distance(self, place: Tensor, goal: Tensor) -> Tensor:
         """Return the length of the shortest path from places to goals, interpolated between nodes.
