@@ -42,7 +42,9 @@ def through_the_lane(task: PointNav, count: int) -> tuple[Tensor, dict[str, Tens
 
 
 @pytest.mark.parametrize(("body", "motion"), [(BOX, NavigateMotion), (BOX, DriveMotion), (Sphere(0.252), DriveMotion)])
-def test_robots_get_through_a_narrow_lane_and_touch_nothing(body: Body, motion: type[NavigateMotion | DriveMotion]) -> None:
+def test_robots_get_through_a_narrow_lane_and_touch_nothing(
+    body: Body, motion: type[NavigateMotion | DriveMotion]
+) -> None:
     task = beside_a_lane(body, motion(0.5, **BOUNDS))
     state, memory = through_the_lane(task, 12)
     row, walking = memory["goal_row"].squeeze(1), torch.ones(12, dtype=torch.bool)
