@@ -9,7 +9,8 @@ from torch import Tensor
 
 from splatrl.bodies import Body, Box, Sphere
 from splatrl.collision import NativeChecker, Occupancy
-from splatrl.envs.tasks import PointNav
+from splatrl.envs.tasks import ImageNav, NavigationTask, PointNav
+from splatrl.envs.tasks.imagenav import LOST
 from splatrl.motions import DriveMotion, NavigateMotion
 from splatrl.motions.planar import StoppingMotion
 
@@ -19,17 +20,17 @@ HALF_WIDTH = 0.3
 """Half the width of a lane, metres, in which the body fits at every heading at a single row of nodes."""
 
 
-def beside_a_lane(body: Body, motion: StoppingMotion) -> PointNav:
+def beside_a_lane(body: Body, motion: StoppingMotion, kind: type[NavigationTask] = PointNav) -> NavigationTask:
     """Make a task in two areas that a lane along y connects, 0.5 m long."""
     walls = Occupancy.from_boxes(
         [[-1.5, -0.25, 0.0], [HALF_WIDTH, -0.25, 0.0]], [[-HALF_WIDTH, 0.25, 1.0], [1.5, 0.25, 1.0]], 0.05
     )
-    task = PointNav(motion, goals=4, test_goals=16, nearest=0.5)
+    task = kind(motion, goals=4, test_goals=16, nearest=0.5)
     task.choose_goals(NativeChecker(walls, body))
     return task
 
 
-def through_the_lane(task: PointNav, count: int) -> tuple[Tensor, dict[str, Tensor]]:
+def through_the_lane(task: NavigationTask, count: int) -> tuple[Tensor, dict[str, Tensor]]:
     """Return free starts and the memory of episodes whose goals are on the other side."""
     ground, motion = task.geodesics.grounds[0], task.motion
     starts = motion.states()
@@ -68,3 +69,15 @@ def test_the_direction_depends_on_the_robot_alone() -> None:
     alone = [task.led(state[[i]], {key: value[[i]] for key, value in memory.items()})[0] for i in range(12)]
     assert torch.equal(turn, torch.cat(alone))
     assert turn.unique().numel() > 4 and (turn.abs() <= math.pi).all()
+
+
+def test_the_image_goal_teacher_does_not_look_around_where_the_body_may_not_fit_at_every_heading() -> None:
+    task = beside_a_lane(BOX, NavigateMotion(0.5, **BOUNDS), ImageNav)
+    _, memory = through_the_lane(task, 12)
+    memory["unseen"] = torch.full_like(memory["unseen"], LOST)
+    ahead = memory["goal"][:, 1].sign()  # the lane leads along y
+    in_the_lane = torch.stack([torch.full((12,), 0.02), torch.zeros(12), 0.5 * math.pi * ahead], 1)
+    in_the_open = in_the_lane + torch.stack([torch.zeros(12), -0.8 * ahead, torch.zeros(12)], 1)
+    stop, forward, left = range(3)
+    assert set(task.teach(in_the_lane, memory).tolist()) <= {stop, forward}  # some goals are in the lane
+    assert task.teach(in_the_open, memory).tolist() == [left] * 12
