@@ -8,10 +8,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from splatrl.bodies import Box
+from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum.ground import Ground
+from splatrl.several import rows_of, stacked
 
 MOST_DISTANCES = 2**29
-"""Most distances, nodes times goals, of one scene: each takes 4 bytes."""
+"""Most distances, nodes times goals, to the goals of one scene or those of a file: each takes 4 bytes."""
 AT_ONCE = 2**20
 """Most distances that ``Geodesics.within`` looks up at once, unless there are more places."""
 NEAR = 2.0
@@ -25,6 +28,7 @@ class Geodesics(nn.Module):
         grounds: the ground of each scene.
         for_training: number of goals per scene that are drawn in training; they come first.
         for_tests: number of goals per scene that are drawn in tests; they come next.
+        motion: how robots move in each scene, ``stacked``.
     """
 
     metres: Tensor  # [sum of X · Y] float32, the distance fields of all goals, one after the other
@@ -40,7 +44,7 @@ class Geodesics(nn.Module):
         """Compute the distances to the goal nodes of each ground."""
         super().__init__()
         self.grounds, self.for_training, self.cell = tuple(grounds), for_training, grounds[0].cell
-        self._scene: Tensor | None = None
+        self.motion, self._scene = stacked([each.motion for each in grounds]), None
         self._nodes = [np.asarray(nodes, np.int64) for nodes in goals]
         counts = np.array([len(nodes) for nodes in goals])
         sizes = np.repeat([each.shape[0] * each.shape[1] for each in grounds], counts)
@@ -61,6 +65,11 @@ class Geodesics(nn.Module):
     def longest(self) -> float:
         """Length of the longest of all shortest paths to a goal, metres."""
         return float(self.metres[self.metres.isfinite()].max())
+
+    @property
+    def round(self) -> bool:
+        """Whether the body is round about z, so that it can turn wherever it fits."""
+        return not isinstance(self.grounds[0].checker.body, Box)
 
     def _keep(self, name: str, values: NDArray[Any]) -> None:
         self.register_buffer(name, torch.from_numpy(values), persistent=False)
@@ -88,6 +97,7 @@ class Geodesics(nn.Module):
         result.grounds = tuple(each.grounds[0] for each in scenes)
         result.for_training, result.cell, result._scene = first.for_training, first.cell, None
         result.for_tests = min(each.for_tests for each in scenes)
+        result.motion = stacked([each.motion for each in result.grounds])
         result._nodes = [each._nodes[0] for each in scenes]
         sizes = torch.tensor([len(each.metres) for each in scenes])
         shifts = sizes.cumsum(0) - sizes
@@ -114,19 +124,33 @@ class Geodesics(nn.Module):
         """Return a copy with further goals at places [N, 2] of scenes [N], and the rows of these goals, [N] int64.
 
         Raises:
-            ValueError: for a place where the robot does not fit, or outside the largest connected component.
+            ValueError: for a place where the robot does not fit, or outside the largest connected component, or for
+                more than ``MOST_DISTANCES`` distances to further goals.
         """
-        nodes, rows = [list(each) for each in self._nodes], np.zeros(len(places), np.int64)
-        for number, (place, own) in enumerate(zip(places, scene, strict=True)):
-            each = self.grounds[int(own)]
-            node = int(each.node(place[None])[0])
-            if not each.open[node] or np.abs(each.place(np.array([node]))[0] - place).max() > each.cell:
-                raise ValueError(f"goal of episode {number}: expected a free place, got {np.round(place, 3).tolist()}")
-            if node not in nodes[int(own)]:
-                nodes[int(own)].append(node)
-            rows[number] = nodes[int(own)].index(node)
-        result = Geodesics(self.grounds, [np.array(own) for own in nodes], self.for_training)
-        return result.to(self.metres.device), torch.from_numpy(rows) + result.begins.cpu()[torch.from_numpy(scene)]
+        node, fits = np.zeros(len(places), np.int64), np.ones(len(places), bool)
+        for number, each in enumerate(self.grounds):
+            mine = np.flatnonzero(scene == number)
+            node[mine] = each.node(places[mine])
+            off = np.abs(each.place(node[mine]) - places[mine]).max(1, initial=0.0)
+            fits[mine] = each.open[node[mine]] & (off <= each.cell)
+        if not fits.all():
+            wrong = int(fits.argmin())
+            got = np.round(places[wrong], 3).tolist()
+            raise ValueError(f"goal of episode {wrong}: expected a free place, got {got}")
+        further = [np.setdiff1d(node[scene == number], own) for number, own in enumerate(self._nodes)]
+        needed = sum(len(new) * each.open.size for new, each in zip(further, self.grounds, strict=True))
+        if needed > MOST_DISTANCES:
+            raise ValueError(
+                f"goals: expected at most {MOST_DISTANCES:,} distances to further goals, got {needed:,} to "
+                f"{sum(map(len, further)):,}; type starts=... for the first episodes alone, or a larger task.cell"
+            )
+        nodes = [np.concatenate(pair) for pair in zip(self._nodes, further, strict=True)]
+        result = Geodesics(self.grounds, nodes, self.for_training)
+        begins, rows = result.begins.cpu().numpy(), np.zeros(len(places), np.int64)
+        for number, all_of in enumerate(nodes):
+            mine, order = scene == number, all_of.argsort()
+            rows[mine] = begins[number] + order[np.searchsorted(all_of, node[mine], sorter=order)]
+        return result.to(self.metres.device), torch.from_numpy(rows)
 
     def distance(self, place: Tensor, goal: Tensor) -> Tensor:
         """Return the length of the shortest path from places to goals, interpolated between nodes.
@@ -157,6 +181,24 @@ class Geodesics(nn.Module):
         at = (place - self.corner[goal]) / self.cell
         inside = ((at >= 0) & (at <= self.shape[goal] - 1)).all(1)
         return torch.where(inside, self._between_nodes(self.open, self.first_open, place, goal), 0.0)
+
+    def clear(self, start: Tensor, end: Tensor, goal: Tensor) -> Tensor:
+        """Return whether the body touches nothing between poses in the goals' scenes, and ends within the bounds.
+
+        Args:
+            start: [B, N, 3] float32, x and y in metres and yaw in radians.
+            end: [B, N, 3] float32, likewise.
+            goal: [B] int64, rows of goals.
+
+        Returns:
+            [B, N] bool.
+        """
+        scene = (torch.searchsorted(self.begins, goal, right=True) - 1).repeat_interleave(start.shape[1])
+        motion = rows_of(self.motion, scene)
+        checker = SeveralCheckers([each.checker for each in self.grounds]).at(scene)
+        begins, ends = start.flatten(0, 1), end.flatten(0, 1)
+        touched = checker.sweeps(motion.body_to_world(begins), motion.body_to_world(ends))
+        return (motion.inside(ends) & ~touched).view(start.shape[:2])
 
     def reachable(self, place: Tensor, goal: Tensor) -> Tensor:
         """Return whether paths lead from free places, next to open nodes, to goals: [B, 2], [B] int64 -> [B] bool."""

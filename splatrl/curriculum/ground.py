@@ -1,5 +1,6 @@
 """The ground of a scene: the places where a body fits, and the ways between them."""
 
+import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -37,6 +38,8 @@ class Ground:
         cell: distance between neighbouring nodes, metres.
         open: [X · Y] bool, True for nodes of the largest connected component.
         ways: [X, Y] uint16, bit k tells whether the body fits all the way from a node to the one at ``WAYS[k]``.
+        motion: the robot's motion.
+        checker: tells what the body touches.
     """
 
     corner: NDArray[np.float64]
@@ -44,6 +47,8 @@ class Ground:
     cell: float
     open: NDArray[np.bool_]
     ways: NDArray[np.uint16]
+    motion: PlanarMotion
+    checker: Checker
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "Ground":
         return self  # immutable
@@ -134,4 +139,5 @@ def ground(
         ways[begin[clear]] |= np.uint16(1 << bit)
     connected = np.empty(shape, bool)
     _core.find_largest_part(ways.reshape(shape), WAYS, free_nodes.reshape(shape), connected)
-    return Ground(lower, shape, cell, connected.reshape(-1), ways.reshape(shape))
+    own = copy.deepcopy(motion)  # the task may move its own to another device
+    return Ground(lower, shape, cell, connected.reshape(-1), ways.reshape(shape), own, checker)

@@ -88,8 +88,9 @@ def read_episodes(path: Path, scenes: Sequence[str]) -> tuple[Tensor, Tensor, Te
         scenes: names of the available scenes.
 
     Returns:
-        Starts [N, 3] float32, x and y in metres and yaw in radians; goals likewise, with yaw 0 if the file gives none;
-        and the index of each episode's scene, [N] int64.
+        Starts [N, 3] float32, x and y in metres and yaw in radians; goals likewise, with a yaw that depends on
+        ``episode_id`` alone if the file gives none, as image goals have in Habitat; and the index of each episode's
+        scene, [N] int64.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -161,7 +162,8 @@ def _episode(where: str, row: Any, scenes: Sequence[str]) -> tuple[list[float], 
     x, y, z, w = rotation = _numbers(f"{where}.start_rotation", row.get("start_rotation"), 4)
     if abs(math.hypot(x, y, z, w) - 1.0) > 1e-3 or math.hypot(x, z) > 1e-3:
         raise ValueError(f"{where}.start_rotation: expected a unit quaternion about the y axis, got {rotation!r:.80}")
-    (goal_yaw,) = _numbers(f"{where}.info.goal_yaw", [info.get("goal_yaw", 0.0)], 1)
+    drawn = math.tau * zlib.crc32(f"{row.get('episode_id')}".encode(errors="replace")) / 2**32
+    (goal_yaw,) = _numbers(f"{where}.info.goal_yaw", [info.get("goal_yaw", drawn)], 1)
     start, goal = from_habitat(torch.tensor(places, dtype=torch.float64))[:, :2].tolist()
     return [*start, 2.0 * math.atan2(y, w) % math.tau], [*goal, goal_yaw % math.tau], list(scenes).index(str(scene))
 

@@ -176,6 +176,24 @@ def test_several_scenes_keep_their_goals_apart() -> None:
     assert torch.allclose(more.goals[added], torch.tensor([0.7, 0.5]))
 
 
+def test_further_goals_keep_the_distances_to_all_and_share_those_at_one_node(monkeypatch: pytest.MonkeyPatch) -> None:
+    both = stacked([geodesics(), geodesics(seed=5)])
+    own = both.goals[:2].double().numpy()  # which the first scene already has
+    places = np.concatenate([[[0.7, 0.5], [0.7, -0.5], [0.71, 0.49]], own, [[0.7, 0.5]]])
+    scene = np.array([1, 0, 1, 0, 0, 0])
+    more, rows = both.with_goals(places, scene)
+    assert len(more.goals) == len(both.goals) + 3 and rows[0] == rows[2] and rows.unique().numel() == 5
+    assert rows[3:5].tolist() == [0, 1]
+    torch.testing.assert_close(more.goals[rows].double(), torch.tensor(places), atol=0.011, rtol=0)
+    assert ((rows >= more.begins[1]) == torch.from_numpy(scene == 1)).all()
+    nodes = both.grounds[0].open.size
+    monkeypatch.setattr("splatrl.curriculum.geodesics.MOST_DISTANCES", 3 * nodes)
+    both.with_goals(places, scene)
+    monkeypatch.setattr("splatrl.curriculum.geodesics.MOST_DISTANCES", 3 * nodes - 1)
+    with pytest.raises(ValueError, match=rf"goals: expected at most {3 * nodes - 1:,} distances .*; type starts="):
+        both.with_goals(places, scene)
+
+
 def test_a_copy_shares_the_ground() -> None:
     goals = geodesics()
     assert copy.deepcopy(goals).grounds[0] is goals.grounds[0]

@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
+from splatrl.bodies import Sphere
+from splatrl.collision import NoChecker, Occupancy
 from splatrl.curriculum.ground import WAYS, Ground
+from splatrl.motions import NavigateMotion
 from splatrl.native import _core
 
 CELL = 0.05
@@ -111,7 +114,8 @@ def test_distances_are_infinite_between_parts_that_no_way_connects() -> None:
 def test_a_node_that_is_not_open_takes_the_distance_of_the_nearest_open_one() -> None:
     ways, nodes = random_ways((31, 47), 0.3, np.random.default_rng(2))
     part = largest_part(ways, nodes)
-    place = Ground(np.zeros(2), nodes.shape, CELL, part.reshape(-1), ways)
+    body = NoChecker(Occupancy.empty(), Sphere(0.1))
+    place = Ground(np.zeros(2), nodes.shape, CELL, part.reshape(-1), ways, NavigateMotion(0.0), body)
     goals = np.flatnonzero(part)[:9]
     among = csgraph.dijkstra(graph_of(ways), directed=False, indices=goals)
     away, (x, y) = ndimage.distance_transform_edt(~part, return_indices=True)

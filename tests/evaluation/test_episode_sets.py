@@ -53,6 +53,20 @@ def test_episodes_are_read_back_as_written_and_their_file_is_reproducible(tmp_pa
     assert path.read_bytes() == written(tmp_path / "again").read_bytes()
 
 
+def test_goals_without_a_yaw_face_in_a_direction_that_the_episodes_name_alone_decides(tmp_path: Path) -> None:
+    rows = content(written(tmp_path))["episodes"]
+    many = [{**rows[0], "episode_id": str(number), "info": {}} for number in range(200)]
+    path = tmp_path / "others.json.gz"
+
+    def yaws(episodes: list[Any]) -> torch.Tensor:
+        path.write_bytes(gzip.compress(json.dumps({"episodes": episodes}).encode()))
+        return read_episodes(path, ["kitchen", "yard"])[1][:, 2]
+
+    found = yaws(many)
+    assert torch.equal(yaws(many[::-1]), found.flip(0))
+    assert (torch.histc(found, 8, 0.0, math.tau) > 10).all()  # 25 in each eighth of a turn, were they spread evenly
+
+
 def test_the_conversions_to_and_from_habitats_frame_are_inverses() -> None:
     places = torch.randn(10, 3, generator=torch.Generator().manual_seed(0))
     assert torch.equal(from_habitat(to_habitat(places)), places)

@@ -8,6 +8,7 @@ from torchrl.data import TensorSpec, Unbounded
 
 from splatrl.envs.tasks.base import Anywhere, Memory, Step, Verdict
 from splatrl.envs.tasks.navigation import NavigationTask
+from splatrl.envs.teachers.pathfinder import ROOM
 from splatrl.geometry import wrapped
 
 LOST = 16
@@ -52,12 +53,14 @@ class ImageNav(NavigationTask):
 
         A robot that has not faced in the direction of the goal image for ``LOST`` steps turns left until it does, since
         only then can it compare the two views. It then takes the shortest path, and faces that way again before it
-        stops.
+        stops. Where it may not fit at every heading, it does not look around.
         """
         turn, near = self.led(state, memory)
-        aside, lost = self._aside(state, memory), memory["unseen"].squeeze(1) >= LOST
-        turn = torch.where(lost, self.motion.angle_between, torch.where(near, aside, turn))
-        return self.motion.toward(turn, near & ~lost & self._alike(aside))
+        room = self.geodesics.room(self._place(state), memory["goal_row"].squeeze(1))
+        free = torch.full_like(near, self.geodesics.round) | (room > ROOM)
+        aside, lost = self._aside(state, memory), free & (memory["unseen"].squeeze(1) >= LOST)
+        turn = torch.where(lost, self.motion.angle_between, torch.where(near & free, aside, turn))
+        return self.motion.toward(turn, near & ~lost & (self._alike(aside) | ~free))
 
     def _unseen(self, state: Tensor, memory: Memory, before: Tensor) -> Tensor:
         """Update the steps since robots last faced in the direction of the goal image: [B, 1] int64."""

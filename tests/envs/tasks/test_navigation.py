@@ -182,6 +182,13 @@ def test_navigation_measures_match_those_worked_out_by_hand() -> None:
     )
 
 
+def test_an_episode_that_begins_at_its_goal_has_the_shortest_path_if_it_ends_there_at_once() -> None:
+    for path, ratio in ((0.0, 1.0), (0.5, 0.0)):
+        found = episodes([True], [0.0], [0.0], [path], [0]).navigation()
+        assert found["spl"] == found["soft_spl"] == ratio
+    assert episodes([False], [0.0], [0.0], [0.0], [0]).navigation()["spl"] == 0.0
+
+
 def test_other_tasks_have_no_navigation_measures() -> None:
     zeros = torch.zeros(2, dtype=torch.int64)
     assert Episodes(zeros, zeros, zeros, zeros.float(), zeros, zeros.bool()).navigation() == {}
