@@ -15,6 +15,8 @@ INTERRUPTED = 130
 """Exit code of a command interrupted by Ctrl-C."""
 USERS = (ImportError, OSError, ValueError)
 """Errors that a user can fix; commands end with one line for them."""
+TYPED: list[str] = []
+"""The words of the command that this process runs, as they were typed; none in processes that a launcher starts."""
 PARSERS = {"capture": parsers.capture, "scene": parsers.scene, "gait": parsers.gait}
 """Parsers of the commands that take options; all other commands have a config."""
 
@@ -44,6 +46,7 @@ def _start(name: str, typed: Sequence[str]) -> None:
         return
     from splatrl.configuration import command_line  # imports Hydra
 
+    TYPED[:] = typed
     sys.argv[1:] = command_line(name, typed)
     import_module(f"splatrl.commands.{name}").run()
 

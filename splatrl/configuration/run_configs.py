@@ -12,6 +12,7 @@ from typing import NoReturn
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.types import Override
 from hydra.experimental.callback import Callback
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 from omegaconf.errors import OmegaConfBaseException
 
@@ -107,9 +108,18 @@ def _sweep_dir(fresh: str) -> str:
     return _new_folder(fresh, "hydra.sweep.dir") if HydraConfig.initialized() else fresh
 
 
-def _typed_dir(resume: str | None) -> str:
-    """Resolve the sub-folder for Hydra's records; a resumed run has its own, so the original records stay."""
-    return ".hydra/resumed" if resume else ".hydra"
+def _typed_dir(resume: str | None) -> str | None:
+    """Resolve the sub-folder for Hydra's records, which never replace those of a run that is there.
+
+    A resumed run has another one, and a job of a sweep in the folder of an earlier one, which has the same settings or
+    is refused, has none.
+    """
+    if resume:
+        return ".hydra/resumed"
+    hydra = HydraConfig.get() if HydraConfig.initialized() else None
+    if hydra is None or hydra.mode != RunMode.MULTIRUN or OmegaConf.is_missing(hydra.runtime, "output_dir"):
+        return ".hydra"
+    return None if (Path(hydra.runtime.output_dir) / RUN_CONFIG).exists() else ".hydra"
 
 
 OmegaConf.register_new_resolver("splatrl.run_dir", _run_dir, replace=True)
