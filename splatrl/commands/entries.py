@@ -10,9 +10,8 @@ from importlib import import_module
 
 from splatrl.commands import parsers
 from splatrl.commands.outputs import open_outputs
+from splatrl.commands.stopping import INTERRUPTED, tidy
 
-INTERRUPTED = 130
-"""Exit code of a command interrupted by Ctrl-C."""
 USERS = (ImportError, OSError, ValueError)
 """Errors that a user can fix; commands end with one line for them."""
 TYPED: list[str] = []
@@ -33,7 +32,8 @@ def start(name: str, arguments: Sequence[str] | None = None) -> None:
         if "--version" in (sys.argv[1:] if arguments is None else arguments):
             print(f"splatrl {import_module('importlib.metadata').version('splatrl')}")
             return
-        _start(name, sys.argv[1:] if arguments is None else arguments)
+        with tidy():
+            _start(name, sys.argv[1:] if arguments is None else arguments)
     except KeyboardInterrupt:  # resumable commands catch it themselves and say so
         print(f"\nsplatrl-{name}: interrupted", file=sys.stderr)
         sys.exit(INTERRUPTED)
