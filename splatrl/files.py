@@ -81,11 +81,22 @@ def new_folder(path: Path) -> Iterator[Path]:
     """
     if path.exists():
         raise ValueError(f"{path}: expected a new folder, got one that already exists")
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    with in_place_of(path, path.parent) as temporary:
+        yield temporary
+        os.rename(temporary, path)
+
+
+@contextmanager
+def in_place_of(path: Path, parent: Path) -> Iterator[Path]:
+    """Make a temporary folder in ``parent`` for what is to get into the folder ``path``; the block moves its content.
+
+    Raises:
+        OSError: if the folder cannot be written; the error names the path.
+    """
+    temporary = parent / f".{path.resolve().name}.{secrets.token_hex(4)}.tmp"
     try:
         temporary.mkdir()
         yield temporary
-        os.rename(temporary, path)
     except OSError as error:  # the error for a full disk names no file
         if error.errno is None:
             raise

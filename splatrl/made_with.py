@@ -7,16 +7,12 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from splatrl.configuration import paths_of, with_absolute_paths, with_values
+from splatrl.configuration import differences, paths_of, with_values
 from splatrl.files import digest_of, expanded
 from splatrl.native import _core
 from splatrl.physics import mjcf_files
 from splatrl.scenes.formats.reading import META
-from splatrl.values import flat
 
-SPEED_ONLY = {"threads", "renderer.threads", "resume", "collector.cuda_graph", "optim.compile"}
-SPEED_ONLY |= {"resume_changed", "allow_targets", "view"}
-"""Keys of a config that do not change the results."""
 FREE = (
     *("device:", "scene.name:", "scene.paths:", "env.num_envs:", "collector.total_frames:"),
     *("logger.", "checkpoint.", "evaluation."),
@@ -27,16 +23,6 @@ ANYWAY = "to resume with them anyway, type resume_changed=true"
 NOT_DIGESTED = ("scene.path", "demos", "evaluation.episodes")
 """Ends of the keys of paths without a digest: scenes have their own, a checkpoint no longer depends on demonstrations,
 and the episodes of evaluations do not concern the training."""
-
-
-def differences(asked: Mapping[str, Any], found: Mapping[str, Any]) -> list[str]:
-    """List the keys in which two configs differ, with both values, leaving out keys that cannot change results."""
-    wanted, there = _settings(asked), _settings(found)
-    return [
-        f"{key}: asked for {wanted.get(key, 'nothing')}, found {there.get(key, 'nothing')}"
-        for key in sorted(wanted.keys() | there.keys())
-        if key not in SPEED_ONLY and wanted.get(key) != there.get(key)
-    ]
 
 
 def made_with(cfg: DictConfig, scene_digest: str) -> dict[str, Any]:
@@ -102,13 +88,6 @@ def _with_paths_of(then: Mapping[str, Any], now: Mapping[str, Any]) -> DictConfi
     cfg = OmegaConf.create(dict(now))
     asked, before = paths_of(cfg), paths_of(OmegaConf.create(dict(then)))
     return with_values(cfg, {key: path for key, path in before.items() if key in asked})
-
-
-def _settings(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the dotted keys of a config with their values, with paths made absolute."""
-    cfg = OmegaConf.to_container(with_absolute_paths(OmegaConf.create(dict(config))))
-    assert isinstance(cfg, dict), type(cfg)
-    return dict(flat({str(key): value for key, value in cfg.items()}))
 
 
 def digests_of(cfg: DictConfig) -> dict[str, str]:

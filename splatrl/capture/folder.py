@@ -1,10 +1,6 @@
 """Last stage: write a folder that is a scene to train in, with a report, completely or not at all."""
 
-import os
-import secrets
-import shutil
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,8 +20,11 @@ from splatrl.collision.point_clouds import write_points
 from splatrl.scenes import read_gaussians, write_gaussians
 from splatrl.scenes.description import PATH, SCENE_FILE, SMALL_SPLAT, SPLAT, check_absent, write_description
 from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes.whole import whole_scene
 
 FREE, REPORT, CAMERAS, MOVING = "free.ply", "report.html", "cameras.png", "moving.png"
+NOT_IN_ALL = (SPLAT, SMALL_SPLAT, FREE, PATH, MOVING)
+"""Files that not every capture has; those of an earlier one are removed."""
 GOOD_PATH, GOOD_PSNR, FEW_FLOATERS, MOST_MISSING = 0.97, 22.0, 0.005, 0.1
 """Minimum free fraction of the path, minimum PSNR in dB, and maximum fractions of floating voxels and of images without
 a pose; the report of a worse capture says so."""
@@ -74,7 +73,9 @@ def write_scene(
     name = name or folder.resolve().name
     check_absent(folder / SCENE_FILE, force)
     progress("check", 0, len(held_out))
-    with _whole(folder, work or folder.parent) as fresh:
+    work = work or folder.parent
+    work.mkdir(parents=True, exist_ok=True)
+    with whole_scene(folder, work, SCENE_FILE, NOT_IN_ALL) as fresh:
         write_gaussians(fresh / splat, gaussians, antialiased=True)
         gaussians = read_gaussians(fresh / splat)  # check exactly what was written
         area = survey_area(gaussians, placed, known)
@@ -168,26 +169,3 @@ def _proposals(placed: Placed, area: Area, found: Suggestions, quality: Quality)
             **quality.figures(),
         },
     }
-
-
-@contextmanager
-def _whole(folder: Path, work: Path) -> Iterator[Path]:
-    """Yield a new folder in ``work``, whose files move into ``folder`` once the block succeeds, ``scene.yaml`` last.
-
-    A folder without ``scene.yaml`` is not a scene, so one whose writing was interrupted is never taken for one.
-    """
-    work.mkdir(parents=True, exist_ok=True)
-    fresh = work / f".{folder.name}.{secrets.token_hex(4)}.tmp"
-    fresh.mkdir()
-    try:
-        yield fresh
-        if folder.exists():
-            (folder / SCENE_FILE).unlink(missing_ok=True)
-            for old in (SPLAT, SMALL_SPLAT, FREE, PATH, MOVING):  # not every scene has these
-                (folder / old).unlink(missing_ok=True)
-            for file in sorted(fresh.iterdir(), key=lambda file: file.name == SCENE_FILE):
-                os.replace(file, folder / file.name)
-        else:
-            os.rename(fresh, folder)
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)

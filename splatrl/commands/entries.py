@@ -10,11 +10,12 @@ from importlib import import_module
 
 from splatrl.commands import parsers
 from splatrl.commands.outputs import open_outputs
+from splatrl.commands.stopping import INTERRUPTED, tidy
 
-INTERRUPTED = 130
-"""Exit code of a command interrupted by Ctrl-C."""
 USERS = (ImportError, OSError, ValueError)
 """Errors that a user can fix; commands end with one line for them."""
+TYPED: list[str] = []
+"""The words of the command that this process runs, as they were typed; none in processes that a launcher starts."""
 PARSERS = {"capture": parsers.capture, "scene": parsers.scene, "gait": parsers.gait}
 """Parsers of the commands that take options; all other commands have a config."""
 
@@ -31,7 +32,8 @@ def start(name: str, arguments: Sequence[str] | None = None) -> None:
         if "--version" in (sys.argv[1:] if arguments is None else arguments):
             print(f"splatrl {import_module('importlib.metadata').version('splatrl')}")
             return
-        _start(name, sys.argv[1:] if arguments is None else arguments)
+        with tidy():
+            _start(name, sys.argv[1:] if arguments is None else arguments)
     except KeyboardInterrupt:  # resumable commands catch it themselves and say so
         print(f"\nsplatrl-{name}: interrupted", file=sys.stderr)
         sys.exit(INTERRUPTED)
@@ -44,6 +46,7 @@ def _start(name: str, typed: Sequence[str]) -> None:
         return
     from splatrl.configuration import command_line  # imports Hydra
 
+    TYPED[:] = typed
     sys.argv[1:] = command_line(name, typed)
     import_module(f"splatrl.commands.{name}").run()
 

@@ -5,9 +5,30 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NoReturn
 
-from splatrl.commands.entries import INTERRUPTED
+INTERRUPTED = 130
+"""Exit code of a command interrupted by Ctrl-C."""
+
+
+class Terminated(BaseException):
+    """SIGTERM ends the command."""
+
+
+def terminate(number: int, frame: object) -> NoReturn:
+    """Raise ``Terminated``; the same signal once more ends the process at once."""
+    signal.signal(number, signal.SIG_DFL)
+    raise Terminated
+
+
+@contextmanager
+def tidy() -> Iterator[None]:
+    """Let SIGTERM end the block like an exception, so that no temporary files stay, and then the process as ever."""
+    try:
+        with handled(terminate, *_unhandled(signal.SIGTERM)):
+            yield
+    except Terminated:
+        signal.raise_signal(signal.SIGTERM)
 
 
 @contextmanager
@@ -37,8 +58,13 @@ def interrupted_by(*numbers: signal.Signals) -> Iterator[None]:
     Args:
         numbers: such as SIGTERM, or SIGHUP, which a terminal sends when it is closed or its connection is lost.
     """
-    with handled(signal.default_int_handler, *(one for one in numbers if signal.getsignal(one) is signal.SIG_DFL)):
+    with handled(signal.default_int_handler, *_unhandled(*numbers)):
         yield
+
+
+def _unhandled(*numbers: signal.Signals) -> list[signal.Signals]:
+    """Return those of the signals that nobody but ``tidy`` handles."""
+    return [one for one in numbers if signal.getsignal(one) in (signal.SIG_DFL, terminate)]
 
 
 @contextmanager

@@ -17,6 +17,7 @@ from splatrl.commands.entries import train as main
 from splatrl.commands.evaluate import evaluate_run
 from splatrl.commands.faults import CONFIGURED, in_one_line
 from splatrl.commands.stopping import stoppable
+from splatrl.commands.sweeps import continuation, earlier
 from splatrl.configuration import (
     RUN_CONFIG,
     check_config,
@@ -25,7 +26,6 @@ from splatrl.configuration import (
     forget_run,
     job_config,
     place_configs,
-    quoted,
     resumed_config,
     save_config,
 )
@@ -57,11 +57,17 @@ def trained(cfg: DictConfig, job: HydraConf) -> float:
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: expected a run folder, found none")
     with alone_in(folder):
+        if cfg.resume:
+            cfg = resumed_config(folder, job.overrides.task)
+            cfg.resume = str(folder)
+        elif job.mode == RunMode.MULTIRUN and (result := earlier(cfg, folder)) is not None:
+            print(f"{folder}: finished, success {result:.3f}")
+            return result
         if not cfg.resume:
             check_new(folder)
         new = not cfg.resume and not (folder / RUN_CONFIG).exists()
         try:
-            with stoppable(f"continue with: splatrl-train {quoted(f'resume={folder}')}"):
+            with stoppable(f"continue with: {continuation(job, folder)}"):
                 return train(cfg, folder)
         except CONFIGURED:
             if new and not any(folder.glob("checkpoints/*.pt")):
@@ -73,7 +79,7 @@ def train(cfg: DictConfig, folder: Path) -> float:
     """Train in a run folder, evaluate, and return the success rate.
 
     Args:
-        cfg: the config; its ``resume`` says whether to continue the run in the folder.
+        cfg: the config; its ``resume`` says whether to continue the run in the folder, which began with this config.
         folder: the run folder.
 
     Raises:
@@ -81,9 +87,7 @@ def train(cfg: DictConfig, folder: Path) -> float:
         ValueError: for a resumed run that began with other settings, episodes that do not fit the scene or task, or
             ``view`` with several scenes.
     """
-    resume = cfg.resume
-    if resume:
-        cfg = resumed_config(folder, HydraConfig.get().overrides.task)
+    resume, cfg.resume = cfg.resume, None
     check_config(cfg)
     if cfg.view and (count := len(place_configs(cfg))) > 1:
         raise ValueError(f"view: expected a training in one scene, got {count} scenes; type view=false")

@@ -2,6 +2,7 @@
 
 from splatrl.configuration.checking import check_config, check_constructors, check_values
 from splatrl.configuration.command_line import UserError, command_line
+from splatrl.configuration.differences import differences, differences_from_run
 from splatrl.configuration.elsewhere import config_elsewhere, moves_scene, placed, words_of_place
 from splatrl.configuration.grammar import quoted
 from splatrl.configuration.places import place_configs, place_names
@@ -38,6 +39,8 @@ __all__ = [
     "command_line",
     "conf_dir",
     "config_elsewhere",
+    "differences",
+    "differences_from_run",
     "forget_run",
     "is_group",
     "job_config",

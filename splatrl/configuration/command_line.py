@@ -23,6 +23,7 @@ from splatrl.configuration.scene_choice import SEEDED, SWEEP, load_config, with_
 from splatrl.configuration.search_path import choice_keys, group_choices, is_group, options
 from splatrl.configuration.spelling import SPELLED, viewed_run
 from splatrl.configuration.sweeps import check_sweeps, choices, compositions, directed, values
+from splatrl.files import expanded
 
 OWN_CONFIG = ("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp")
 """Hydra options that select a config other than ours."""
@@ -201,6 +202,10 @@ def _parsed(word: str, sweeps: bool) -> Override:
         raise UserError(f"{word}: expected {key}=value with balanced brackets and special characters quoted") from error
     if override.is_sweep_override() and not sweeps:
         text = word.partition("=")[2]
+        if expanded(text).exists():
+            one = f"{key}={quoted(text)}"
+            typed = shlex.quote(one) if set('"$`\\!').intersection(one) else f'"{one}"'
+            raise UserError(f"{key}: expected quotes around a path with a comma; type {typed}")
         several = f"scene=many 'scene.paths=[{text}]' for several" if key == "scene" else f"{key}=[{text}] for a list"
         raise UserError(f"{key}: expected one value, got {text}; type {several}, or -m for a sweep")
     return override

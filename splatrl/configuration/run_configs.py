@@ -12,11 +12,12 @@ from typing import NoReturn
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.types import Override
 from hydra.experimental.callback import Callback
-from omegaconf import DictConfig, OmegaConf
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 from omegaconf.errors import OmegaConfBaseException
 
 from splatrl.configuration.checking import check_constructors
-from splatrl.configuration.grammar import overrides_parser
+from splatrl.configuration.grammar import overrides_parser, quoted
 from splatrl.configuration.run_files import set_value, with_absolute_paths
 from splatrl.configuration.scene_choice import has_key, load_config
 from splatrl.configuration.search_path import is_group
@@ -25,8 +26,13 @@ from splatrl.files import replacing, require_room
 
 
 @functools.cache
-def _new_folder(path: str) -> str:
-    """Make a new folder, with a number appended if it exists already: two runs may begin in the same second."""
+def _new_folder(path: str, key: str) -> str:
+    """Make a new folder, with a number appended if it exists already: two runs or sweeps may begin in the same second.
+
+    Args:
+        path: the folder.
+        key: the key that chooses another one.
+    """
     for number in itertools.count(1):
         folder = Path(path if number == 1 else f"{path}-{number}")
         try:
@@ -35,7 +41,7 @@ def _new_folder(path: str) -> str:
         except FileExistsError:
             continue
         except OSError as error:
-            _refuse(folder, error, "hydra.run.dir")
+            _refuse(folder, error, key)
     raise AssertionError
 
 
@@ -75,6 +81,8 @@ class WritableFolder(Callback):
                 check_new(folder)  # before Hydra overwrites what was typed for a run that is there
             folder.mkdir(parents=True, exist_ok=True)
             require_room(folder, FIRST_BYTES)
+            if kind == "sweep":
+                _share(config, folder)
         except ValueError as error:
             sys.exit(f"splatrl-{config.hydra.job.name}: {error}")
         except OSError as error:
@@ -83,17 +91,39 @@ class WritableFolder(Callback):
             hydra.cfg = before
 
 
+def _share(config: DictConfig, folder: Path) -> None:
+    """Let the jobs of a sweep use one folder: each is composed anew from the overrides, maybe by another process."""
+    with read_write(config.hydra), open_dict(config.hydra):
+        config.hydra.sweep.dir = str(folder)
+        config.hydra.overrides.hydra.append(f"hydra.sweep.dir={quoted(folder)}")
+
+
 def _run_dir(resume: str | None, fresh: str) -> str:
     """Resolve the folder of a run; it is created only when a job runs, not while a config is merely composed."""
-    return resume if resume else (_new_folder(fresh) if HydraConfig.initialized() else fresh)
+    return resume if resume else (_new_folder(fresh, "hydra.run.dir") if HydraConfig.initialized() else fresh)
 
 
-def _typed_dir(resume: str | None) -> str:
-    """Resolve the sub-folder for Hydra's records; a resumed run has its own, so the original records stay."""
-    return ".hydra/resumed" if resume else ".hydra"
+def _sweep_dir(fresh: str) -> str:
+    """Resolve the folder of a sweep, which is created likewise."""
+    return _new_folder(fresh, "hydra.sweep.dir") if HydraConfig.initialized() else fresh
+
+
+def _typed_dir(resume: str | None) -> str | None:
+    """Resolve the sub-folder for Hydra's records, which never replace those of a run that is there.
+
+    A resumed run has another one, and a job of a sweep in the folder of an earlier one, which has the same settings or
+    is refused, has none.
+    """
+    if resume:
+        return ".hydra/resumed"
+    hydra = HydraConfig.get() if HydraConfig.initialized() else None
+    if hydra is None or hydra.mode != RunMode.MULTIRUN or OmegaConf.is_missing(hydra.runtime, "output_dir"):
+        return ".hydra"
+    return None if (Path(hydra.runtime.output_dir) / RUN_CONFIG).exists() else ".hydra"
 
 
 OmegaConf.register_new_resolver("splatrl.run_dir", _run_dir, replace=True)
+OmegaConf.register_new_resolver("splatrl.sweep_dir", _sweep_dir, replace=True)
 OmegaConf.register_new_resolver("splatrl.typed_dir", _typed_dir, replace=True)
 RUN_CONFIG = "config.yaml"
 """File name of the config in a run folder."""

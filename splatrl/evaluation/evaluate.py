@@ -61,7 +61,7 @@ def evaluate(
     seed: int,
     video: bool = True,
 ) -> tuple[dict[str, Any], list[Path]]:
-    """Evaluate a policy, and write ``evaluation.json`` and the pictures.
+    """Evaluate a policy, and write the pictures and then ``evaluation.json``.
 
     Args:
         world: world in which the policy is tested.
@@ -87,11 +87,12 @@ def evaluate(
     summary |= _facts_of_starts(plans, starts)
     if len(world.names) > 1:
         summary["scenes"] = by_scene(world.names, sampled, argmax)
-    write_json(folder / RESULTS, summary)
     if world.task.goal_radius is not None and settings.episodes is None:
         save_episodes(folder / EPISODES, world, starts, world.task.goal_radius)
     files = _draw_curves(checkpoint["history"], summary, folder)
-    return summary, files + _draw_places(world, policy, starts, sampled, folder, settings.seed, video)
+    files += _draw_places(world, policy, starts, sampled, folder, settings.seed, video)
+    write_json(folder / RESULTS, summary)  # last, since a run that has it counts as finished
+    return summary, files
 
 
 def remove_results(folder: Path) -> None:

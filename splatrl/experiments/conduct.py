@@ -1,22 +1,20 @@
 """Conducts experiments: trains, scores and reports, and resumes after an interruption."""
 
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
 from splatrl.building import scene_digest
-from splatrl.configuration import with_absolute_paths
-from splatrl.documents import read_json, read_yaml, write_json
+from splatrl.documents import read_json, write_json
 from splatrl.experiments.experiment import Experiment, Run
-from splatrl.experiments.folders import began_with, status
+from splatrl.experiments.folders import changes, status
 from splatrl.experiments.machine import machine
 from splatrl.experiments.report import MACHINE, SCORES, write_joint_report, write_report
 from splatrl.experiments.running import train
 from splatrl.files import alone_in
-from splatrl.made_with import changed_content, differences, made_with
 
 Score = Callable[[Sequence[Run], Path], list[dict[str, Any]]]
 """Scoring function: maps finished runs and their experiment's folder to rows for ``scores.json``.
@@ -38,17 +36,16 @@ def check_settings(runs: Sequence[Run], fresh: bool, digest: Callable[[DictConfi
         ValueError: if anything differs; the message names the folder, its settings and the requested ones.
     """
     digests: dict[str, str] = {}
+
+    def known(cfg: DictConfig) -> str:
+        scene = OmegaConf.to_yaml(cfg.scene, resolve=True)
+        digests[scene] = digests.get(scene) or digest(cfg)
+        return digests[scene]
+
     for run in runs:
         if status(run) == "new":
             continue
-        found = read_yaml(run.folder / "config.yaml")
-        assert isinstance(found, Mapping), type(found)
-        changed = differences(run.config, {str(key): value for key, value in found.items()})
-        if not changed and (then := began_with(run)):
-            cfg = OmegaConf.create(dict(run.config))
-            scene = OmegaConf.to_yaml(cfg.scene, resolve=True)
-            digests[scene] = digests.get(scene) or digest(cfg)
-            changed = changed_content(made_with(with_absolute_paths(cfg), digests[scene]), then)
+        changed = changes(run, known)
         if changed and not fresh:
             way_out = "type folder=<another>, or fresh=true to delete it and start over"
             told = "; ".join([*changed, way_out])

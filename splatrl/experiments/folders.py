@@ -3,12 +3,17 @@
 import csv
 import json
 import math
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Literal
 
+from omegaconf import DictConfig, OmegaConf
+
+from splatrl.configuration import differences_from_run, with_absolute_paths
 from splatrl.evaluation.evaluate import RESULTS, SCENES_SHOWN
 from splatrl.evaluation.pictures import VIDEO
 from splatrl.experiments.experiment import Run
+from splatrl.made_with import changed_content, made_with
 from splatrl.training import load_checkpoint
 
 Status = Literal["finished", "begun", "new"]
@@ -32,6 +37,20 @@ def _filmed(run: Run) -> bool:
     if not scenes:
         return (run.folder / VIDEO).exists()
     return len(list(run.folder.glob(f"scenes/*/{VIDEO}"))) >= min(len(scenes), SCENES_SHOWN)
+
+
+def changes(run: Run, digest: Callable[[DictConfig], str] | None) -> list[str]:
+    """List how the run in a folder differs from what is asked for, in settings, scene and files.
+
+    Args:
+        run: the run; its folder has a config.
+        digest: returns the digest of a config's scene; None compares settings alone.
+    """
+    changed = differences_from_run(run.config, run.folder)
+    if changed or digest is None or not (then := began_with(run)):
+        return changed
+    cfg = OmegaConf.create(dict(run.config))
+    return changed_content(made_with(with_absolute_paths(cfg), digest(cfg)), then)
 
 
 def began_with(run: Run) -> dict[str, Any]:

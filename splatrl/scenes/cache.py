@@ -21,6 +21,8 @@ GIGABYTES = 16.0
 DIGEST = "[0-9a-f]" * 32
 OURS = f"*-{DIGEST}.npz", f"town-*-{DIGEST}"
 """Names of the files and folders that may be removed: they end with a digest, as do all that are written here."""
+LEFT = f"*-{DIGEST}.npz.*.tmp", f"town-*-{DIGEST}/*.tmp"
+"""Names of the temporary files that processes leave which are killed while they write."""
 DAY = 24 * 3600.0
 """Seconds for which a file is kept after its last use, even if the cache exceeds its limit."""
 
@@ -90,6 +92,7 @@ def make_room(folder: Path, written: int) -> None:
     if _unseen < min(limit, 1e9) / 4:
         return
     _unseen = 0.0
+    _remove_left(folder)
     found = []
     for path in (path for pattern in OURS for path in folder.glob(pattern)):
         with suppress(FileNotFoundError):
@@ -103,6 +106,14 @@ def make_room(folder: Path, written: int) -> None:
         else:
             path.unlink(missing_ok=True)
         held -= size
+
+
+def _remove_left(folder: Path) -> None:
+    """Remove the temporary files that have not been written to for a day, since a process is no longer writing them."""
+    for path in (path for pattern in LEFT for path in folder.glob(pattern)):
+        with suppress(OSError):
+            if time.time() - path.stat().st_mtime > DAY:
+                path.unlink()
 
 
 def size_of(path: Path) -> int:

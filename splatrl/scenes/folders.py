@@ -1,12 +1,13 @@
 """Writes the folders of scenes: a splat and its ``scene.yaml``, or blocks and their ``blocks.yaml``."""
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from splatrl.files import replacing
+from splatrl.files import alone_in, remove_stale, replacing
 from splatrl.scenes.blocks import BLOCKS_FILE, read_blocks_description
 from splatrl.scenes.description import (
     SCENE_FILE,
@@ -21,7 +22,8 @@ from splatrl.scenes.formats import write_gaussians
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.placement import Frame
 from splatrl.scenes.scene import Bounds, Scene
-from splatrl.scenes.splitting import AROUND, BLOCK, write_split
+from splatrl.scenes.splitting import split_files, write_split
+from splatrl.scenes.whole import whole_scene
 
 AS_IT_IS: Frame = {"axes": ["x", "y", "z"], "scale": 1.0}
 """Frame of a splat file whose Gaussians are in the world frame."""
@@ -73,6 +75,10 @@ class SceneFolder:
                 f"--split: expected a folder without {SCENE_FILE}, which would be read instead of the blocks, "
                 f"got {self.path}; pass another folder as --out"
             )
+        if self.block is not None and self._holds(source) and source in split_files(source.parent):
+            raise FileExistsError(
+                f"--split: expected a splat whose name no block has, got {source}; pass another folder as --out"
+            )
         for path in (self.path / SCENE_FILE, self.path / BLOCKS_FILE, *self._files(source, free)):
             check_absent(path, self.force)
 
@@ -101,7 +107,7 @@ class SceneFolder:
         cloud = [] if free is None else [self.path / _cloud_name(free)]
         cloud = [path for path in cloud if path.resolve() != (source / str(free)).resolve()]
         if self.block is not None:
-            return [*self.path.glob(f"{BLOCK}*{self._ending}"), self.path / f"{AROUND}{self._ending}", *cloud]
+            return [*split_files(self.path), *cloud]
         if self.small:
             return [self.path / SMALL_SPLAT, *cloud]
         return [] if self._holds(source) else [self.path / _copied_name(source)]
@@ -117,7 +123,7 @@ class SceneFolder:
     def write(
         self, scene: Scene, bounds: Bounds, proposals: Mapping[str, Any], antialiased: bool | None = None
     ) -> list[str]:
-        """Write a scene in the world frame, as blocks or with a small splat file.
+        """Write a scene in the world frame, as blocks or with a small splat file, completely or not at all.
 
         Args:
             scene: the scene; the cloud of its ``free`` space is copied to the folder.
@@ -129,22 +135,23 @@ class SceneFolder:
             Lines that say what was written.
 
         Raises:
-            FileExistsError: for an existing ``scene.yaml``, without ``force``.
-            ValueError: for a size of blocks that ``write_split`` refuses.
+            FileExistsError: for an existing description, without ``force``.
+            ValueError: for a size of blocks that ``write_split`` refuses, or if another process writes to the folder.
         """
-        self.path.mkdir(parents=True, exist_ok=True)
-        if scene.free is not None:
-            cloud = _cloud_name(scene.free.path.name)
-            _copy(scene.free.path, self.path / cloud)
-            proposals = {**proposals, "free": cloud}
-        if self.block is not None:
-            names = write_split(self.path, scene, self.block, self._ending, bounds, proposals, antialiased)
-            return [f"wrote       {self.path / BLOCKS_FILE} and {len(names)} blocks of {self.block:g} m"]
-        splat = self.path / SMALL_SPLAT
-        write_gaussians(splat, scene.gaussians, antialiased)
-        line = f"wrote       {splat}, {splat.stat().st_size / 1e6:.1f} MB"
-        described = write_description(self.path, splat.name, scene.name, AS_IT_IS, bounds, self.force, proposals)
-        return [line, f"wrote       {described}"]
+        description = SCENE_FILE if self.block is None else BLOCKS_FILE
+        with self._whole(description) as fresh:
+            if scene.free is not None:
+                cloud = _cloud_name(scene.free.path.name)
+                _copy(scene.free.path, fresh / cloud)
+                proposals = {**proposals, "free": cloud}
+            if self.block is not None:
+                names = write_split(fresh, scene, self.block, self._ending, bounds, proposals, antialiased)
+                return [f"wrote       {self.path / description} and {len(names)} blocks of {self.block:g} m"]
+            write_gaussians(fresh / SMALL_SPLAT, scene.gaussians, antialiased)
+            size = (fresh / SMALL_SPLAT).stat().st_size
+            write_description(fresh, SMALL_SPLAT, scene.name, AS_IT_IS, bounds, proposals=proposals)
+        line = f"wrote       {self.path / SMALL_SPLAT}, {size / 1e6:.1f} MB"
+        return [line, f"wrote       {self.path / description}"]
 
     def describe(
         self,
@@ -172,18 +179,30 @@ class SceneFolder:
 
         Raises:
             FileExistsError: for an existing ``scene.yaml``, without ``force``.
+            ValueError: if another process writes to the folder.
         """
+        splat, copied = file.name, not self._holds(file)
+        with self._whole(SCENE_FILE) as fresh:
+            if copied:
+                splat = _copied_name(file)
+                if splat == file.name:
+                    _copy(file, fresh / splat)
+                else:
+                    write_gaussians(fresh / splat, gaussians, antialiased)
+            write_description(fresh, splat, name, frame, bounds, proposals=proposals)
+        lines = [f"wrote       {self.path / splat}"] if copied else []
+        return [*lines, f"wrote       {self.path / SCENE_FILE}"]
+
+    @contextmanager
+    def _whole(self, description: str) -> Iterator[Path]:
+        """Yield a new folder, whose files replace those of the scene that was here once the block succeeds."""
+        check_absent(self.path / description, self.force)
         self.path.mkdir(parents=True, exist_ok=True)
-        lines, splat = [], file
-        if not self._holds(file):
-            splat = self.path / _copied_name(file)
-            if splat.name == file.name:
-                _copy(file, splat)
-            else:
-                write_gaussians(splat, gaussians, antialiased)
-            lines.append(f"wrote       {splat}")
-        described = write_description(self.path, splat.name, name, frame, bounds, self.force, proposals)
-        return [*lines, f"wrote       {described}"]
+        with alone_in(self.path):
+            remove_stale(self.path)
+            earlier = split_files(self.path) if description == BLOCKS_FILE else []
+            with whole_scene(self.path, self.path, description, [path.name for path in earlier]) as fresh:
+                yield fresh
 
 
 def _cloud_name(free: str) -> str:

@@ -1,6 +1,7 @@
 """Splits a large splat into blocks: a folder that ``read_scene`` opens without reading all of it."""
 
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,12 @@ BLOCK = "block-"
 """Start of the name of a block's file."""
 AROUND = "around"
 """Name of the block for everything outside: the sky, the countryside up to the horizon, and stray Gaussians."""
+
+
+def split_files(folder: Path) -> list[Path]:
+    """Return the files in a folder that have the names which ``write_split`` gives to blocks."""
+    name = re.compile(rf"({BLOCK}\d+-\d+|{AROUND})\.(ply|spz)")
+    return sorted(path for path in folder.glob("*") if name.fullmatch(path.name))
 
 
 def write_split(

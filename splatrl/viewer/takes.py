@@ -8,11 +8,12 @@ from typing import Any
 
 from tensordict import TensorDict, TensorDictBase
 
+from splatrl.configuration import differences
 from splatrl.datasets import Demonstrations
 from splatrl.datasets.demonstrations import joined
 from splatrl.envs.world import World
 from splatrl.files import natural, remove_stale
-from splatrl.made_with import FREE, changed_content, differences
+from splatrl.made_with import FREE, changed_content
 from splatrl.training import load_checkpoint, save_checkpoint
 
 ANY = (*FREE, "by:", "episodes:", "out:", "lerobot:", "host:", "port:")

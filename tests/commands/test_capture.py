@@ -28,7 +28,7 @@ from splatrl.capture.settings import CaptureSettings
 from splatrl.capture.stereo import Depths
 from splatrl.capture.world import Placed
 from splatrl.commands import capture
-from splatrl.commands.entries import INTERRUPTED
+from splatrl.commands.stopping import INTERRUPTED
 from splatrl.files import alone_in, remove_stale
 from splatrl.renderers import NativeRenderer
 from tests.capture.walks import HEIGHT, WIDTH, K, strewn, walk

@@ -2,12 +2,13 @@
 
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from splatrl.commands.entries import INTERRUPTED
-from splatrl.commands.stopping import handled, interrupted_by, stoppable
+from splatrl.commands.stopping import INTERRUPTED, handled, interrupted_by, stoppable, tidy
+from tests.preloaded import start
 
 NUMBERS = (signal.SIGINT, signal.SIGTERM)
 
@@ -66,4 +67,32 @@ def test_a_handler_that_python_did_not_set_becomes_the_usual_one(monkeypatch: py
     monkeypatch.setattr(signal, "signal", unknown)
     with handled(signal.SIG_IGN, signal.SIGTERM):
         signal.raise_signal(signal.SIGTERM)
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+def test_a_terminated_command_removes_its_temporary_files_and_ends_by_the_signal(tmp_path: Path) -> None:
+    code = f"""
+import os, signal, time
+from pathlib import Path
+from splatrl.commands import entries
+from splatrl.files import new_folder, replacing
+
+def command(name, typed):
+    with new_folder(Path({str(tmp_path)!r}) / "demos") as folder, replacing(folder.with_name("film.mp4")):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(60)
+
+entries._start = command
+entries.start("record", [])
+"""
+    process = start("-c", code, bare=True)
+    output, _ = process.communicate(timeout=900)  # seconds, for a busy machine
+    assert (process.returncode, output, list(tmp_path.iterdir())) == (-signal.SIGTERM, "", [])
+
+
+def test_a_long_command_takes_a_termination_for_an_interrupt(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended, tidy(), stoppable("type it again"):
+        assert signal.getsignal(signal.SIGTERM) is signal.default_int_handler, "as a training expects"
+        signal.raise_signal(signal.SIGTERM)
+    assert ended.value.code == INTERRUPTED and "type it again" in capsys.readouterr().err
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL

@@ -211,7 +211,7 @@ def test_settings_that_do_not_affect_training_may_change_on_resume(run: tuple[Pa
 
 
 def test_runs_that_start_in_the_same_second_get_separate_folders(tmp_path: Path) -> None:
-    names = [run_configs._new_folder.__wrapped__(str(tmp_path / "a" / "12-00-00")) for _ in range(3)]
+    names = [run_configs._new_folder.__wrapped__(str(tmp_path / "a" / "12-00-00"), "hydra.run.dir") for _ in range(3)]
     assert [Path(name).name for name in names] == ["12-00-00", "12-00-00-2", "12-00-00-3"]
     assert all(Path(name).is_dir() for name in names)
 

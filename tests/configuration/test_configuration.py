@@ -1,6 +1,7 @@
 """Configs compose, build what they describe, and explain what is wrong with them."""
 
 import re
+import shlex
 import sys
 from itertools import zip_longest
 from pathlib import Path
@@ -30,6 +31,7 @@ from splatrl.configuration import (
     save_config,
     with_scene_paths,
 )
+from splatrl.configuration.grammar import overrides_parser
 from splatrl.configuration.search_path import composed, group_node
 from splatrl.configuration.sweeps import directed
 from splatrl.envs.nesting import layers
@@ -347,6 +349,17 @@ def test_invalid_lists_are_refused_with_what_to_type_instead(words: list[str], m
     (tmp_path / "blocks.yaml").touch()
     with pytest.raises(SystemExit, match=message):
         command_line("train", [word.format(tmp_path) for word in words])
+
+
+@pytest.mark.parametrize("name", ["a,b", "a,$b"])
+def test_a_path_with_a_comma_is_refused_with_the_quotes_that_it_needs(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).mkdir()
+    with pytest.raises(SystemExit) as refused:
+        command_line("train", ["scene=file", f"scene.path={tmp_path / name}"])
+    said, _, typed = str(refused.value.code).partition("; type ")
+    assert said == "splatrl-train: scene.path: expected quotes around a path with a comma"
+    (word,) = shlex.split(typed)
+    assert overrides_parser().parse_override(word).value() == str(tmp_path / name)
 
 
 @pytest.mark.parametrize(

@@ -4,10 +4,10 @@ import json
 import math
 from pathlib import Path
 
+from splatrl.configuration import differences
 from splatrl.documents import write_json
 from splatrl.evaluation.evaluate import SCENES_SHOWN
 from splatrl.experiments.folders import frames_done, history, status
-from splatrl.made_with import differences
 from tests.experiments.made_up import begin, compose, finish, made_up
 
 

@@ -1,3 +1,4 @@
+import math
 import os
 import time
 import zipfile
@@ -138,6 +139,16 @@ def test_the_least_recently_used_files_are_removed_beyond_the_size_limit(
     cached_arrays(f"levels-{digests[5]}", lambda: {"a": np.zeros(150)})
     left = {path.name for path in folder.glob("levels-*")}
     assert left == {f"levels-{digests[number]}.npz" for number in (2, 4, 5)}  # used within the last day
+
+
+def test_what_killed_processes_left_is_removed_after_a_day(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("splatrl.scenes.cache._unseen", math.inf)  # as in a new process
+    digest, town = "1f" * 16, folder / f"town-3-2-{'2e' * 16}"
+    left = [kept(folder, f"levels-{digest}.npz.1234abcd.tmp", 2.0), kept(town, "block+0+1.spz.1234abcd.tmp", 2.0)]
+    fresh = [kept(folder, f"levels-{digest}.npz.5678abcd.tmp", 0.5), kept(town, "around.spz.5678abcd.tmp", 0.5)]
+    others = [kept(folder, "mine.npz.1234abcd.tmp", 400.0), kept(town, "around.spz", 400.0)]
+    cached_arrays(f"levels-{digest}", Build())
+    assert [path.exists() for path in (*left, *fresh, *others)] == [False, False, True, True, True, True]
 
 
 def test_reading_a_file_marks_it_as_used(folder: Path) -> None:

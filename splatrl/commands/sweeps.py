@@ -1,0 +1,58 @@
+"""Sweeps of trainings: one that was interrupted continues in its folder."""
+
+import re
+import shlex
+from pathlib import Path
+
+from hydra.conf import HydraConf
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+
+from splatrl.building import scene_digest
+from splatrl.commands.entries import TYPED
+from splatrl.configuration import RUN_CONFIG, quoted
+from splatrl.configuration.sweep_folders import SWEEP_DIR, check_same
+from splatrl.experiments.experiment import Run
+from splatrl.experiments.folders import changes, evaluation, status
+
+PLAIN = re.compile(r"[\w./+-]+")
+"""A path that needs no quotes in Hydra's grammar."""
+
+
+def earlier(cfg: DictConfig, folder: Path) -> float | None:
+    """Return the result of a job of a sweep that is finished; set ``cfg.resume`` for one that was interrupted.
+
+    Args:
+        cfg: config of the job.
+        folder: folder of the job.
+
+    Raises:
+        ValueError: if the folder holds a run of other settings, or of files with other content.
+    """
+    if not (folder / RUN_CONFIG).exists():
+        return None
+    settings = OmegaConf.to_container(cfg)
+    assert isinstance(settings, dict), type(settings)
+    run = Run("", "", "", cfg.seed, folder, (), {str(key): value for key, value in settings.items()})
+    check_same(folder, changes(run, scene_digest))
+    if (found := status(run)) == "finished":
+        return float(evaluation(run)["success_rate"])
+    if found == "begun":
+        cfg.resume = str(folder)
+    return None
+
+
+def continuation(job: HydraConf, folder: Path) -> str:
+    """Return the command that continues a training, with the rest of the sweep that it belongs to.
+
+    The processes of launchers do not know what was typed; there, it is the command for the training alone.
+
+    Args:
+        job: the training as a job of Hydra's.
+        folder: the run folder.
+    """
+    if job.mode != RunMode.MULTIRUN or not TYPED:
+        return f"splatrl-train {quoted(f'resume={folder}')}"
+    place = str(Path(job.runtime.cwd, job.sweep.dir))
+    words = [word for word in TYPED if not word.startswith(f"{SWEEP_DIR}=")]
+    return shlex.join(["splatrl-train", *words, f"{SWEEP_DIR}={place if PLAIN.fullmatch(place) else quoted(place)}"])

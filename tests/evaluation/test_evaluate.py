@@ -1,0 +1,39 @@
+"""Evaluations of a policy, and the files that they write."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDictBase
+
+from splatrl.building import build_world
+from splatrl.configuration import load_config
+from splatrl.evaluation.evaluate import EvaluationSettings, evaluate
+from splatrl.evaluation.pictures import Pictures
+from tests.tiny import tiny_overrides
+
+CHECKPOINT = {"ppo": {"frames": 8, "env": {"curriculum.progress": [0]}}, "seconds": 1.0, "history": [{"frames": 8}]}
+SETTINGS = EvaluationSettings("last", 4, 1, 4, 0)
+
+
+def ahead(td: TensorDictBase) -> TensorDictBase:
+    """Always choose the same action."""
+    return td.set("action", torch.ones(len(td), dtype=torch.int64))
+
+
+def test_results_are_written_last_since_they_make_a_run_finished(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(*_: object) -> Path:
+        raise KeyboardInterrupt
+
+    world = build_world(load_config(tiny_overrides(tmp_path)))
+    folder = tmp_path / "run"
+    folder.mkdir()
+    with monkeypatch.context() as patch:
+        patch.setattr(Pictures, "success_map", stop)
+        with pytest.raises(KeyboardInterrupt):
+            evaluate(world, ahead, CHECKPOINT, folder, SETTINGS, seed=0, video=False)
+    assert (folder / "starts.png").is_file() and not (folder / "evaluation.json").exists()
+    _, files = evaluate(world, ahead, CHECKPOINT, folder, SETTINGS, seed=0, video=False)
+    assert (folder / "evaluation.json").is_file() and all(file.is_file() for file in files)
