@@ -17,7 +17,7 @@ class GoalSensor(PlainSensor):
 
     def check(self, task: Task) -> None:
         """Refuse tasks without goals of their episodes."""
-        if "goal" not in task.memory_spec:
+        if task.goal_radius is None:
             raise ValueError("expected a task with a goal per episode, such as task=pointnav, got one without")
 
     def goal(self, moment: Moment) -> Tensor:
