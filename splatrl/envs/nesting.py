@@ -45,7 +45,8 @@ def check_transform(env: EnvBase, transform: AnyTransform) -> None:
         if dropped := _observed(env) & {*around.state_spec.keys(True, True)} - _observed(around):
             raise ValueError(
                 f"{type(transform).__name__}: expected a transform that keeps what the next step reads, got one that "
-                f"drops {', '.join(sorted(map(str, dropped)))} from the observations; select from collected batches"
+                f"drops {', '.join(sorted(map(str, dropped)))} from the observations; select keys of collected batches "
+                "instead"
             )
 
 
