@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -14,6 +14,7 @@ from splatrl.collision.columns import cells_across
 from splatrl.collision.voxel_grid import widened
 from splatrl.collision.voxels import Voxels
 from splatrl.curriculum import Plan
+from splatrl.envs.sensors import GoalSensor, Sensor
 from splatrl.envs.tasks.base import Task
 from splatrl.motions import OrbitMotion
 from splatrl.scenes.scene import Bounds, Scene
@@ -175,6 +176,23 @@ def _ranges(lower: Sequence[float], upper: Sequence[float]) -> str:
     """Return the x and y of a box in words."""
     x, y = (f"{least:.3g} to {most:.3g}" for least, most in zip(lower[:2], upper[:2], strict=True))
     return f"x from {x} and y from {y} m"
+
+
+def warn_of_unknown_goal(task: Task, sensors: Mapping[str, Sensor], read: Sequence[str]) -> None:
+    """Warn if nothing tells a policy where the goal of its episode is.
+
+    Args:
+        task: the task; tasks without a goal for each episode need not tell it.
+        sensors: the robots' sensors, by key.
+        read: keys of the observations that the policy reads.
+    """
+    if task.goal_radius is None or any(isinstance(sensors.get(key), GoalSensor) for key in read):
+        return
+    warnings.warn(
+        f"sensors: the policy cannot know its goal, since it reads {', '.join(read)} and neither pointgoal nor "
+        "imagegoal; add one of them to sensors=[...]",
+        stacklevel=2,
+    )
 
 
 def check_goal(task: Task, reached: Tensor) -> None:

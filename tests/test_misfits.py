@@ -9,7 +9,7 @@ import torch
 from hydra.utils import instantiate
 from torch import Tensor
 
-from splatrl.building import build_one_world, build_world, make_env
+from splatrl.building import build_one_world, build_trainer, build_world, make_env
 from splatrl.configuration import load_config
 from splatrl.curriculum import Plan
 from splatrl.curriculum.field import Moves
@@ -118,3 +118,25 @@ def test_robots_that_orbit_are_not_warned_of_things_on_their_circle() -> None:
         warnings.simplefilter("error")
         world = build_one_world(load_config(["task=circle", "device=cpu"]))
     assert world.plan.cut_off.sum() > CUT_OFF * world.plan.free.sum()
+
+
+@pytest.mark.parametrize(
+    ("given", "warned"),
+    [
+        (["task=pointnav"], False),
+        (["task=imagenav", "sensors=[rgb,depth,pointgoal]"], False),
+        (["task=pointnav", "sensors=[rgb,pointgoal]", "~inputs.pointgoal_with_gps_compass"], True),
+        (["task=pointnav", "sensors=[lidar,contact]"], True),
+        (["task=imagenav", "sensors=[]"], True),
+        (["task=drive", "sensors=[lidar]"], False),
+    ],
+)
+def test_training_warns_of_a_policy_that_cannot_know_its_goal(given: list[str], warned: bool, tmp_path: Path) -> None:
+    few = ["task.goals=2", "task.test_goals=3", "robot.body.radius=0.1"] if "nav" in given[0] else []
+    name = given[0].removeprefix("task=")
+    cfg = load_config([*tiny_overrides(tmp_path, name), *few, *given[1:], "logger.num_test_episodes=3"])
+    world = build_world(cfg)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        build_trainer(cfg, world, tmp_path / "run")
+    assert any("the policy cannot know its goal" in str(one.message) for one in told) is warned

@@ -28,6 +28,7 @@ from splatrl.evaluation.rollouts import run_episodes
 from splatrl.evaluation.starts import spread_starts
 from splatrl.files import expanded
 from splatrl.made_with import made_with
+from splatrl.misfits import warn_of_unknown_goal
 from splatrl.training import (
     KEPT,
     PPO,
@@ -107,6 +108,7 @@ def build_trainer(
         env, model, loss, optim, collector.frames_per_batch, collector.total_frames, _cuda_graph(collector.cuda_graph)
     )
     teaching = _teaching(cfg, world, ppo, folder) if resumes is None else []  # refuses before anything is written
+    warn_of_unknown_goal(world.task, world.sensors, list(cfg.get("inputs") or ["pixels"]))
     starts = spread_starts(world, cfg.logger.num_test_episodes)
     test_env = world.env(min(cfg.env.num_envs, len(starts.state)), seed=cfg.seed)
 

@@ -14,6 +14,7 @@ from splatrl.collision.several import SeveralCheckers
 from splatrl.configuration import check_config, check_files, place_configs, place_names, with_absolute_paths
 from splatrl.device import chosen_device
 from splatrl.envs.drawing import Drawing
+from splatrl.envs.sensors.base import check_sensors
 from splatrl.envs.transforms import FrameSkip
 from splatrl.envs.world import World, Worlds
 from splatrl.renderers.one_scene import OneScene
@@ -39,6 +40,7 @@ def build_world(cfg: DictConfig) -> World | Worlds:
     configs = place_configs(cfg)
     transforms = partial(_make_transforms, cfg.transforms, cfg.network.get("memory", 0))
     sensors = {str(key): instantiate(node) for key, node in (cfg.get("sensors") or {}).items()}
+    check_sensors(sensors, instantiate(configs[0].task))  # building takes long
     places = build_places(configs, device, place_names(cfg), _repeats(transforms()))
     scenes = [place.scene for place in places]
     drawn = [*scenes, *places[0].task.models]

@@ -1,9 +1,12 @@
 """Nested envs: a base env and the transformed envs around it."""
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
 
-from torchrl.envs import EnvBase, FrameSkipTransform, Transform, TransformedEnv
+from tensordict import TensorDictBase
+from torchrl.envs import Compose, EnvBase, FrameSkipTransform, Transform, TransformedEnv
+
+AnyTransform: TypeAlias = Transform | Callable[[TensorDictBase], TensorDictBase]
 
 
 def layers(env: EnvBase) -> tuple[EnvBase, list[TransformedEnv]]:
@@ -36,19 +39,36 @@ def set_state(env: EnvBase, state: Mapping[str, Any]) -> None:
 
 
 def check_layers(env: EnvBase) -> None:
-    """Refuse an env under a transform that does not work with it; see ``refuse_frame_skip``."""
+    """Refuse an env under a transform that does not work with it; see ``check_transform``."""
     for around in layers(env)[1]:
-        refuse_frame_skip(around.transform)
+        check_transform(around.base_env, around.transform)
 
 
-def refuse_frame_skip(transform: Transform) -> None:
-    """Refuse TorchRL's frame skip, which repeats the step from the same state.
+def check_transform(env: EnvBase, transform: AnyTransform) -> None:
+    """Refuse a transform that does not work around an env whose episodes travel in the TensorDict.
 
     Raises:
-        ValueError: for such a transform; names the one to use instead.
+        ValueError: for TorchRL's frame skip, which repeats the step from the same state, or a transform that drops what
+            the next step reads from the observations, so that TorchRL hands on the old values instead.
     """
-    if any(isinstance(part, FrameSkipTransform) for part in transform.modules()):
+    if isinstance(transform, Compose):
+        for each in transform:
+            check_transform(env, each)
+            env = TransformedEnv(env, each.clone(), auto_unwrap=False)
+    elif isinstance(transform, FrameSkipTransform):
         raise ValueError(
             "FrameSkipTransform: expected splatrl.envs.transforms.FrameSkip instead; TorchRL's transform would repeat "
             "each step from the same state, because this env keeps its state in the TensorDict"
         )
+    elif isinstance(transform, Transform):
+        around = TransformedEnv(env, transform.clone(), auto_unwrap=False)
+        if dropped := _observed(env) & {*around.state_spec.keys(True, True)} - _observed(around):
+            raise ValueError(
+                f"{type(transform).__name__}: expected a transform that keeps what the next step reads, got one that "
+                f"drops {', '.join(sorted(map(str, dropped)))} from the observations; select keys of collected batches "
+                "instead"
+            )
+
+
+def _observed(env: EnvBase) -> set[str | tuple[str, ...]]:
+    return {*env.observation_spec.keys(True, True)}

@@ -7,6 +7,7 @@ import torch
 from torchrl.data import Bounded, Categorical, Composite, TensorSpec, Unbounded
 
 from splatrl.envs.senses import Senses
+from splatrl.envs.sensors.base import check_sensors
 from splatrl.envs.tasks.base import Outcome, Task
 
 RESERVED = {"pixels", "state", "scene", "step_count", "episode_return", "level", "outcome", "goals", "success"}
@@ -42,8 +43,9 @@ def env_specs(task: Task, senses: Senses, scenes: int, batch_size: torch.Size, d
         device: device of the env's tensors.
 
     Raises:
-        ValueError: for a sensor or a task memory that uses one of the env's keys.
+        ValueError: for a sensor or a task memory that uses one of the env's keys, or a sensor with nothing to read.
     """
+    check_sensors(senses.sensors, task)
     remembered, motion, robot = task.memory_spec, task.motion, senses.robot
     if taken := {*senses.sensors} & (RESERVED | {*remembered}):
         raise ValueError(f"sensors: expected keys that env and task do not use, got {', '.join(sorted(taken))}")

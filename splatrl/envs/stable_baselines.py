@@ -87,8 +87,9 @@ class StableBaselinesVecEnv(VecEnv):
         return self.vector.render() or ()
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """Return an attribute, which all robots share, once for each requested robot."""
-        return [getattr(self.vector, attr_name)] * len(list(self._get_indices(indices)))
+        """Return an attribute, which all robots share, once for each requested robot; a space is that of one robot."""
+        one = self if attr_name in ("action_space", "observation_space") else self.vector
+        return [getattr(one, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
         """Set an attribute of all robots.

@@ -1,7 +1,7 @@
 """A transformed env whose state includes that of the base env."""
 
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -9,7 +9,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
-from splatrl.envs.nesting import refuse_frame_skip
+from splatrl.envs.nesting import AnyTransform, check_transform
 from splatrl.envs.restart import StateWhenAsked, maybe_reset
 
 BASE = "base_env."
@@ -28,24 +28,26 @@ class StatefulEnv(StateWhenAsked, TransformedEnv):
         transforms: transforms around it, innermost first.
 
     Raises:
-        ValueError: for TorchRL's ``FrameSkipTransform``, given here or added later.
+        ValueError: for a transform that does not work with the env, given here or added later; see ``check_transform``.
     """
 
     rand_action = EnvBase.rand_action  # around an env that overrides it, TorchRL refuses action transforms
 
     def __init__(self, base_env: EnvBase, *transforms: Transform):
-        super().__init__(base_env, BaseAndTransforms(*transforms))
-        refuse_frame_skip(self.transform)
+        super().__init__(base_env, BaseAndTransforms())
+        for transform in transforms:
+            self.append_transform(transform)
 
-    def append_transform(self, transform: Transform | Callable[[TensorDictBase], TensorDictBase]) -> "StatefulEnv":
+    def append_transform(self, transform: AnyTransform) -> "StatefulEnv":
         """Add a transform outside the others; see ``TransformedEnv.append_transform``."""
-        _check(transform)
+        check_transform(self, transform)
         super().append_transform(transform)
         return self
 
     def insert_transform(self, index: int, transform: Transform) -> "StatefulEnv":
         """Add a transform between the others; see ``TransformedEnv.insert_transform``."""
-        _check(transform)
+        inner = [each.clone() for each in self.transform][:index]
+        check_transform(StatefulEnv(self.base_env, *inner), transform)
         super().insert_transform(index, transform)
         return self
 
@@ -88,15 +90,12 @@ class BaseAndTransforms(Compose):
     the env under a transform in a ``Compose`` within a ``Compose``.
     """
 
-    def __init__(self, *transforms: Transform):
-        super().__init__(*(each for transform in transforms for each in _members(transform)))
-
-    def append(self, transform: Transform | Callable[[TensorDictBase], TensorDictBase]) -> None:
+    def append(self, transform: AnyTransform) -> None:
         """Add a transform outside the others; see ``Compose.append``."""
         for each in _members(transform):
             super().append(each)
 
-    def insert(self, index: int, transform: Transform | Callable[[TensorDictBase], TensorDictBase]) -> None:
+    def insert(self, index: int, transform: AnyTransform) -> None:
         """Add a transform between the others; see ``Compose.insert``."""
         place = index + len(self) if -len(self) <= index < 0 else index
         for number, each in enumerate(_members(transform)):
@@ -129,15 +128,8 @@ class BaseAndTransforms(Compose):
             unexpected_keys += [mine + key for key in unexpected]
 
 
-def _members(
-    transform: Transform | Callable[[TensorDictBase], TensorDictBase],
-) -> list[Transform | Callable[[TensorDictBase], TensorDictBase]]:
+def _members(transform: AnyTransform) -> list[AnyTransform]:
     """Return the transforms of a plain ``Compose``, and of those within it; any other transform as it is."""
     if isinstance(transform, Compose) and type(transform) is Compose:
         return [each for member in transform for each in _members(member)]
     return [transform]
-
-
-def _check(transform: Transform | Callable[[TensorDictBase], TensorDictBase]) -> None:
-    if isinstance(transform, Transform):
-        refuse_frame_skip(transform)

@@ -77,6 +77,8 @@ def test_an_episode_that_ends_at_the_limit_of_a_step_counter_is_not_truncated_to
 def test_shared_attributes_are_reported_for_each_robot() -> None:
     env = batch()
     assert env.get_attr("render_mode") == ["rgb_array"] * 3 and env.get_attr("num_envs", [1]) == [3]
+    assert env.get_attr("action_space") == [env.action_space] * 3
+    assert env.get_attr("observation_space", 1) == [env.observation_space]
     assert env.env_is_wrapped(Monitor) == [False] * 3
     env.set_attr("colour", "red")
     assert env.get_attr("colour", 0) == ["red"]

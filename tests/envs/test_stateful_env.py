@@ -15,10 +15,14 @@ from torchrl.envs import (
     ActionDiscretizer,
     Compose,
     EnvBase,
+    ExcludeTransform,
     FrameSkipTransform,
+    RenameTransform,
     RewardScaling,
     RewardSum,
+    SelectTransform,
     StepCounter,
+    Transform,
     TransformedEnv,
 )
 
@@ -175,6 +179,45 @@ def test_torchrls_frame_skip_is_refused_wherever_it_can_be_detected(tmp_path: Pa
     node = ["allow_targets=[torchrl]", "+transforms.theirs._target_=torchrl.envs.FrameSkipTransform"]
     with refused:
         make_env([*tiny_overrides(tmp_path), *node, "transforms.order=[theirs]"])
+
+
+@pytest.mark.parametrize(
+    "theirs, dropped",
+    [
+        (SelectTransform("state", "level", "goals"), "episode_return, recurrent_state, step_count"),
+        (ExcludeTransform("step_count"), "step_count"),
+        (RenameTransform(["state"], ["place"]), "state"),
+        (
+            Compose(RewardSum(), SelectTransform("state", "level", "goals", "step_count")),
+            "episode_return, episode_reward",
+        ),
+    ],
+)
+def test_a_transform_that_drops_what_the_next_step_reads_is_refused(
+    theirs: Transform, dropped: str, tmp_path: Path
+) -> None:
+    refused = pytest.raises(ValueError, match=rf"Transform: expected .*, got one that drops {dropped}")
+    gru = make_env([*tiny_overrides(tmp_path), "memory=gru"], batch_size=[2])
+    before = list(gru.transform)
+    with refused:
+        gru.append_transform(theirs.clone())
+    with refused:
+        gru.insert_transform(len(gru.transform), theirs.clone())
+    with refused:
+        StatefulEnv(gru, theirs.clone())
+    with refused:
+        GymnasiumVectorEnv(TransformedEnv(TransformedEnv(gru, theirs.clone()), RewardSum()))
+    assert list(gru.transform) == before
+
+
+def test_transforms_that_leave_what_the_next_step_reads_are_accepted() -> None:
+    env = tiny_env((2,))
+    env = env.append_transform(RenameTransform(["state"], ["place"], ["state"], ["place"]))
+    env = env.append_transform(SelectTransform("pixels", *env.state_spec.keys()))
+    env = env.append_transform(ExcludeTransform("pixels"))
+    after = env.rollout(3, break_when_any_done=False)
+    assert torch.equal(after["place"][:, 1:], after["next", "place"][:, :-1])
+    assert not {"outcome", "pixels"} & {*after["next"].keys()}
 
 
 def test_action_transforms_work_around_it(tmp_path: Path) -> None:

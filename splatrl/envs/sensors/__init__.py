@@ -3,7 +3,7 @@
 from splatrl.envs.sensors.base import Moment, PlainSensor, Sensor
 from splatrl.envs.sensors.contact import Contact
 from splatrl.envs.sensors.depth import Depth
-from splatrl.envs.sensors.goals import ImageGoal, PointGoal
+from splatrl.envs.sensors.goals import GoalSensor, ImageGoal, PointGoal
 from splatrl.envs.sensors.lidar import Lidar
 from splatrl.envs.sensors.odometry import Compass, Gps, Heading
 from splatrl.envs.sensors.physics import EgoMotion, Felt, Joints, Measured, Velocity
@@ -14,6 +14,7 @@ __all__ = [
     "Depth",
     "EgoMotion",
     "Felt",
+    "GoalSensor",
     "Gps",
     "Heading",
     "ImageGoal",

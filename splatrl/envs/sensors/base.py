@@ -8,7 +8,9 @@ from torchrl.data import TensorSpec
 
 from splatrl.collision.base import Checker
 from splatrl.envs.robot import Robot
+from splatrl.envs.tasks.base import Task
 from splatrl.motions.base import Motion
+from splatrl.values import under_key
 
 
 class Moment(NamedTuple):
@@ -51,6 +53,10 @@ class Sensor(Protocol):
 
     needs_depth: bool
 
+    def check(self, task: Task) -> None:
+        """Refuse a task in which there is nothing to read, by a ``ValueError``; its scene is not built yet."""
+        ...
+
     def spec(self, robot: Robot) -> TensorSpec:
         """Return the spec of one robot's observation."""
         ...
@@ -69,9 +75,12 @@ class Sensor(Protocol):
 
 
 class PlainSensor:
-    """A sensor that remembers nothing and needs no depth, unless a subclass overrides that."""
+    """A sensor that works in every task, remembers nothing and needs no depth, unless a subclass overrides that."""
 
     needs_depth = False
+
+    def check(self, task: Task) -> None:
+        """Accept every task."""
 
     def memory_spec(self, robot: Robot) -> Mapping[str, TensorSpec]:
         """Return an empty mapping: nothing is remembered."""
@@ -80,3 +89,14 @@ class PlainSensor:
     def begin(self, moment: Moment) -> Mapping[str, Tensor]:
         """Return an empty mapping: nothing is remembered."""
         return {}
+
+
+def check_sensors(sensors: Mapping[str, Sensor], task: Task) -> None:
+    """Refuse sensors that have nothing to read in a task.
+
+    Raises:
+        ValueError: names the sensor by its key.
+    """
+    for key, sensor in sensors.items():
+        with under_key(f"sensors.{key}"):
+            sensor.check(task)

@@ -8,21 +8,24 @@ from torchrl.data import Bounded, TensorSpec, Unbounded
 
 from splatrl.envs.robot import Robot
 from splatrl.envs.sensors.base import Moment, PlainSensor
+from splatrl.envs.tasks.base import Task
 from splatrl.geometry import axis_rotations, azimuths, rigid, wrapped
 
 
-def goal_of(moment: Moment) -> Tensor:
-    """Return the goals that the task remembers: [B, 3] float64, x and y in metres and yaw in radians.
+class GoalSensor(PlainSensor):
+    """A sensor of the goal that a task remembers for each episode."""
 
-    Raises:
-        ValueError: for a task without goals.
-    """
-    if "goal" not in moment.memory:
-        raise ValueError("sensors: expected a task with a goal per episode, such as task=pointnav, got one without")
-    return moment.memory["goal"].double()
+    def check(self, task: Task) -> None:
+        """Refuse tasks without goals of their episodes."""
+        if task.goal_radius is None:
+            raise ValueError("expected a task with a goal per episode, such as task=pointnav, got one without")
+
+    def goal(self, moment: Moment) -> Tensor:
+        """Return the goals: [B, 3] float64, x and y in metres and yaw in radians."""
+        return moment.memory["goal"].double()
 
 
-class PointGoal(PlainSensor):
+class PointGoal(GoalSensor):
     """Distance and direction from the robot to the goal: [B, 2] float32, rho in metres and phi in [-π, π].
 
     This is Habitat's ``pointgoal_with_gps_compass`` in 2D polar coordinates: rho is the straight-line distance, and phi
@@ -36,12 +39,12 @@ class PointGoal(PlainSensor):
 
     def read(self, moment: Moment) -> Tensor:
         """Return rho, metres, and phi, radians: [B, 2] float32."""
-        away = goal_of(moment)[:, :2] - moment.planar[:, :2]
+        away = self.goal(moment)[:, :2] - moment.planar[:, :2]
         phi = wrapped(azimuths(away) - moment.planar[:, 2])
         return torch.stack([away.norm(dim=1), phi], 1).float()
 
 
-class ImageGoal(PlainSensor):
+class ImageGoal(GoalSensor):
     """View that the robot's camera would have at the goal, [B, H, W, 3] uint8, rendered once per episode.
 
     This is Habitat's ``imagegoal``; the goal's yaw is drawn at random together with the goal.
@@ -59,7 +62,7 @@ class ImageGoal(PlainSensor):
 
     def begin(self, moment: Moment) -> Mapping[str, Tensor]:
         """Render the view at the goal: [B, H, W, 3] uint8."""
-        goal = goal_of(moment).float()
+        goal = self.goal(moment).float()
         place = torch.cat([goal[:, :2], moment.body_to_world[:, 2:3, 3]], 1)
         return {self.KEY: moment.look(rigid(axis_rotations(2, goal[:, 2]), place))}
 

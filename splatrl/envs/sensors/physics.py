@@ -1,7 +1,6 @@
 """Sensors of the robot's own body and motion, for robots with physics."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -9,7 +8,9 @@ from torchrl.data import TensorSpec, Unbounded
 
 from splatrl.envs.robot import Robot
 from splatrl.envs.sensors.base import Moment, PlainSensor
+from splatrl.envs.tasks.base import Task
 from splatrl.geometry import quats_to_rotations
+from splatrl.motions.base import Motion
 from splatrl.motions.legs import FELT, LegsMotion
 from splatrl.motions.physics import PhysicsMotion
 from splatrl.physics import read_mjcf
@@ -18,7 +19,15 @@ from splatrl.physics.optional import needed
 from splatrl.physics.robots import mjcf_path
 
 
-class Measured(PlainSensor):
+class BodySensor(PlainSensor):
+    """A sensor of robots with physics."""
+
+    def check(self, task: Task) -> None:
+        """Refuse robots without physics."""
+        with_physics(task.motion)
+
+
+class Measured(BodySensor):
     """Concatenated readings of sensors in the robot's own MJCF: [B, n] float32, in MuJoCo's units.
 
     For example, an accelerometer and a gyro form an IMU, and touch sensors in the feet report contacts. A reading is
@@ -56,14 +65,14 @@ class Measured(PlainSensor):
 
     def begin(self, moment: Moment) -> Mapping[str, Tensor]:
         """Return the reading with the actuators at rest: [B, n] float32."""
-        motion = with_physics(moment)
+        motion = with_physics(moment.motion)
         return {self.key: self._said(motion, motion.sensed(moment.state).unsqueeze(1))}
 
     def read(self, moment: Moment) -> Tensor:
         """Return the mean over the last move, or the remembered reading where an episode begins: [B, n] float32."""
         if moment.sensed is None:
             return moment.memory[self.key].clone()
-        return self._said(with_physics(moment), moment.sensed)
+        return self._said(with_physics(moment.motion), moment.sensed)
 
     def _said(self, motion: PhysicsMotion, sensed: Tensor) -> Tensor:
         columns = [motion.physics.sensor(f"{ROBOT}{name}") for name in self.names]
@@ -74,7 +83,7 @@ class Measured(PlainSensor):
         return (self.scale * total / each.shape[1]).float()
 
 
-class Joints(PlainSensor):
+class Joints(BodySensor):
     """Positions, then velocities, of the hinge and slide joints: [B, 2 J] float32, radians or metres, and per second.
 
     Positions are relative to the robot's home pose.
@@ -97,13 +106,13 @@ class Joints(PlainSensor):
 
     def read(self, moment: Moment) -> Tensor:
         """Return positions relative to the home pose, then scaled velocities: [B, 2 J] float32."""
-        motion, state = with_physics(moment), moment.state
+        motion, state = with_physics(moment.motion), moment.state
         layout, places, rates = motion.layout, self.places.to(state.device), self.rates.to(state.device)
         angles = state[:, layout.positions][:, places] - motion.home[layout.positions][places].to(state)
         return torch.cat([angles, self.rate * state[:, layout.velocities][:, rates]], 1).float()
 
 
-class Velocity(PlainSensor):
+class Velocity(BodySensor):
     """Linear and angular velocity of the body, for critics: [B, 6] float32, metres and radians per second.
 
     A real robot cannot measure it directly. It is the velocity of the robot's first body in its own frame: ahead, left
@@ -116,10 +125,10 @@ class Velocity(PlainSensor):
 
     def read(self, moment: Moment) -> Tensor:
         """Return the linear and the angular velocity in the body's frame: [B, 6] float32."""
-        return with_physics(moment).velocity(moment.state).float()
+        return with_physics(moment.motion).velocity(moment.state).float()
 
 
-class EgoMotion(PlainSensor):
+class EgoMotion(BodySensor):
     """Velocity and tilt of the body, as an IMU with visual odometry would estimate them: [B, 9] float32.
 
     The six values of ``Velocity`` are followed by the world's up direction, all in the body's own frame. Position and
@@ -132,39 +141,47 @@ class EgoMotion(PlainSensor):
 
     def read(self, moment: Moment) -> Tensor:
         """Return the velocity and the world's up direction in the body's frame: [B, 9] float32."""
-        motion = with_physics(moment)
+        motion = with_physics(moment.motion)
         up = quats_to_rotations(moment.state[:, motion.layout.orientation])[:, 2]
         return torch.cat([motion.velocity(moment.state), up], 1).float()
 
 
-class Felt(PlainSensor):
+class Felt(BodySensor):
     """Proprioception of a legged robot: [B, 46] float32, see ``LegsMotion.felt``."""
+
+    def check(self, task: Task) -> None:
+        """Refuse robots without legs."""
+        with_legs(task.motion)
 
     def spec(self, robot: Robot) -> TensorSpec:
         """Return the spec of 46 numbers."""
         return Unbounded(shape=(FELT,), dtype=torch.float32)
 
     def read(self, moment: Moment) -> Tensor:
-        """Return the proprioception: [B, 46] float32.
-
-        Raises:
-            ValueError: for a robot without legs.
-        """
-        motion: Any = moment.motion
-        if not isinstance(motion, LegsMotion):
-            raise ValueError(f"sensors: expected a legged robot, got {type(motion).__name__}")
-        return motion.felt(moment.state)
+        """Return the proprioception: [B, 46] float32."""
+        return with_legs(moment.motion).felt(moment.state)
 
 
-def with_physics(moment: Moment) -> PhysicsMotion:
+def with_physics(motion: Motion) -> PhysicsMotion:
     """Return the motion of robots with physics.
 
     Raises:
-        ValueError: for robots without physics.
+        ValueError: for any other motion.
     """
-    if not isinstance(moment.motion, PhysicsMotion):
+    if not isinstance(motion, PhysicsMotion):
         raise ValueError(
-            f"sensors: expected a robot with physics, such as robot=wheels motion@task.motion=physics, "
-            f"got {type(moment.motion).__name__}"
+            "expected a robot with physics, such as robot=wheels motion@task.motion=physics, "
+            f"got {type(motion).__name__}"
         )
-    return moment.motion
+    return motion
+
+
+def with_legs(motion: Motion) -> LegsMotion:
+    """Return the motion of robots with legs.
+
+    Raises:
+        ValueError: for any other motion.
+    """
+    if not isinstance(motion, LegsMotion):
+        raise ValueError(f"expected a legged robot, such as that of task=walk, got {type(motion).__name__}")
+    return motion

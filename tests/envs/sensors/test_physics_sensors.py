@@ -14,8 +14,8 @@ from splatrl.bodies import Box
 from splatrl.building import build_model, build_one_world, worlds
 from splatrl.collision import NativeChecker, Occupancy
 from splatrl.configuration import load_config
-from splatrl.envs.sensors import Felt, Joints, Lidar, Measured, Moment, Velocity
-from splatrl.motions import DriveMotion, PhysicsMotion, StridesMotion
+from splatrl.envs.sensors import Joints, Lidar, Measured, Moment, Velocity
+from splatrl.motions import PhysicsMotion, StridesMotion
 from splatrl.motions.legs import JOINTS
 from tests.tiny import tiny_overrides
 
@@ -96,14 +96,25 @@ def test_velocity_is_in_the_body_frame() -> None:
     assert Velocity().read(moment(motion, state))[0].tolist() == pytest.approx([0.7, 0, 0, 0, 0, 0.3], abs=1e-6)
 
 
-def test_robots_without_physics_or_legs_are_refused() -> None:
-    drive = DriveMotion(0.5)
-    for sensor in (Velocity(), Joints("wheels")):
-        with pytest.raises(ValueError, match=r"sensors: expected a robot with physics, .* got DriveMotion"):
-            sensor.read(moment(drive, torch.zeros(1, 3)))
-    wheels = PhysicsMotion("wheels", "eye", threads=1)
-    with pytest.raises(ValueError, match="sensors: expected a legged robot, got PhysicsMotion"):
-        Felt().read(moment(wheels, wheels.placed(torch.zeros(1, 3))))
+@pytest.mark.parametrize(
+    "task, sensor, expected",
+    [
+        ("drive", "velocity", "sensors.velocity: expected a robot with physics, .*, got DriveMotion"),
+        ("drive", "ego_motion", "sensors.ego_motion: expected a robot with physics, .*, got DriveMotion"),
+        ("push", "felt", "sensors.felt: expected a legged robot, .*, got PhysicsMotion"),
+        (
+            "grid",
+            "pointgoal",
+            "sensors.pointgoal_with_gps_compass: expected a task with a goal per episode, .* without",
+        ),
+    ],
+)
+def test_a_sensor_with_nothing_to_read_is_refused_before_scenes_are_built(
+    task: str, sensor: str, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worlds, "build_places", lambda *_: pytest.fail("built"))
+    with pytest.raises(ValueError, match=rf"^{expected}"):
+        build_one_world(load_config([*tiny_overrides(tmp_path, task), f"sensors=[rgb,{sensor}]"]))
 
 
 def test_a_sensor_that_the_robot_lacks_is_refused() -> None:
