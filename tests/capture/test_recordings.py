@@ -265,6 +265,15 @@ def test_every_supported_colmap_camera_model_is_read(camera: str, text: bool, tm
     assert (lens.width, lens.height, lens.distortion) == (320, 240, (*k, 0))
 
 
+def test_points_may_take_most_of_a_large_colmap_model(tmp_path: Path) -> None:
+    source, points = _model(tmp_path, "PINHOLE", False), 2**22
+    image = struct.pack("<I7dI", 1, 1.0, *[0.0] * 6, 7) + b"0 a.png\0" + struct.pack("<Q", points)
+    with (source / "sparse" / "0" / "images.bin").open("wb") as file:
+        file.write(struct.pack("<Q", 1) + image)
+        file.truncate(file.tell() + 24 * points)  # 96 MiB of nothing, which take no room on the disk
+    assert [shot.name for shot in colmap.read(source).shots] == ["0 a.png"]
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
@@ -281,6 +290,13 @@ def test_every_supported_colmap_camera_model_is_read(camera: str, text: bool, tm
             struct.pack("<QI7dI", 1, 1, *[0] * 7, 7) + b"0 a.png\0" + bytes(8),
             "a.png: .* non-zero",
         ),
+        (
+            "images.bin",
+            struct.pack("<QI7dI", 1, 1, 1, *[0] * 6, 7) + b"a" * 9000 + b"\0",
+            "name of image 1 does not end",
+        ),
+        ("images.bin", struct.pack("<Q", 2**40), "at most 100,000 entries, got 1,099,511,627,776"),
+        ("images.bin", b"", "expected a COLMAP model"),
         ("images.bin", bytes(8), r"images\.bin: expected at least one image, got none"),
         ("images.bin", struct.pack("<QI7dI", 1, 1, 1, *[0] * 6, 7) + b"../../b.png\0" + bytes(8), "within|none"),
     ],
