@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from av.container import InputContainer
     from av.video.stream import VideoStream
 
+UNSAID = 0, 2
+"""FFmpeg's numbers of an unspecified transfer function."""
 USUAL_RATE = 30
 """Frames per second of a video that does not tell."""
 
@@ -54,6 +56,7 @@ def decoded(path: Path, container: "InputContainer", damage: Damage) -> Iterator
 
     stream, aspect, begun = video_track(container), pixel_aspect(container), False
     stream.thread_type = "AUTO"  # with threads for slices alone, no frame counts as corrupt
+    transfer = stream.codec_context.color_trc  # of the file, which its frames need not repeat; decoding replaces it
     start, base = stream.start_time or 0, float(stream.time_base or 0)
     end, before = start, list[int]()
     for packet in container.demux(stream):
@@ -72,6 +75,8 @@ def decoded(path: Path, container: "InputContainer", damage: Damage) -> Iterator
             if not begun and frame.pts is not None:
                 damage.silent = sum(pts < frame.pts for pts in before)
             begun = True
+            if frame.color_trc in UNSAID:
+                frame.color_trc = transfer
             if frame.is_corrupt:
                 damage.corrupt.append(((frame.pts or 0) - start) * base)
             yield frame

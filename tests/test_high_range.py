@@ -34,16 +34,24 @@ def test_high_dynamic_range_is_converted_to_the_intended_colours(transfer: int) 
     assert usual_range(image, 1) is image
 
 
-@pytest.mark.parametrize(("transfer", "shown"), [(2, 173), (HLG, 220)])
-def test_the_dynamic_range_of_a_film_is_read_from_its_metadata(transfer: int, shown: int, tmp_path: Path) -> None:
-    with av.open(str(tmp_path / "a.mp4"), "w") as container:
-        stream = container.add_stream("h264", rate=10)
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+@pytest.mark.parametrize(
+    ("transfer", "codec", "shown"), [(2, "h264", 173), (HLG, "h264", 220), (HLG, "prores_ks", 220)]
+)
+def test_the_dynamic_range_of_a_film_is_read_from_its_metadata(
+    transfer: int, codec: str, shown: int, tmp_path: Path
+) -> None:
+    film = tmp_path / "a.mov"
+    with av.open(str(film), "w") as container:
+        stream = container.add_stream(codec, rate=10)
+        stream.width, stream.height = 64, 48
+        stream.pix_fmt = "yuv420p" if codec == "h264" else "yuv422p10le"
+        if codec != "h264":
+            stream.codec_context.open()  # its frames then do not name the function, only the file does
         stream.codec_context.color_trc = transfer
         for _ in range(3):
             grey = np.full((48, 64, 3), 173, np.uint8)  # slightly darker than paper white in HLG
             container.mux(stream.encode(av.VideoFrame.from_ndarray(grey, format="rgb24")))
         container.mux(stream.encode())
-    photos = read_photos(tmp_path / "a.mp4", tmp_path / "out", count=(3, 3))
-    for image in (Image.open(photos.paths[0]), *film_images(tmp_path / "a.mp4")):
+    photos = read_photos(film, tmp_path / "out", count=(3, 3))
+    for image in (Image.open(photos.paths[0]), *film_images(film)):
         assert np.asarray(image).mean() == pytest.approx(shown, abs=4)

@@ -69,7 +69,8 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
     """Inspect a splat file, and write the folder of its scene."""
     splat_reader(path)  # refuses what is no splat file before anything that its name would replace
     target.check(path)
-    name, kept = splat_name(path), target.kept(path)
+    name = splat_name(path)
+    kept, dropped = target.kept(path, name)
     gaussians, origin = read_centred(path)
     stated, lines = stated.beside(path)
     if any(origin):
@@ -102,6 +103,8 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
     proposals |= proposed.settings | kept
     if stays := [*(["name"] if scene.name != name else []), *kept]:
         print(f"keeps       {', '.join(stays)} as they were; what is estimated has been replaced")
+    if dropped:
+        print(f"drops       {', '.join(dropped)} of the description that was there, which may be of another splat")
     if target.converts:
         show(target.write(scene, proposed.bounds, proposals, _trained(path)))
     else:
@@ -123,7 +126,7 @@ def look_again(options: argparse.Namespace, folder: Path, target: SceneFolder) -
     kept = {}
     if target.converts:
         target.check(folder, described.get("free"))
-        kept = target.kept(folder)
+        kept, _ = target.kept(folder, described.get("name", folder.resolve().name))
     if any(getattr(options, name) is not None for name in FRAME_OPTIONS):
         raise ValueError(
             f"{folder}: expected a folder without options such as --up or --scale, got some; edit its scene.yaml, "

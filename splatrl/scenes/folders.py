@@ -82,11 +82,18 @@ class SceneFolder:
         for path in (self.path / SCENE_FILE, self.path / BLOCKS_FILE, *self._files(source, free)):
             check_absent(path, self.force)
 
-    def kept(self, source: Path) -> dict[str, Any]:
+    def kept(self, source: Path, name: str) -> tuple[dict[str, Any], list[str]]:
         """Return what a description that is about to be replaced says about the same splat in the keys ``KEPT``.
+
+        A description beside a splat file names the file. One beside a small file or blocks does not say what these
+        were made from, and counts as one of the same splat if its name is the one that the new description would have.
 
         Args:
             source: the splat file, or the folder of a scene to convert.
+            name: name of the scene, unless it is kept.
+
+        Returns:
+            The keys with their values, and those that are lost because the description is one of another splat.
 
         Raises:
             ValueError: for a description that cannot be read, whose replacement would lose what somebody wrote.
@@ -98,9 +105,11 @@ class SceneFolder:
                 before = read_description(self.path) if (self.path / SCENE_FILE).exists() else {}
         except ValueError as error:
             raise ValueError(f"{error}; correct or remove the file, of which --force keeps what is yours") from error
-        splat = SMALL_SPLAT if self.small else source.name if self._holds(source) else _copied_name(source)
-        same = self.block is not None or before.get("splat") == splat
-        return {key: before[key] for key in KEPT if same and key in before}
+        there = {key: before[key] for key in KEPT if key in before}
+        same = before.get("name") == name
+        if not self.converts:
+            same = before.get("splat") == (source.name if self._holds(source) else _copied_name(source))
+        return (there, []) if same else ({}, list(there))
 
     def _files(self, source: Path, free: str | None) -> list[Path]:
         """Return the files to be written besides descriptions and pictures; of blocks, those of any earlier split."""
