@@ -69,7 +69,9 @@ class Imitation:
                 frames than ``collector.total_frames``.
         """
         check_imitation(self.world, self.dagger)
-        if self._left is None and self.shown is None:
+        if self._lesson or self._epoch:
+            self._check_left()
+        elif self.shown is None:
             self._check_taught(0)
         lessons, known, row = self._lessons(), self._kept(), dict[str, float]()
         for number in range(self._lesson, len(lessons)):
@@ -129,6 +131,16 @@ class Imitation:
                 set_state(self._env, self._left["env"])
         guided = 1.0 if number < dagger.shown_rounds else dagger.guided
         return visited(self._env, ppo.learner, plans, dagger.frames_per_round, self.cloner.reads, guided)
+
+    def _check_left(self) -> None:
+        """Refuse to continue with less than the frames that the lesson that has begun and further rounds need."""
+        rounds = self.dagger.rounds - (self._lesson + (self._epoch > 0) - (self.shown is not None))
+        needed = self.ppo.frames + (self._count if self._epoch else 0) + max(0, rounds) * self.dagger.frames_per_round
+        if needed > self.ppo.total_frames:
+            raise ValueError(
+                f"collector.total_frames: expected at least {needed:,} to continue with imitation, after "
+                f"{self.ppo.frames:,}, got {self.ppo.total_frames:,}"
+            )
 
     def _check_taught(self, shown: int) -> None:
         check_taught(self.dagger, self.ppo.env.numel(), self.ppo.total_frames, shown, self.ppo.frames)

@@ -209,7 +209,7 @@ class Trainer:
         if self.prepare:
             self.save()
             self.save()  # neither checkpoint needs what the stages kept
-        if self.ppo.finished and (left := self.ppo.total_frames - self.ppo.frames):
+        if self.ppo.finished and (left := self.ppo.total_frames - self.ppo.frames) > 0:
             told = f"of collector.total_frames={self.ppo.total_frames} {left} are left, less than a batch"
             print(f"no learning from reward: {told} of collector.frames_per_batch", file=sys.stderr)
 

@@ -281,6 +281,11 @@ def test_a_training_killed_during_imitation_continues_with_the_same_bytes(
     assert "stopped within imitation, which goes on where it was saved" in capsys.readouterr().err
     saved = load_checkpoint(tmp_path / "checkpoints" / "last.pt")
     assert len(unpacked(saved["history"])) == rows
+    if rows == 1:  # two rounds of 64 frames are to come
+        less, used = build_trainer(cfg, world, tmp_path, check_made_with), saved["ppo"]["frames"]
+        less.ppo.total_frames = used + 127
+        with pytest.raises(ValueError, match=f"at least {used + 128} to continue with imitation, after {used}, got"):
+            less.fit()
     torch.manual_seed(99)
     again = build_trainer(cfg, world, tmp_path, check_made_with)
     again.fit()
