@@ -62,8 +62,9 @@ def experiment(cfg: DictConfig) -> None:
     if cfg.report_only and not any((folder / name).is_dir() for name in names):
         raise ValueError(f"folder: expected a folder with finished trainings of {', '.join(names)}, got {folder}")
     nodes = {name: checked(name, _plain(cfg.experiments)[name]) for name in names}
+    named = _named(cfg, nodes)
     _prepare(cfg, nodes)
-    scenes = _scenes(cfg, _named(cfg, nodes))
+    scenes = _scenes(cfg, named)
     places = None if cfg.scenes is None else [_scene_name(str(scene)) for scene in cfg.scenes]
     selection = Selection(_plain(cfg)["seeds"], cfg.frames, places)
     experiments = [planned(name, nodes[name], scenes, folder, _compose, selection) for name in names]

@@ -251,13 +251,19 @@ def _check_deletions(name: str, words: Sequence[str], overrides: Sequence[Overri
     if folder := _resumed(overrides):
         raise UserError(f"resume={folder}: expected values for keys of the run, got {', '.join(deleted)}")
     typed = [word.lstrip("+").partition("=")[0] for word in words if not word.startswith("~")]
+    added = [_parsed(word, sweeps=True) for word in words if word.startswith("+") and "=" in word]
     chosen = [
-        f"{str(one.input_line).partition('=')[0]}={choices(one)[0]}" for one in overrides if is_group(one.key_or_group)
+        f"{str(one.input_line).partition('=')[0]}={choices(one)[0]}"
+        for one in (*overrides, *added)
+        if is_group(one.key_or_group)
     ]
     with suppress(HydraException):  # Hydra will report what is wrong
         cfg, groups = compositions([[word] for word in chosen], name)[0][""], choice_keys(name, chosen)
         for word in deleted:
             key = word[1:].partition("=")[0]
+            if key in groups and "." not in key:
+                choice = "none" if "none" in options(key.split("@")[0]) else "..."
+                raise UserError(f"{word}: expected another choice from this group; type {key}={choice} instead")
             if key not in (*groups, *typed):
                 check_key(key, [{"": cfg}])
             above, _, leaf = key.rpartition(".")

@@ -140,6 +140,10 @@ def checked(name: str, node: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(known["arms"], Mapping):
         raise ValueError(f"{where}.arms: expected an arm by each key, got {known['arms']!r}")
     arms = {key: _checked(values, _keys(Arm), f"{where}.arms.{key}") for key, values in known["arms"].items()}
+    for key, arm in arms.items():
+        for name in ("overrides", "scenes", "seeds"):
+            if not isinstance(arm[name], list):
+                raise ValueError(f"{where}.arms.{key}.{name}: expected a list, got {arm[name]!r}")
     return {**known, "arms": arms}
 
 

@@ -296,7 +296,12 @@ def test_points_may_take_most_of_a_large_colmap_model(tmp_path: Path) -> None:
             "name of image 1 does not end",
         ),
         ("images.bin", struct.pack("<Q", 2**40), "at most 100,000 entries, got 1,099,511,627,776"),
-        ("images.bin", b"", "expected a COLMAP model"),
+        ("images.bin", b"", "expected a COLMAP model: it is empty"),
+        (
+            "images.bin",
+            struct.pack("<Q", 2) + 2 * (struct.pack("<I7dI", 1, 1, *[0] * 6, 7) + b"0 a.png\0" + bytes(8)),
+            "expected each image once, got '0 a.png' twice",
+        ),
         ("images.bin", bytes(8), r"images\.bin: expected at least one image, got none"),
         ("images.bin", struct.pack("<QI7dI", 1, 1, 1, *[0] * 6, 7) + b"../../b.png\0" + bytes(8), "within|none"),
     ],

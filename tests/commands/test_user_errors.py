@@ -178,7 +178,11 @@ ERRORS = [
     # Keys that cannot be deleted.
     ("train ~task.gaol", "task.gaol: no such key, did you mean task.goal? Valid keys of task:"),
     ("train ~logger", "~logger: expected a key within a node, such as ~task.goal; all others are needed"),
-    ("train ~transforms/sprite", "~transforms/sprite: expected a key within a node, such as ~task.goal"),
+    (
+        "train ~transforms/sprite",
+        "~transforms/sprite: expected another choice from this group; type transforms/sprite=",
+    ),
+    ("train ~transforms/skip", "~transforms/skip: expected another choice from this group; type transforms/skip=none"),
     ("train ~motion@task.motin", "motion@task.motin: no such key"),
     (
         "train ~evaluation.episodes",

@@ -311,6 +311,7 @@ def test_a_missing_value_is_named(tmp_path: Path) -> None:
     [
         ["-m", "seed=0,1", "curriculum=distance,none", "hydra.run.dir=x", "+extra=1", "~loss.gamma"],
         ["+own.key=1", "~own.key", "~motion@task.motion", "~task.goal"],
+        ["+rewards@own.rewards=unit", "~own.rewards.goal"],
         ["--cfg", "job", "scene=kitchen", "scene.path=/a/b.spz"],
         ["task=fps", "motion@task.motion=drive", "task.motion.time_step=0.1", "rewards@task.rewards=unit"],
     ],

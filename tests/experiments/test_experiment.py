@@ -62,6 +62,14 @@ def test_arms_that_are_none_are_named(tmp_path: Path, arms: object, where: str) 
         made_up(tmp_path, NODE | {"arms": arms})
 
 
+@pytest.mark.parametrize("value", [None, "yard"])
+@pytest.mark.parametrize("key", ["overrides", "scenes", "seeds"])
+def test_lists_of_an_arm_that_are_none_are_named(tmp_path: Path, key: str, value: object) -> None:
+    node: dict[str, Any] = NODE | {"arms": {"with": NODE["arms"]["with"] | {key: value}}}
+    with pytest.raises(ValueError, match=rf"experiments\.tried\.arms\.with\.{key}: expected a list, got {value!r}"):
+        made_up(tmp_path, node)
+
+
 def test_an_experiment_of_ones_own_need_not_say_what_the_paper_found(tmp_path: Path) -> None:
     node = {key: value for key, value in NODE.items() if key != "paper"}
     assert made_up(tmp_path, node).paper is None

@@ -3,6 +3,7 @@
 The files are parsed here rather than by COLMAP, which allocates as much memory as a file claims to need.
 """
 
+import itertools
 import re
 import struct
 from collections.abc import Callable, Iterator
@@ -65,13 +66,16 @@ def read(source: Path) -> Recording:
     images = sorted(_read(files[1], read_images), key=lambda image: natural(Path(image.name)))
     if not images:
         raise CaptureError(f"{files[1]}: expected at least one image, got none")
+    names = [image.name for image in images]
+    if twice := next((name for name, after in itertools.pairwise(names) if name == after), None):
+        raise CaptureError(f"{files[1]}: expected each image once, got {twice[:80]!r} twice")
     places = [place for place in (source / "images", model / "images", source) if place.is_dir()]
     paths = [_beside_any(model, places, image.name) for image in images]
     if missing := {image.camera for image in images} - lenses.keys():
         raise CaptureError(f"{files[1]}: expected camera ids that are in {files[0].name}, got {min(missing)}")
     poses = np.tile(np.eye(4), (len(images), 1, 1))
     given = np.array([image.pose for image in images])
-    world_to_camera = quaternion_poses(files[1], [image.name for image in images], given[:, [1, 2, 3, 0]], given[:, 4:])
+    world_to_camera = quaternion_poses(files[1], names, given[:, [1, 2, 3, 0]], given[:, 4:])
     poses[:, :3, :3] = world_to_camera[:, :3, :3].transpose(0, 2, 1)
     poses[:, :3, 3] = np.einsum("nij,nj->ni", poses[:, :3, :3], -given[:, 4:])
     shots = [
@@ -97,6 +101,8 @@ class _Image(NamedTuple):
 def _read(path: Path, read: Callable[[mmap], Kept]) -> Kept:
     """Parse a file of any size, most of which are points: what is skipped is not read."""
     try:
+        if path.stat().st_size == 0:
+            raise ValueError("it is empty")
         with path.open("rb") as stream, mmap(stream.fileno(), 0, access=ACCESS_READ) as content:
             return read(content)
     except CaptureError as error:
