@@ -51,7 +51,9 @@ def run(cfg: DictConfig) -> None:
             raise ValueError(f"lerobot: expected a folder separate from out={cfg.out}, got {cfg.lerobot}")
     for key, path in folders.items():
         if path.exists():
-            raise ValueError(f"{key}: expected a new folder, got {path}, which already exists")
+            takes = Path(f"{folders['out']}{TAKES}")
+            left = f"; remove it if it is of the interrupted recording in {takes}" if takes.is_dir() else ""
+            raise ValueError(f"{key}: expected a new folder, got {path}, which already exists{left}")
         path.parent.mkdir(parents=True, exist_ok=True)
         require_room(path.parent)  # fail now rather than after a person has driven all episodes
     torch.set_num_threads(cfg.threads)
@@ -65,7 +67,7 @@ def run(cfg: DictConfig) -> None:
             print(write(cfg, world, found, key, path))
         return
     with driven(cfg, world) as found:
-        for key, path in reversed(folders.items()):  # out last: while it is missing, the same command continues
+        for key, path in reversed(folders.items()):  # out last: while it is missing, the takes are not forgotten
             told = patiently(partial(write, cfg, world, found, key, path))
             with suppress(OSError):  # the terminal may be closed, and the next folder is to be written all the same
                 print(told)

@@ -80,6 +80,9 @@ def test_the_same_frames_are_written_for_lerobot(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["demos", "lerobot"]
     with pytest.raises(SystemExit, match=r"lerobot: expected a new folder, got .* already exists"):
         call(record, monkeypatch, *scene, "episodes=3", f"out={tmp_path / 'other'}", folders[1])
+    (tmp_path / "other.takes").mkdir()
+    with pytest.raises(SystemExit, match=r"already exists; remove it if it is of the interrupted recording in .*takes"):
+        call(record, monkeypatch, *scene, "episodes=3", f"out={tmp_path / 'other'}", folders[1])
 
 
 def test_a_scene_that_has_changed_since_the_recording_is_mentioned(
