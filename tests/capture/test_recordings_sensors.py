@@ -200,6 +200,10 @@ def test_the_common_camera_sees_only_what_every_image_shows() -> None:
             Lens(320, 240, 260, 260, 160, 120, (50.0, 0, 0, 0, 0)),
             "expected lens distortion that leaves at least a third",
         ),
+        (
+            Lens(320, 240, 260, 260, 160, 120, (-50.0, 0, 0, 0, 0)),  # folds the image at its middle
+            "expected lens distortion that leaves at least a third",
+        ),
         (Lens(320, 240, 130, 130, 160, 120), "expected one camera, got focal lengths from 130 to 260 pixels"),
         (Lens(320, 240, 260, 260, 210, 120), "a principal point that moves by 16 % of the width"),
     ],

@@ -14,7 +14,7 @@ from splatrl.capture.frames import buckets, sharpest, sharpness
 from splatrl.capture.photo_files import orientation
 from splatrl.capture.progress import Progress
 from splatrl.capture.recordings.base import Depth, Floats, Lens, Picture, Recording
-from splatrl.capture.recordings.straightening import seen_by, straight
+from splatrl.capture.recordings.straightening import folds, seen_by, straight
 from splatrl.capture.recordings.turning import (
     quarter_turns,
     stated_turns,
@@ -98,11 +98,13 @@ def one_camera(source: object, lenses: Sequence[Lens], border: float = 0.0) -> t
             f"{source}: expected a principal point near the middle of {size[0]:.0f} × {size[1]:.0f} pixels, got "
             f"({middle[0]:.0f}, {middle[1]:.0f}); are the intrinsics for another image size?"
         )
-    straightened = _table([straight(lens) for lens in lenses])
+    without = [straight(lens) for lens in lenses]
+    straightened = _table(without)
     focals, before = straightened[:, :2], straightened[:, 2:] - border  # extents of the part that shows something
     behind = sizes - border - straightened[:, 2:]
     zoom = (focals / focal * np.maximum(middle / before, (size - middle) / behind)).max()
-    if (focals <= 0).any() or not zoom < CROPPED:
+    folded = any(map(folds, lenses, without))
+    if (focals <= 0).any() or not zoom < CROPPED or folded:
         raise CaptureError(
             f"{source}: expected lens distortion that leaves at least a third of each image without it, got less; are "
             "the coefficients those of OpenCV?"

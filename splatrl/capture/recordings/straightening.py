@@ -20,6 +20,16 @@ def straight(lens: Lens) -> Lens:
     return Lens(lens.width, lens.height, new[0, 0], new[1, 1], new[0, 2] + 0.5, new[1, 2] + 0.5)
 
 
+def folds(lens: Lens, camera: Lens) -> bool:
+    """Return whether distortion maps different directions that a camera without it sees to one pixel of a lens."""
+    k1, k2, _, _, k3 = lens.distortion
+    corner = np.hypot(
+        max(camera.cx, camera.width - camera.cx) / camera.fx, max(camera.cy, camera.height - camera.cy) / camera.fy
+    )
+    r2 = np.linspace(0.0, corner, 101) ** 2
+    return bool((1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * 7.0 * k3)) <= 0.0).any())
+
+
 def seen_by(camera: Lens, image: Image.Image, lens: Lens, size: tuple[int, int]) -> Image.Image:
     """Return what a camera in the same place sees of an image.
 
