@@ -75,12 +75,16 @@ def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
 def changed_content(now: Mapping[str, Any], then: Mapping[str, Any]) -> list[str]:
     """List the scene and the files whose content differs between two results of ``made_with``."""
     changed = [] if now["scene"] == then["scene"] else ["scene: its Gaussians or its free space differ"]
-    files, began = now["files"], then.get("files", {})
-    common = files.keys() & began.keys()  # a new file is told by the setting or the file that refers to it
-    other = {name for name in common if files[name] != began[name]}
+    return changed + [f"{name}: its content differs" for name in changed_files(now["files"], then.get("files", {}))]
+
+
+def changed_files(now: Mapping[str, str], then: Mapping[str, str]) -> list[str]:
+    """List the names of the files whose content differs between two results of ``digests_of``."""
+    common = now.keys() & then.keys()  # a new file is told by the setting or the file that refers to it
+    other = {name for name in common if now[name] != then[name]}
     # and a folder in place of a file, or of a folder of other files, has no name in common with it
-    other |= ({_key(name) for name in files} & {_key(name) for name in began}) - {_key(name) for name in common}
-    return changed + [f"{name}: its content differs" for name in sorted(other)]
+    other |= ({key_of(name) for name in now} & {key_of(name) for name in then}) - {key_of(name) for name in common}
+    return sorted(other)
 
 
 def _with_paths_of(then: Mapping[str, Any], now: Mapping[str, Any]) -> DictConfig:
@@ -105,8 +109,8 @@ def _name(key: str, path: Path, file: Path) -> str:
     return key if file == path else f"{file.relative_to(path if path.is_dir() else path.parent)} of {key}"
 
 
-def _key(name: str) -> str:
-    """Return the key of a file's name."""
+def key_of(name: str) -> str:
+    """Return the key of a file's name in ``digests_of``."""
     return name.rpartition(" of ")[2]
 
 

@@ -1,17 +1,22 @@
 """Policies are loaded from run folders."""
 
 import shutil
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
+from PIL import Image
 
 from splatrl.building import build_world
-from splatrl.configuration import run_config
+from splatrl.configuration import config_elsewhere, run_config
+from splatrl.made_with import made_with
 from splatrl.runs import load_policy
+from splatrl.scenes import write_gaussians
 from splatrl.training import save_checkpoint
 from tests.experiments.trained import BEST, config, save_run
+from tests.tiny import tiny_gaussians
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +73,67 @@ def test_another_scene_where_the_runs_own_should_be_is_refused(run: Path, tmp_pa
     load_policy(run, world=emptied, place=["scene=b", *place])
     with pytest.raises(ValueError, match=r"expected the training's own scenes, .* got others or other contents"):
         load_policy(run, world=emptied, place=place)
+
+
+@pytest.fixture
+def duck(tmp_path: Path) -> tuple[Path, Path]:
+    """A run folder with the content of its files in the checkpoint, and one of them, the picture of a sprite."""
+    picture = tmp_path / "duck.png"
+    Image.new("RGBA", (8, 8), "red").save(picture)
+    cfg = config(tmp_path, f"drawing.sprite={picture}")
+    run = save_run(tmp_path / "run", cfg, 1)
+    path, made = run / "checkpoints/last.pt", made_with(cfg, build_world(cfg).digest)
+    save_checkpoint(path, torch.load(path, weights_only=True) | {"made_with": made})
+    return run, picture
+
+
+def test_a_file_whose_content_has_changed_since_the_training_is_refused_by_name(duck: tuple[Path, Path]) -> None:
+    run, picture = duck
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_policy(run, place=[])
+    Image.new("RGBA", (8, 8), "darkred").save(picture)
+    told = r"drawing\.sprite: its content differs from what the policy of .*last\.pt was trained with"
+    for place in ([], ["checkpoint=last"]):
+        with pytest.raises(ValueError, match=rf"^{told}; to use it as it is, type drawing\.sprite={picture}$"):
+            load_policy(run, place=place)
+    with pytest.warns(UserWarning, match=f"^{told}$"):
+        load_policy(run)
+    world = build_world(run_config(run))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_policy(run, world=world)  # as at the end of its training
+
+
+def test_a_changed_file_that_was_typed_is_used_with_a_warning(duck: tuple[Path, Path]) -> None:
+    run, picture = duck
+    Image.new("RGBA", (8, 8), "darkred").save(picture)
+    moved = picture.rename(picture.with_name("moved.png"))
+    place = [f"drawing.sprite={moved}"]
+    with pytest.warns(UserWarning, match=r"^drawing\.sprite: its content differs"):
+        assert load_policy(run, cfg=config_elsewhere(run, place), place=place).cfg.drawing.sprite == str(moved)
+
+
+def test_another_file_of_the_place_that_was_typed_is_no_changed_one(duck: tuple[Path, Path]) -> None:
+    run, picture = duck
+    Image.new("RGBA", (8, 8), "darkred").save(other := picture.with_name("other.png"))
+    cfg = run_config(run)
+    cfg.drawing.sprite = str(other)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_policy(run, cfg=cfg, place=["scene=elsewhere"])
+
+
+def test_a_scene_that_has_changed_since_the_training_is_mentioned(duck: tuple[Path, Path]) -> None:
+    run, picture = duck
+    faded = tiny_gaussians()
+    faded.sh *= 0.9
+    write_gaussians(picture.with_name("tiny.ply"), faded)
+    with pytest.warns(UserWarning, match=r"^scene: its content differs from what the policy of .* was trained with"):
+        load_policy(run, place=[])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_policy(run, place=["scene=elsewhere"])
 
 
 def test_a_missing_run_or_an_unknown_checkpoint_is_refused_by_name(run: Path, tmp_path: Path) -> None:

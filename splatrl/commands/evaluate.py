@@ -43,7 +43,7 @@ def evaluate_run(
     folder: Path,
     world: World | Worlds | None = None,
     results: Path | None = None,
-    place: Sequence[str] = (),
+    place: Sequence[str] | None = None,
 ) -> dict[str, Any]:
     """Evaluate the run in a folder with a given config, and print the results.
 

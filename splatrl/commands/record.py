@@ -16,11 +16,13 @@ from omegaconf import DictConfig
 from tqdm import tqdm
 
 from splatrl.building import build_one_world
+from splatrl.building.instantiation import instantiate
 from splatrl.commands.entries import record as main
 from splatrl.commands.faults import in_one_line
 from splatrl.commands.stopping import handled, interrupted_by
-from splatrl.configuration import check_config, conf_dir, save_config, with_absolute_paths
+from splatrl.configuration import check_config, check_files, conf_dir, place_configs, save_config, with_absolute_paths
 from splatrl.datasets import Demonstrations, check_lerobot, planner_episodes, write_demonstrations, write_lerobot
+from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.world import World
 from splatrl.files import alone_in, new_folder, require_room
 from splatrl.made_with import made_with
@@ -58,6 +60,7 @@ def run(cfg: DictConfig) -> None:
         require_room(path.parent)  # fail now rather than after a person has driven all episodes
     torch.set_num_threads(cfg.threads)
     cfg.device = "cpu"  # so that a replay gives the same bytes on any machine
+    check_demonstrator(cfg)  # building the world takes long
     world = build_one_world(cfg)
     if cfg.lerobot is not None:
         check_lerobot(world.robot.image_width, world.robot.image_height)
@@ -71,6 +74,27 @@ def run(cfg: DictConfig) -> None:
             told = patiently(partial(write, cfg, world, found, key, path))
             with suppress(OSError):  # the terminal may be closed, and the next folder is to be written all the same
                 print(told)
+
+
+def check_demonstrator(cfg: DictConfig) -> None:
+    """Refuse a task that neither the planner nor, for ``by=keys``, a person can demonstrate; no scene is built yet.
+
+    Raises:
+        ValueError: names the ways to demonstrate the task that there are.
+    """
+    check_files(cfg)
+    task = instantiate(place_configs(cfg)[0].task)
+    if cfg.by == "keys":
+        keys_of(task.motion)
+    elif task.goals_for_success is not None or type(task).reached is TaskModule.reached:
+        ways = []
+        if type(task).teach is not TaskModule.teach:
+            ways.append("its own teacher serves DAgger: splatrl-train dagger.rounds=...")
+        with suppress(ValueError):
+            keys_of(task.motion)
+            ways.append("by=keys records what you drive")
+        told = f"by=planner: expected a task whose episodes end at goal states, got {type(task).__name__}"
+        raise ValueError("; ".join([told, *ways]))
 
 
 def write(cfg: DictConfig, world: World, found: Demonstrations, key: str, path: Path) -> str:
@@ -126,7 +150,6 @@ def driven(cfg: DictConfig, world: World) -> Iterator[Demonstrations]:
     from which the same command continues after a kill.
     """
     require_number("episodes", cfg.episodes, 1, 10**6, whole=True)
-    keys_of(world.task.motion)  # refuses motions that keys cannot drive, before a page is opened
     folder, enough = Path(f"{Path(cfg.out)}{TAKES}"), threading.Event()
     enough.set()
     folder.mkdir(exist_ok=True)

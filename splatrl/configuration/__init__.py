@@ -3,7 +3,7 @@
 from splatrl.configuration.checking import check_config, check_constructors, check_values
 from splatrl.configuration.command_line import UserError, command_line
 from splatrl.configuration.differences import differences, differences_from_run
-from splatrl.configuration.elsewhere import config_elsewhere, moves_scene, placed, words_of_place
+from splatrl.configuration.elsewhere import config_elsewhere, moves_scene, placed, says_where, words_of_place
 from splatrl.configuration.grammar import quoted
 from splatrl.configuration.places import place_configs, place_names
 from splatrl.configuration.run_configs import (
@@ -19,6 +19,7 @@ from splatrl.configuration.run_files import (
     PATHS,
     check_files,
     paths_of,
+    typed_key,
     with_absolute_paths,
     with_values,
 )
@@ -55,6 +56,8 @@ __all__ = [
     "resumed_config",
     "run_config",
     "save_config",
+    "says_where",
+    "typed_key",
     "with_absolute_paths",
     "with_scene_paths",
     "with_values",

@@ -159,6 +159,11 @@ def moves_scene(words: Sequence[str]) -> bool:
     return "scene" not in keys and any(key == SEVERAL or key.endswith("scene.path") for key in keys)
 
 
+def says_where(words: Sequence[str], key: str) -> bool:
+    """Return whether overrides say where the file at a key is, as it is typed."""
+    return any(_key(word) == key for word in words)
+
+
 def _key(word: str) -> str:
     """Return the key of an override; for a group with a package, the package: task.motion for motion@task.motion."""
     group, _, place = word.lstrip("+~").partition("=")[0].partition("@")

@@ -60,8 +60,13 @@ def check_files(cfg: DictConfig) -> None:
     for key, path in paths_of(cfg).items():
         if key not in OPENED_LATER and not expanded(path).exists():
             several = key.startswith("scene.places[")
-            typed = f"{SEVERAL}=[...] anew, with all scenes" if several else f"{key.replace('[', '.').rstrip(']')}=..."
+            typed = f"{SEVERAL}=[...] anew, with all scenes" if several else f"{typed_key(key)}=..."
             raise FileNotFoundError(f"{path}: expected a file or a folder, found none; if it has moved, type {typed}")
+
+
+def typed_key(key: str) -> str:
+    """Return one of the keys of ``paths_of`` as it is typed, such as ``task.motion.things.ball``."""
+    return key.replace("[", ".").replace("]", "")
 
 
 def may_name_file(cfg: DictConfig, key: str) -> bool:

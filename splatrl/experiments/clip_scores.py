@@ -108,7 +108,10 @@ class Watcher:
         trained = load_policy(folder, checkpoint, device, cfg, place=place)
         motion, policy, begun = trained.world.task.motion, trained.policy, trained.beginning()
         if not motion.action_names:
-            raise ValueError(f"task: expected a motion with named actions, got {type(motion).__name__}")
+            raise ValueError(
+                f"task: expected a motion with named actions, got {type(motion).__name__}; run_policy.py of "
+                "splatrl-export prints continuous actions"
+            )
         known = begun.select(*(key for key in policy.in_keys if key != "pixels"), strict=False)
         height, width, channels = begun["pixels"].shape[1:]
         eye = Eye(height, width, channels // 3, trained.world.robot.fov_deg, fov)

@@ -180,6 +180,29 @@ def test_an_impossible_lerobot_export_is_refused_before_anything_is_recorded(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("task", "by", "message"),
+    [
+        (
+            "push",
+            "planner",
+            "Push; its own teacher serves DAgger: .* dagger.rounds=...; by=keys records what you drive",
+        ),
+        ("strides", "planner", "Strides; its own teacher serves DAgger: splatrl-train dagger.rounds=..."),
+        ("snake", "planner", "Snake; by=keys records what you drive"),
+        ("strides", "keys", "task: expected actions that keys can express, .* got 12 numbers per action"),
+    ],
+)
+def test_a_task_that_cannot_be_demonstrated_is_refused_before_the_world_is_built(
+    task: str, by: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if task != "snake":
+        pytest.importorskip("mujoco", reason="needs the extra physics")
+    monkeypatch.setattr(record, "build_one_world", lambda _: pytest.fail("the world was built"))
+    with pytest.raises(SystemExit, match=f"{message}$"):
+        call(record, monkeypatch, f"task={task}", f"by={by}", f"out={tmp_path / 'demos'}")
+
+
 def test_a_recording_whose_folder_was_taken_in_the_meantime_gets_another_folder(
     scene: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -98,5 +98,6 @@ def test_a_task_without_named_actions_is_refused(runs: Path, monkeypatch: pytest
     driven = replace(trained, world=replace(trained.world, task=SimpleNamespace(motion=DriveMotion(HEIGHT))))
     monkeypatch.setattr(type(trained), "beginning", lambda self: trained.world.env(1).reset())
     monkeypatch.setattr(clip_scores, "load_policy", lambda *given, **more: driven)
-    with pytest.raises(ValueError, match="expected a motion with named actions, got DriveMotion"):
+    told = r"named actions, got DriveMotion; run_policy\.py of splatrl-export prints continuous actions$"
+    with pytest.raises(ValueError, match=told):
         Watcher.of_run(runs / "forward")
