@@ -112,6 +112,27 @@ class RobotWorld:
         servo &= (np.sort(model.actuator_gear) == [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]).all(1)  # one axis, not geared
         return [model.actuator(number).name.removeprefix(ROBOT) for number in range(model.nu)] if servo.all() else []
 
+    def robot_joints(self) -> list[str]:
+        """Return the names of the robot's joints behind its free joint, in the order of their positions."""
+        names = (self.model.joint(number).name for number in range(1, self.model.njnt))
+        return [name.removeprefix(ROBOT) for name in names if name.startswith(ROBOT)]
+
+    def position_servos(self) -> list[str | None]:
+        """Return, for each of the robot's actuators, the name of the hinge whose angle it holds; None for any other.
+
+        Such a servo's force is in proportion to how much the hinge's angle falls short of its control, less damping.
+        """
+        mujoco, model = needed(), self.model
+        offset, position, _ = model.actuator_biasprm[:, :3].T
+        servo = (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE) & (position < 0.0) & (offset == 0.0)
+        servo &= model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED
+        servo &= np.isclose(model.actuator_gainprm[:, 0], -position, atol=0.0) & (model.actuator_gear[:, 0] == 1.0)
+        servo &= model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+        joint = np.where(servo, model.actuator_trnid[:, 0], 0)  # the robot's free joint is no hinge
+        servo &= model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+        names = [model.joint(int(number)).name.removeprefix(ROBOT) for number in joint]
+        return [name if held else None for name, held in zip(names, servo, strict=True)]
+
     def free_joint(self, thing: str) -> int | None:
         """Return where the free joint of a thing begins in ``qpos``; None if there is no such thing or joint."""
         return self._free_joint(self.things[thing]) if thing in self.things else None

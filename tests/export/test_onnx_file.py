@@ -27,7 +27,7 @@ pytest.importorskip("onnxscript", reason="needs the extra export")
 
 pytestmark = pytest.mark.usefixtures("translated_once")
 
-UP_LEFT = [[1.0, 0.0, 0.0, 0.1], [0.0, 0.5, 0.75**0.5, 0.0], [0.0, -(0.75**0.5), 0.5, 0.2], [0.0, 0.0, 0.0, 1.0]]
+UP_LEFT = ((1.0, 0.0, 0.0, 0.1), (0.0, 0.5, 0.866, 0.0), (0.0, -0.866, 0.5, 0.2), (0.0, 0.0, 0.0, 1.0))
 """Mount of a camera that looks to the left and 30° up, 20 cm above the centre."""
 SHAKEN = ["transforms/pose_noise=unsteady", "transforms/appearance=varied"]
 KINDS: dict[str, list[str]] = {
@@ -110,7 +110,7 @@ def test_onnxruntime_computes_what_pytorch_does(kind: str, exported: Callable[[s
     ("robot", "pitch_deg", "above"),
     [
         (mjcf_robot("quadruped", "eye", Sphere(0.1)), 10.0, 0.342),  # 10° down, 5 cm above the centre of the torso
-        (Robot(Sphere(0.1), 0.4, mount=tuple(map(tuple, UP_LEFT))), -30.0, 0.6),
+        (Robot(Sphere(0.1), 0.4, mount=UP_LEFT), -30.0, 0.6),
         (Robot(Sphere(0.1), 0.4, pitch_deg=15.0), 15.0, 0.4),
     ],
 )
