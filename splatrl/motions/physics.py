@@ -4,6 +4,7 @@ The file is long because the class explains the keys of ``conf/motion/physics.ya
 """
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from splatrl.motions.twin import TwinMotion
 from splatrl.physics import Kinematics, Physics, Solids, Terrain, level_ground
 from splatrl.physics.bank import Variation, bank
 from splatrl.physics.compose import RESERVED, SCENE
-from splatrl.physics.gaussians import SHOWN_GROUPS, Models
+from splatrl.physics.gaussians import SHOWN_GROUPS, BodyGaussians, Models, gaussians_from_mjcf
 from splatrl.physics.kinematics import rotated, turned_back
 from splatrl.physics.robot_world import RobotWorld
 from splatrl.physics.robots import mjcf_path
@@ -42,6 +43,8 @@ BEYOND = 1.0
 can roll away."""
 RESTING, SETTLED = 0.2, 0.02
 """Seconds for which a thing must rest where its file puts it, and metres by which its height may change meanwhile."""
+LARGER = 3.0
+"""Ratio of the sizes of a look and the geoms that it replaces above which one of them probably is in another unit."""
 APART = 1e3
 """Distance between things, and from the robot, where it is checked that they rest, metres."""
 FAR = 1e9
@@ -145,6 +148,7 @@ class PhysicsMotion(TwinMotion):
         self._check_ahead()
         self._check_sound()
         self._check_things()
+        self._check_looks()
         self.driven = driven(self.world)
         speeds = twin_speeds(self.world, linear, angular_deg)
         height = float(self.home[self.layout.position][2])
@@ -433,4 +437,20 @@ class PhysicsMotion(TwinMotion):
                     f"task.motion.things: {self.thing_paths[name]}: expected a thing that rests on z = 0 where its "
                     f"file puts it, got one that {'rises' if risen > 0 else 'falls'} by {100 * abs(risen):.3g} cm "
                     f"within {RESTING:g} s; set the pos of its body, and let its geoms touch (contype, conaffinity)"
+                )
+
+    def _check_looks(self) -> None:
+        """Warn of looks that are much larger or smaller than the geoms that they replace."""
+        for name, path in self.looks.items():
+            replaced = gaussians_from_mjcf(self.world.model, f"{name}/")
+            if not replaced:
+                continue
+            shown = zip(self._shown, self.models, strict=True)
+            look = [BodyGaussians(*each) for each in shown if each[0] == self.world.things[name]]
+            size, own = self.world.size_of(look), self.world.size_of(replaced)
+            if not own / LARGER <= size <= LARGER * own:
+                warnings.warn(
+                    f"task.motion.looks.{name}: {path} is {size:.2g} m across, and the geoms that it replaces are "
+                    f"{own:.2g} m; a look is in metres, in the frame of the thing's first body",
+                    stacklevel=2,
                 )

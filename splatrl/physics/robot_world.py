@@ -1,6 +1,6 @@
 """An MJCF robot and things on a terrain, as one MuJoCo model, and what a motion reads from that model."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +71,19 @@ class RobotWorld:
             shown = BodyGaussians(self.things[name], read_gaussians(path))
             found = [*(body for body in found if not body.body.startswith(f"{name}/")), shown]
         return found
+
+    def size_of(self, bodies: Sequence[BodyGaussians]) -> float:
+        """Return how far across bodies are together, in their default pose, metres: apart from the outermost 2 %."""
+        mujoco = needed()
+        data = mujoco.MjData(self.model)
+        mujoco.mj_kinematics(self.model, data)
+        points = []
+        for name, gaussians in bodies:
+            body = data.body(name)
+            points.append(gaussians.means.double().numpy() @ body.xmat.reshape(3, 3).T + body.xpos)
+        each = np.concatenate(points)
+        away = np.linalg.norm(each - np.median(each, axis=0), axis=1)
+        return 2.0 * float(np.quantile(away, 0.98))
 
     def body_of_camera(self, camera: str) -> str:
         """Return the name of the body that carries one of the robot's cameras.

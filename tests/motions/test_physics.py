@@ -1,6 +1,7 @@
 """The motion of a robot with physics."""
 
 import math
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -345,6 +346,23 @@ def test_a_hidden_thing_with_a_look_is_drawn(tmp_path: Path) -> None:
     path.write_text(THING.format(height=0.06, joint=FREE, more='group="3"'))
     write_gaussians(look, tiny_gaussians()[:7])
     assert len(wheels(things={"egg": str(path)}, pushed=["egg"], looks={"egg": look}).models[-1].means) == 7
+
+
+@pytest.mark.parametrize(("scale", "size"), [(30.0, "5.5"), (2.5, None), (0.4, None), (0.3, "0.055")])
+def test_a_look_of_another_size_than_the_geoms_is_warned_of(tmp_path: Path, scale: float, size: str | None) -> None:
+    look = tmp_path / "ball.ply"
+    ball = wheels().models[-1].clone()
+    ball.means = scale * ball.means
+    ball.means[0] = 1e3  # a floater
+    write_gaussians(look, ball)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        wheels(looks={"ball": look})
+    said = [str(each.message) for each in caught]
+    expected = (
+        f"task.motion.looks.ball: {look} is {size} m across, and the geoms that it replaces are 0.18 m; a look is"
+    )
+    assert [each.startswith(expected) for each in said] == ([True] if size else []), said
 
 
 def test_several_scenes_are_refused_before_any_is_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
