@@ -148,7 +148,6 @@ class PhysicsMotion(TwinMotion):
         self._check_ahead()
         self._check_sound()
         self._check_things()
-        self._check_looks()
         self.driven = driven(self.world)
         speeds = twin_speeds(self.world, linear, angular_deg)
         height = float(self.home[self.layout.position][2])
@@ -176,6 +175,7 @@ class PhysicsMotion(TwinMotion):
             reach = max(site.body.radius, self.world.reach) + beyond
             found = survey_terrain(site.scene, site.occupancy, lower, upper, reach, self.top, site.antialiased)
             self.stand_on(found.terrain)
+        self._compare_looks()
         return narrowed(fits, lambda poses: self.clear(self.nearest(planar_of(poses @ self._first_to_carrier()))))
 
     def stand_on(self, terrain: Terrain) -> None:
@@ -439,9 +439,9 @@ class PhysicsMotion(TwinMotion):
                     f"within {RESTING:g} s; set the pos of its body, and let its geoms touch (contype, conaffinity)"
                 )
 
-    def _check_looks(self) -> None:
+    def _compare_looks(self) -> None:
         """Warn of looks that are much larger or smaller than the geoms that they replace."""
-        for name, path in self.looks.items():
+        for path, name in {path: name for name, path in reversed(self.looks.items())}.items():  # copies share a look
             replaced = gaussians_from_mjcf(self.world.model, f"{name}/")
             if not replaced:
                 continue

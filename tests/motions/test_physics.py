@@ -355,9 +355,10 @@ def test_a_look_of_another_size_than_the_geoms_is_warned_of(tmp_path: Path, scal
     ball.means = scale * ball.means
     ball.means[0] = 1e3  # a floater
     write_gaussians(look, ball)
+    motion = wheels(looks={"ball": look}, ground="level")
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        wheels(looks={"ball": look})
+        motion.settle(bare_site()._replace(varies=False), lambda poses: torch.ones(len(poses)).bool())
     said = [str(each.message) for each in caught]
     expected = (
         f"task.motion.looks.ball: {look} is {size} m across, and the geoms that it replaces are 0.18 m; a look is"
