@@ -2,6 +2,7 @@
 
 import json
 import logging
+import math
 import shutil
 import warnings
 from collections.abc import Mapping
@@ -80,18 +81,20 @@ def metadata(
 ) -> dict[str, str]:
     """Return the metadata that an ONNX file holds about its policy: strings, with lists and other values as JSON.
 
-    ``fov_deg`` is the horizontal field of view; ``actions`` are the names of discrete actions, ``low`` and ``high`` the
-    limits of continuous ones; ``step`` is the longest distance that an action moves in metres, ``angle_step`` the
-    largest angle that it turns in radians; ``left_out`` lists transforms of the simulated camera that a real one does
-    not need.
+    ``fov_deg`` is the horizontal field of view; ``pitch_deg`` is how far the camera looks down, and ``height`` how high
+    it is above the ground in metres, both while the body that carries it is level, as where the robot stands;
+    ``actions`` are the names of discrete actions, ``low`` and ``high`` the limits of continuous ones; ``step`` is the
+    longest distance that an action moves in metres, ``angle_step`` the largest angle that it turns in radians;
+    ``left_out`` lists transforms of the simulated camera that a real one does not need.
     """
     height, width = robot.image_height, robot.image_width
+    pitch_deg, above = _camera_place(robot)
     facts: dict[str, Any] = {
         "image_width": width,
         "image_height": height,
         "fov_deg": robot.fov_deg,
-        "pitch_deg": robot.pitch_deg,
-        "height": robot.height,
+        "pitch_deg": pitch_deg,
+        "height": above,
         "actions": list(motion.action_names),
         "step": motion.step,
         "angle_step": motion.angle_step,
@@ -109,6 +112,15 @@ def metadata(
     return {"preprocessing": preprocessing} | {
         key: value if isinstance(value, str) else json.dumps(value) for key, value in facts.items()
     }
+
+
+def _camera_place(robot: Robot) -> tuple[float, float]:
+    """Return how far a standing robot's camera looks down, degrees, and how high it is above the ground, metres."""
+    if robot.mount is None:
+        return robot.pitch_deg, robot.height
+    ahead, left, up = robot.camera_to_body[:3, 2].tolist()  # the optical axis
+    pitch_deg = math.degrees(math.atan2(-up, math.hypot(ahead, left)))
+    return round(pitch_deg, 4), round(robot.height + float(robot.camera_to_body[2, 3]), 6)  # without noise of float32
 
 
 def _about(sensor: Sensor) -> dict[str, Any]:

@@ -18,12 +18,12 @@ from splatrl.physics.dense import Dense
 from splatrl.physics.kinematics import rotated, turned_back
 from splatrl.physics.robots import gait_path
 from splatrl.physics.stepping import Stepped
-from splatrl.physics.trot import FREQUENCY, trot
+from splatrl.physics.trot import FREQUENCY, NAMES, trot
 from splatrl.values import require_number
 
 STRIDE = 0.02
 """Duration for which joint targets are held, seconds."""
-JOINTS = 12
+JOINTS = len(NAMES)
 COMMAND = 2
 """Size of a command: metres per second ahead and radians per second to the left."""
 DEPARTURE = 0.25
@@ -54,7 +54,8 @@ class LegsMotion(PhysicsMotion):
         options: arguments of ``PhysicsMotion``.
 
     Raises:
-        ValueError: for a robot without the twelve joints of ``quadruped``, or anything that ``PhysicsMotion`` refuses.
+        ValueError: for a robot without the twelve joints of ``quadruped`` in its order, each held by a position servo,
+            or anything that ``PhysicsMotion`` refuses.
     """
 
     def __init__(
@@ -91,10 +92,7 @@ class LegsMotion(PhysicsMotion):
         """Put the robot on a terrain; see ``PhysicsMotion``."""
         super().stand_on(terrain)
         self.layout = replace(self.layout, hinges=JOINTS)
-        if self.limits.shape[1] != JOINTS or self.layout.joints.stop > self.layout.positions.stop:
-            raise ValueError(
-                f"{self.path}: expected the {JOINTS} joints of quadruped, got {self.limits.shape[1]} actuators"
-            )
+        self._check_joints()
         self.angles = self.limits
         self.home = torch.cat([self.home, self.home.new_zeros(JOINTS + 1 + COMMAND * self.commands)])
         self.stand = self.home[self.layout.joints]
@@ -104,6 +102,24 @@ class LegsMotion(PhysicsMotion):
         """Return the lowest and highest actions, [2, A] float32; by default those are offsets from the trot."""
         one = torch.ones(1, JOINTS, device=self.home.device)
         return torch.cat([-one, one])
+
+    def _check_joints(self) -> None:
+        """Refuse a robot without the joints of ``quadruped``, in the same order, each held by a position servo."""
+        joints, servos = self.world.robot_joints(), self.world.position_servos()
+        for what, found in (("joints", joints), ("actuators", servos)):
+            if len(found) != JOINTS:
+                raise ValueError(f"{self.path}: expected the {JOINTS} {what} of quadruped, got {len(found)}")
+        for number, name in enumerate(NAMES):
+            if joints[number] != name:
+                raise ValueError(
+                    f"{self.path}: expected the joints of quadruped in its order, with {name!r} as number "
+                    f"{number + 1}, got {joints[number]!r}"
+                )
+            if servos[number] != name:
+                raise ValueError(
+                    f"{self.path}: expected actuator {number + 1} to be a <position> servo of the joint {name!r}, got "
+                    + (f"one of {servos[number]!r}" if servos[number] else "another kind of actuator")
+                )
 
     def departure(self, state: Tensor) -> Tensor:
         """Return the last joint offsets from the trot: [B, n] -> [B, 12] float64."""

@@ -4,6 +4,7 @@ The file is long because the class explains the keys of ``conf/motion/physics.ya
 """
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from splatrl.motions.twin import TwinMotion
 from splatrl.physics import Kinematics, Physics, Solids, Terrain, level_ground
 from splatrl.physics.bank import Variation, bank
 from splatrl.physics.compose import RESERVED, SCENE
-from splatrl.physics.gaussians import Models
+from splatrl.physics.gaussians import SHOWN_GROUPS, BodyGaussians, Models, gaussians_from_mjcf
 from splatrl.physics.kinematics import rotated, turned_back
 from splatrl.physics.robot_world import RobotWorld
 from splatrl.physics.robots import mjcf_path
@@ -40,6 +41,12 @@ LEAST_AHEAD = 0.1
 BEYOND = 1.0
 """Minimum margin, metres, around the robots' region in which physics knows the solid voxels if things are pushed, which
 can roll away."""
+RESTING, SETTLED = 0.2, 0.02
+"""Seconds for which a thing must rest where its file puts it, and metres by which its height may change meanwhile."""
+LARGER = 3.0
+"""Ratio of the sizes of a look and the geoms that it replaces above which one of them probably is in another unit."""
+APART = 1e3
+"""Distance between things, and from the robot, where it is checked that they rest, metres."""
 FAR = 1e9
 """Bound on the magnitude of every number in a state."""
 
@@ -87,8 +94,9 @@ class PhysicsMotion(TwinMotion):
         FileNotFoundError: for MJCF files that do not exist.
         ImportError: without the extra ``physics``.
         ValueError: for MJCF that is refused or lacks a free joint, the camera or the range of an actuator, or has turn
-            before forward; for speeds that neither are given nor follow from actuators; for a number out of range; or
-            for a robot that points up or down, or whose physics fails within one action.
+            before forward; for speeds that neither are given nor follow from actuators; for a number out of range;
+            for a robot that points up or down, or whose physics fails within one action; or for a thing of which
+            nothing is drawn, or that falls or rises from where its file puts it.
     """
 
     action_names: tuple[str, ...] = ()
@@ -139,6 +147,7 @@ class PhysicsMotion(TwinMotion):
         self.stand_on(level_ground())
         self._check_ahead()
         self._check_sound()
+        self._check_things()
         self.driven = driven(self.world)
         speeds = twin_speeds(self.world, linear, angular_deg)
         height = float(self.home[self.layout.position][2])
@@ -166,6 +175,7 @@ class PhysicsMotion(TwinMotion):
             reach = max(site.body.radius, self.world.reach) + beyond
             found = survey_terrain(site.scene, site.occupancy, lower, upper, reach, self.top, site.antialiased)
             self.stand_on(found.terrain)
+        self._compare_looks()
         return narrowed(fits, lambda poses: self.clear(self.nearest(planar_of(poses @ self._first_to_carrier()))))
 
     def stand_on(self, terrain: Terrain) -> None:
@@ -402,3 +412,45 @@ class PhysicsMotion(TwinMotion):
                 f"{self.path}: expected physics that can carry out any action, got one that fails within the first; "
                 "lower the timestep or the actuators' gains (kv, kp), or add armature to their joints"
             )
+
+    def _check_things(self) -> None:
+        """Refuse things that are not drawn, and those with a free joint that do not rest on level ground."""
+        for name, path in self.thing_paths.items():
+            if not any(body.startswith(f"{name}/") for body in self._shown):
+                raise ValueError(
+                    f"task.motion.things: {path}: expected a thing with geoms that are drawn (group below "
+                    f"{SHOWN_GROUPS}, visible rgba), got none; show one, or give a splat in task.motion.looks.{name}"
+                )
+        free = {name: self.thing(name) for name in self.thing_paths if self.world.free_joint(name) is not None}
+        if not free:
+            return
+        state = self.of_physics(self.home.unsqueeze(0)).clone()
+        for number, columns in enumerate(free.values()):
+            state[:, columns][:, 0] += APART * (number + 1)
+        before = state
+        for _ in range(math.ceil(RESTING / self.held)):
+            state = self.physics.step(state, self._rest(state)).state
+        for name, columns in free.items():
+            risen = float((state - before)[0, columns][2])
+            if not abs(risen) <= SETTLED:  # also true for NaN
+                raise ValueError(
+                    f"task.motion.things: {self.thing_paths[name]}: expected a thing that rests on z = 0 where its "
+                    f"file puts it, got one that {'rises' if risen > 0 else 'falls'} by {100 * abs(risen):.3g} cm "
+                    f"within {RESTING:g} s; set the pos of its body, and let its geoms touch (contype, conaffinity)"
+                )
+
+    def _compare_looks(self) -> None:
+        """Warn of looks that are much larger or smaller than the geoms that they replace."""
+        for path, name in {path: name for name, path in reversed(self.looks.items())}.items():  # copies share a look
+            replaced = gaussians_from_mjcf(self.world.model, f"{name}/")
+            if not replaced:
+                continue
+            shown = zip(self._shown, self.models, strict=True)
+            look = [BodyGaussians(*each) for each in shown if each[0] == self.world.things[name]]
+            size, own = self.world.size_of(look), self.world.size_of(replaced)
+            if not own / LARGER <= size <= LARGER * own:
+                warnings.warn(
+                    f"task.motion.looks.{name}: {path} is {size:.2g} m across, and the geoms that it replaces are "
+                    f"{own:.2g} m; a look is in metres, in the frame of the thing's first body",
+                    stacklevel=2,
+                )

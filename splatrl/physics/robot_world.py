@@ -1,6 +1,6 @@
 """An MJCF robot and things on a terrain, as one MuJoCo model, and what a motion reads from that model."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -72,6 +72,19 @@ class RobotWorld:
             found = [*(body for body in found if not body.body.startswith(f"{name}/")), shown]
         return found
 
+    def size_of(self, bodies: Sequence[BodyGaussians]) -> float:
+        """Return how far across bodies are together, in their default pose, metres: apart from the outermost 2 %."""
+        mujoco = needed()
+        data = mujoco.MjData(self.model)
+        mujoco.mj_kinematics(self.model, data)
+        points = []
+        for name, gaussians in bodies:
+            body = data.body(name)
+            points.append(gaussians.means.double().numpy() @ body.xmat.reshape(3, 3).T + body.xpos)
+        each = np.concatenate(points)
+        away = np.linalg.norm(each - np.median(each, axis=0), axis=1)
+        return 2.0 * float(np.quantile(away, 0.98))
+
     def body_of_camera(self, camera: str) -> str:
         """Return the name of the body that carries one of the robot's cameras.
 
@@ -111,6 +124,27 @@ class RobotWorld:
         servo &= np.isclose(model.actuator_gainprm[:, 0], -velocity, atol=0.0)
         servo &= (np.sort(model.actuator_gear) == [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]).all(1)  # one axis, not geared
         return [model.actuator(number).name.removeprefix(ROBOT) for number in range(model.nu)] if servo.all() else []
+
+    def robot_joints(self) -> list[str]:
+        """Return the names of the robot's joints behind its free joint, in the order of their positions."""
+        names = (self.model.joint(number).name for number in range(1, self.model.njnt))
+        return [name.removeprefix(ROBOT) for name in names if name.startswith(ROBOT)]
+
+    def position_servos(self) -> list[str | None]:
+        """Return, for each of the robot's actuators, the name of the hinge whose angle it holds; None for any other.
+
+        Such a servo's force is in proportion to how much the hinge's angle falls short of its control, less damping.
+        """
+        mujoco, model = needed(), self.model
+        offset, position, _ = model.actuator_biasprm[:, :3].T
+        servo = (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE) & (position < 0.0) & (offset == 0.0)
+        servo &= model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED
+        servo &= np.isclose(model.actuator_gainprm[:, 0], -position, atol=0.0) & (model.actuator_gear[:, 0] == 1.0)
+        servo &= model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+        joint = np.where(servo, model.actuator_trnid[:, 0], 0)  # the robot's free joint is no hinge
+        servo &= model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+        names = [model.joint(int(number)).name.removeprefix(ROBOT) for number in joint]
+        return [name if held else None for name, held in zip(names, servo, strict=True)]
 
     def free_joint(self, thing: str) -> int | None:
         """Return where the free joint of a thing begins in ``qpos``; None if there is no such thing or joint."""

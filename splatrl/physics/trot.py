@@ -14,8 +14,11 @@ from torch import Tensor
 
 THIGH, CALF, OFFSET = 0.213, 0.213, 0.08
 """Lengths of the thigh, the calf and the hip's sideways offset, metres, as in ``robots/quadruped.xml``."""
+LEGS = ("front_left", "front_right", "rear_left", "rear_right")
 HIPS = ((0.19, 0.05), (0.19, -0.05), (-0.19, 0.05), (-0.19, -0.05))
-"""x and y of the hips of the legs, in the order of the joints: front left, front right, rear left, rear right."""
+"""x and y of the hips of the legs, in the order of the joints."""
+NAMES = tuple(f"{leg}_{part}" for leg in LEGS for part in ("hip", "thigh", "calf"))
+"""Names of the joints whose angles a trot consists of."""
 SIDES = (1.0, -1.0, 1.0, -1.0)
 BEGINS = (0.0, 0.5, 0.5, 0.0)
 """Phase offset of each leg, as a fraction of a cycle."""

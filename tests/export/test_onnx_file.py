@@ -12,8 +12,11 @@ import torch
 from torchrl.envs import RewardScaling, Transform
 from torchrl.modules import ActorValueOperator
 
+from splatrl.bodies import Sphere
 from splatrl.building import build_model, build_world
 from splatrl.configuration import load_config
+from splatrl.envs.mjcf_robot import mjcf_robot
+from splatrl.envs.robot import Robot
 from splatrl.envs.world import World
 from splatrl.export import StandalonePolicy, export_policy
 from splatrl.export.onnx_file import largest_difference, metadata, onnx_bytes
@@ -24,6 +27,8 @@ pytest.importorskip("onnxscript", reason="needs the extra export")
 
 pytestmark = pytest.mark.usefixtures("translated_once")
 
+UP_LEFT = ((1.0, 0.0, 0.0, 0.1), (0.0, 0.5, 0.866, 0.0), (0.0, -0.866, 0.5, 0.2), (0.0, 0.0, 0.0, 1.0))
+"""Mount of a camera that looks to the left and 30° up, 20 cm above the centre."""
 SHAKEN = ["transforms/pose_noise=unsteady", "transforms/appearance=varied"]
 KINDS: dict[str, list[str]] = {
     "drive": ["task=drive", "memory=gru", "task.motion.spacing=0.25", *SHAKEN],
@@ -99,6 +104,23 @@ def test_onnxruntime_computes_what_pytorch_does(kind: str, exported: Callable[[s
     assert list(sensors) == [name for name in observed if name != "pixels"]
     if kind == "sensors":
         assert sensors["depth"]["farthest"] == 10.0 and sensors["lidar"]["is"].startswith("A planar scan")
+
+
+@pytest.mark.parametrize(
+    ("robot", "pitch_deg", "above"),
+    [
+        (mjcf_robot("quadruped", "eye", Sphere(0.1)), 10.0, 0.342),  # 10° down, 5 cm above the centre of the torso
+        (Robot(Sphere(0.1), 0.4, mount=UP_LEFT), -30.0, 0.6),
+        (Robot(Sphere(0.1), 0.4, pitch_deg=15.0), 15.0, 0.4),
+    ],
+)
+def test_the_metadata_say_where_the_camera_is_and_where_it_looks(
+    robot: Robot, pitch_deg: float, above: float, exported: Callable[[str], Exported]
+) -> None:
+    world, model, _, _ = exported("blind")
+    facts = metadata(StandalonePolicy(model, world.env(1)), robot, world.task.motion)
+    found = float(facts["pitch_deg"]), float(facts["height"])
+    assert found == pytest.approx((pitch_deg, above), abs=0.01)  # the MJCF rounds the axes of its camera
 
 
 def test_actions_depend_on_what_is_seen_and_remembered(exported: Callable[[str], Exported]) -> None:

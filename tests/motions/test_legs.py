@@ -1,6 +1,8 @@
 """Legged motions: their commands, what they sense, and that a step is a function of the state."""
 
 import math
+import re
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -12,8 +14,10 @@ from splatrl.collision.nothing import NoChecker
 from splatrl.motions import StridesMotion, WalkMotion
 from splatrl.motions.legs import DEPARTURE, FELT, JOINTS
 from splatrl.physics import Terrain
+from splatrl.physics.robots import mjcf_path
 from splatrl.physics.trot import trot
 
+SIDES = ("left", "right")
 NOTHING: Any = NoChecker.__new__(NoChecker)
 
 
@@ -140,6 +144,55 @@ def test_a_lying_robot_has_fallen_and_one_that_stands_on_high_ground_has_not() -
 def test_invalid_settings_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         walking(**settings)
+
+
+LEG = '      <body name="front_{}_hip".*?\n      </body>\n'
+
+
+def right_first(text: str) -> str:
+    """Swap the front legs, as robots of Unitree have them."""
+    left, right = (re.search(LEG.format(side), text, re.DOTALL) for side in ("left", "right"))
+    assert left and right
+    return text.replace(left[0] + right[0], right[0] + left[0])
+
+
+MOTOR = r'<motor name="\1" joint="\1" ctrlrange="-30 30"/>'
+JOINT = '<joint name="{}" class="calf"/>'
+SERVO = '<position name="{0}" joint="{1}" class="calf"/>'
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (right_first, "in its order, with 'front_left_hip' as number 1, got 'front_right_hip'"),
+        (
+            lambda text: text.replace(JOINT.format("rear_right_calf"), JOINT.format("knee")).replace(
+                SERVO.format("rear_right_calf", "rear_right_calf"), SERVO.format("knee", "knee")
+            ),
+            "with 'rear_right_calf' as number 12, got 'knee'",
+        ),
+        (
+            lambda text: text.replace(*(SERVO.format("rear_left_calf", f"rear_{side}_calf") for side in SIDES)),
+            "actuator 9 to be a <position> servo of the joint 'rear_left_calf', got one of 'rear_right_calf'",
+        ),
+        (
+            lambda text: re.sub(r'<position name="(\w+)" joint="\w+" class="\w+"/>', MOTOR, text),
+            "actuator 1 to be a <position> servo of the joint 'front_left_hip', got another kind of actuator",
+        ),
+        (
+            lambda text: text.replace('joint="front_left_thigh"', 'joint="front_left_thigh" gear="-1"'),
+            "actuator 2 to be a <position> servo of the joint 'front_left_thigh', got another kind of actuator",
+        ),
+    ],
+)
+def test_legs_and_actuators_in_another_order_or_of_another_kind_are_refused_by_the_first(
+    tmp_path: Path, change: Callable[[str], str], message: str
+) -> None:
+    path, text = tmp_path / "dog.xml", mjcf_path("quadruped").read_text()
+    path.write_text(change(text))
+    assert path.read_text() != text
+    with pytest.raises(ValueError, match=rf"dog\.xml: expected .*{re.escape(message)}$"):
+        WalkMotion(path=path, camera="eye", threads=1)
 
 
 def test_other_robots_and_gaits_are_refused(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """The motion of a robot with physics."""
 
 import math
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -306,6 +307,63 @@ def test_a_thing_can_look_like_a_given_splat_and_moves_with_the_state(tmp_path: 
         wheels(looks={"box": tmp_path / "ball.ply"})
     with pytest.raises(FileNotFoundError):
         wheels(looks={"ball": tmp_path / "none.ply"})
+
+
+FREE = "<freejoint/>"
+THING = """<mujoco><worldbody><body pos="0 0 {height}">{joint}<geom type="box" size="0.06 0.06 0.06" {more}/></body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("height", "joint", "more", "message"),
+    [
+        (0.06, FREE, "", None),
+        (0.07, FREE, "", None),
+        (0.5, "", "", None),  # fixed in the air
+        (0.06, FREE, 'contype="0" conaffinity="0"', r"rests on z = 0 .* falls by 20\.\d cm within 0\.2 s;"),
+        (0.2, FREE, "", r"falls by 1\d\.\d cm within"),
+        (0.0, FREE, "", r"rises by \S+ cm within"),
+        (0.06, FREE, 'group="3"', r"geoms that are drawn .* got none; .* task\.motion\.looks\.egg$"),
+        (0.06, "", 'rgba="1 0 0 0"', r"geoms that are drawn .* got none"),
+    ],
+)
+def test_things_that_are_not_drawn_or_do_not_rest_are_refused(
+    tmp_path: Path, height: float, joint: str, more: str, message: str | None
+) -> None:
+    path = tmp_path / "egg.xml"
+    path.write_text(THING.format(height=height, joint=joint, more=more))
+    things = {"egg": str(path), "ball": "ball"}  # both at the place of the robot
+    if message is None:
+        assert wheels(things=things).thing_paths["egg"] == path
+        return
+    with pytest.raises(ValueError, match=rf"^task\.motion\.things: \S+egg\.xml: expected .*{message}") as caught:
+        wheels(things=things)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_hidden_thing_with_a_look_is_drawn(tmp_path: Path) -> None:
+    path, look = tmp_path / "egg.xml", tmp_path / "egg.ply"
+    path.write_text(THING.format(height=0.06, joint=FREE, more='group="3"'))
+    write_gaussians(look, tiny_gaussians()[:7])
+    assert len(wheels(things={"egg": str(path)}, pushed=["egg"], looks={"egg": look}).models[-1].means) == 7
+
+
+@pytest.mark.parametrize(("scale", "size"), [(30.0, "5.5"), (2.5, None), (0.4, None), (0.3, "0.055")])
+def test_a_look_of_another_size_than_the_geoms_is_warned_of(tmp_path: Path, scale: float, size: str | None) -> None:
+    look = tmp_path / "ball.ply"
+    ball = wheels().models[-1].clone()
+    ball.means = scale * ball.means
+    ball.means[0] = 1e3  # a floater
+    write_gaussians(look, ball)
+    motion = wheels(looks={"ball": look}, ground="level")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        motion.settle(bare_site()._replace(varies=False), lambda poses: torch.ones(len(poses)).bool())
+    said = [str(each.message) for each in caught]
+    expected = (
+        f"task.motion.looks.ball: {look} is {size} m across, and the geoms that it replaces are 0.18 m; a look is"
+    )
+    assert [each.startswith(expected) for each in said] == ([True] if size else []), said
 
 
 def test_several_scenes_are_refused_before_any_is_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
