@@ -123,7 +123,7 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
 def look_again(options: argparse.Namespace, folder: Path, target: SceneFolder) -> None:
     """Inspect a folder that already has a ``scene.yaml``, and write it in another form if that is asked for."""
     described = read_description(folder)
-    kept = {}
+    kept = dict[str, object]()
     if target.converts:
         target.check(folder, described.get("free"))
         kept, _ = target.kept(folder, described.get("name", folder.resolve().name))
