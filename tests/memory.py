@@ -195,15 +195,20 @@ def _read_film(path: Path) -> None:
         pass
 
 
+IMAGES = 10_000
+"""Images of the COLMAP model."""
+
+
 def _colmap(count: int) -> bytes:
-    image = struct.pack("<I7dI", 1, 1.0, *[0.0] * 6, 1) + b"a\0" + bytes(8)
-    return struct.pack("<Q", count) + image * count
+    image = struct.pack("<I7dI", 1, 1.0, *[0.0] * 6, 1)
+    return struct.pack("<Q", count) + b"".join(image + b"%d\0" % number + bytes(8) for number in range(count))
 
 
 def _read_colmap(path: Path) -> object:
     folder = _beside("model", path)
     (folder / "cameras.bin").write_bytes(struct.pack("<QIiQQ4d", 1, 1, 1, 12, 9, 10.0, 10.0, 6.0, 4.5))
-    (folder / "a").touch()
+    for number in range(IMAGES):
+        (folder / f"{number}").touch()
     path.replace(folder / "images.bin")
     try:
         return colmap.read(folder)
@@ -266,7 +271,7 @@ COSTLY = {
     "lzfse": Costly("a.depth", _lzfse, _read_lzfse, 0, 120 * MIB),
     "video": Costly("a.mp4", lambda: _video(2048), _read_film, 0, 140 * MIB),
     "large video": Costly("a.mp4", lambda: _video(8176), _read_film, 0, 1600 * MIB),
-    "colmap": Costly("a.bin", lambda: _colmap(10_000), _read_colmap, 24),
+    "colmap": Costly("a.bin", lambda: _colmap(IMAGES), _read_colmap, 24),
     "memmap": Costly("a.memmap", lambda: bytes(FRAMES * 64 * 64 * 3), _read_memmap, 1),
     "checkpoint": Costly("a.pt", _checkpoint, load_checkpoint, 4),
     "arrays": Costly("a.npz", lambda: _arrays(False), read_arrays, 2),
