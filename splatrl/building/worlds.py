@@ -40,7 +40,8 @@ def build_world(cfg: DictConfig) -> World | Worlds:
     configs = place_configs(cfg)
     transforms = partial(_make_transforms, cfg.transforms, cfg.network.get("memory", 0))
     sensors = {str(key): instantiate(node) for key, node in (cfg.get("sensors") or {}).items()}
-    check_sensors(sensors, instantiate(configs[0].task))  # building takes long
+    if sensors:
+        check_sensors(sensors, instantiate(configs[0].task))  # building takes long
     places = build_places(configs, device, place_names(cfg), _repeats(transforms()))
     scenes = [place.scene for place in places]
     drawn = [*scenes, *places[0].task.models]

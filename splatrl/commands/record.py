@@ -33,8 +33,6 @@ from splatrl.viewer.page import Page
 from splatrl.viewer.takes import Takes
 
 BY = ("planner", "keys")
-TAKES = ".takes"
-"""Appended to the name of ``out``: the folder of the episodes that a person has driven while recording goes on."""
 PAUSE = 10.0
 """Time after which a recording that could not be written is written again, seconds."""
 
@@ -53,7 +51,7 @@ def run(cfg: DictConfig) -> None:
             raise ValueError(f"lerobot: expected a folder separate from out={cfg.out}, got {cfg.lerobot}")
     for key, path in folders.items():
         if path.exists():
-            takes = Path(f"{folders['out']}{TAKES}")
+            takes = takes_of(folders["out"])
             left = f"; remove it if it is of the interrupted recording in {takes}" if takes.is_dir() else ""
             raise ValueError(f"{key}: expected a new folder, got {path}, which already exists{left}")
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -129,6 +127,11 @@ def patiently(write: Callable[[], str]) -> str:
                 time.sleep(PAUSE)
 
 
+def takes_of(out: Path) -> Path:
+    """Return the folder, beside ``out``, of the episodes that a person has driven while recording goes on."""
+    return Path(f"{out}.takes")
+
+
 def untaken(path: Path) -> Path:
     """Return a path, with a number appended if another recording has taken the name in the meantime."""
     others = (path.with_name(f"{path.name}-{number}") for number in itertools.count(2))
@@ -150,7 +153,7 @@ def driven(cfg: DictConfig, world: World) -> Iterator[Demonstrations]:
     from which the same command continues after a kill.
     """
     require_number("episodes", cfg.episodes, 1, 10**6, whole=True)
-    folder, enough = Path(f"{Path(cfg.out)}{TAKES}"), threading.Event()
+    folder, enough = takes_of(Path(cfg.out)), threading.Event()
     enough.set()
     folder.mkdir(exist_ok=True)
     with alone_in(folder):

@@ -158,8 +158,6 @@ def _cameras_text(content: mmap) -> dict[int, Lens]:
 def _images_text(content: mmap) -> list[_Image]:
     images = []
     for line in _lines(content):
-        if POINTS.fullmatch(line) and len(line.split()) % 3 == 0:
-            continue
         words = line.split(maxsplit=9)
         if len(words) < 10:
             raise ValueError(f"{line[:80]!r}: expected an id, a pose of 7 numbers, a camera's id and a name")
@@ -169,18 +167,19 @@ def _images_text(content: mmap) -> list[_Image]:
 
 
 def _lines(content: mmap) -> Iterator[str]:
-    """Yield the lines of a text that are neither blank nor comments, nor so long that they hold points."""
+    """Yield the lines of a text that are neither blank nor comments nor points; very long ones are points."""
     at, count = 0, 0
     while at < len(content):
         end = content.find(b"\n", at)
         end = len(content) if end < 0 else end
         line = content[at:end].decode().rstrip("\r") if end - at < LONGEST else ""
         at = end + 1
-        if line.strip() and not line.startswith("#"):
-            count += not POINTS.fullmatch(line)
-            if count > MOST:
-                raise ValueError(f"at most {MOST:,} entries")
-            yield line
+        if not line.strip() or line.startswith("#") or (POINTS.fullmatch(line) and len(line.split()) % 3 == 0):
+            continue
+        count += 1
+        if count > MOST:
+            raise ValueError(f"at most {MOST:,} entries")
+        yield line
 
 
 def _models(source: Path) -> list[Path]:
