@@ -28,7 +28,7 @@ from splatrl.evaluation.rollouts import run_episodes
 from splatrl.evaluation.starts import spread_starts
 from splatrl.files import expanded
 from splatrl.made_with import made_with
-from splatrl.misfits import warn_of_unknown_goal
+from splatrl.misfits import check_stack, warn_of_unknown_goal
 from splatrl.training import (
     KEPT,
     PPO,
@@ -99,6 +99,8 @@ def build_trainer(
             and then that of the checkpoint; None begins a training. Demonstrations are read only if the policy has not
             yet learned from them.
     """
+    read = list(cfg.get("inputs") or ["pixels"])
+    check_stack(world.make_transforms(), read)
     curriculum = instantiate(cfg.curriculum)([one.plan for one in world.worlds])
     env = world.env(cfg.env.num_envs, curriculum, cfg.seed)
     torch.manual_seed(cfg.seed)
@@ -108,7 +110,7 @@ def build_trainer(
         env, model, loss, optim, collector.frames_per_batch, collector.total_frames, _cuda_graph(collector.cuda_graph)
     )
     teaching = _teaching(cfg, world, ppo, folder) if resumes is None else []  # refuses before anything is written
-    warn_of_unknown_goal(world.task, world.sensors, list(cfg.get("inputs") or ["pixels"]))
+    warn_of_unknown_goal(world.task, world.sensors, read)
     starts = spread_starts(world, cfg.logger.num_test_episodes)
     test_env = world.env(min(cfg.env.num_envs, len(starts.state)), seed=cfg.seed)
 
