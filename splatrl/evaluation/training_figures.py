@@ -52,6 +52,7 @@ def learning_curve(history: Sequence[Mapping[str, float]], path: Path) -> None:
     for below in rest:
         _curve(below, frames, known["return"], episodes, BLUE)
         below.set_ylabel("episode return")
+        below.ticklabel_format(axis="y", useOffset=False, style="plain")
     for axes in (above, *rest):
         axes.grid(color="0.9", linewidth=0.8)
         axes.set_axisbelow(True)
