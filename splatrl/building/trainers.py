@@ -9,7 +9,6 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
-from tqdm import tqdm
 
 from splatrl.building.envs import worker_seed
 from splatrl.building.instantiation import instantiate
@@ -46,9 +45,7 @@ from splatrl.training import (
     views,
 )
 from splatrl.values import require_number
-
-LONG = 3.0
-"""Seconds after which a test shows how far it is, on a bar of its own."""
+from splatrl.waits import late_bar
 
 
 def build_model(cfg: DictConfig, env: EnvBase) -> ActorValueOperator:
@@ -119,8 +116,7 @@ def build_trainer(
     def test() -> dict[str, float]:
         test_env.set_seed(cfg.logger.test_seed)  # a test depends on the policy alone, not on the tests before it
         actor, seed = Actor(model, judges=False), cfg.logger.test_seed
-        bars = {"total": len(starts.state), "unit": "episode", "desc": "test", "leave": False, "delay": LONG}
-        with tqdm(**bars, dynamic_ncols=True) as bar:
+        with late_bar("test", len(starts.state), "episode") as bar:
             episodes = run_episodes(test_env, actor, starts.state, True, seed, bar.update, starts.scene, starts.memory)
         result = {"success": episodes.success.double().mean().item()}
         if world.task.goals_for_success is not None:

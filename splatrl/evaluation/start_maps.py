@@ -127,7 +127,7 @@ def success_map(
         squares, array=rate, cmap="viridis", clim=(0, 1), edgecolors="white", linewidths=0.4, zorder=3
     )
     axes.add_collection(heat)
-    scale = _inset(axes, BESIDE, SCALE, axes.bbox.height / figure.dpi)
+    scale = _inset(axes, BESIDE, SCALE, axes.bbox.height / DPI)
     bar = figure.colorbar(heat, cax=scale, format=PercentFormatter(1.0, decimals=0))
     bar.set_label("success, mean over headings")
     mean = np.asarray(success, dtype=np.float64).mean()
@@ -211,7 +211,7 @@ def _map(view: MapView, colourful: bool) -> tuple[Figure, Axes]:
 def _inset(axes: Axes, away: float, width: float, height: float) -> Axes:
     """Make axes on the right of a map, ``away`` from it, that begin at its top; all in inches."""
     box = axes.bbox
-    across, up = (size / axes.get_figure(root=True).dpi for size in (box.width, box.height))
+    across, up = box.width / DPI, box.height / DPI
     return axes.inset_axes((1 + away / across, 1 - height / up, width / across, height / up))
 
 

@@ -20,6 +20,9 @@ COLORS = (BLUE, MISSED, REACHED, PARTLY, GOAL)
 MARKERS, DASHES = "osD^v", ("-", "--", ":")
 """Markers used besides colours, so that overlapping curves can be told apart; and the lines of each five curves."""
 
+LETTERS, HANDLE = 90, 8
+"""Number of letters in a row of the legend, and how many of them the line before a label takes."""
+
 
 def learning_curves(group: Sequence[Entry], path: Path) -> None:
     """Plot test success, training success and curriculum level against frames: mean and range over the seeds.
@@ -57,7 +60,10 @@ def learning_curves(group: Sequence[Entry], path: Path) -> None:
     panels[-1].set_xlim(left=0)
     panels[-1].xaxis.set_major_formatter(EngFormatter(sep=""))
     figure.align_ylabels(panels)
-    figure.legend(handles=handles, loc="outside upper center", ncols=min(len(handles), 3), frameon=False)
+    columns = max(1, min(len(handles), 3, LETTERS // (HANDLE + max(len(line.get_label()) for line in handles))))
+    legend = figure.legend(handles=handles, loc="outside upper center", ncols=columns, frameon=False, handlelength=3.5)
+    for words in legend.get_texts():
+        words.set_parse_math(False)
     save_figure(figure, path)
 
 

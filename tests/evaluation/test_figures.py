@@ -19,7 +19,7 @@ from splatrl.evaluation import start_maps, training_figures
 from splatrl.evaluation.figure_style import GOAL, MISSED, PARTLY, REACHED
 from splatrl.evaluation.start_maps import start_map, success_map
 from splatrl.evaluation.topdown import MapView, TopDown
-from splatrl.evaluation.training_figures import learning_curve
+from splatrl.evaluation.training_figures import learning_curve, scene_bars
 
 GROUND = TopDown(torch.full((80, 120, 3), 200, dtype=torch.uint8), (-1.5, 1.5, -0.5, 1.5))
 PLACE = torch.tensor([0.3, 0.7, 0.5], dtype=torch.float64)
@@ -119,6 +119,14 @@ def test_large_returns_are_written_whole_and_not_as_differences_from_an_offset(d
     axis = drawn[0].axes[1].yaxis
     assert axis.get_offset_text().get_text() == ""
     assert all(label.get_text().startswith("−1234") for label in axis.get_ticklabels())
+
+
+def test_names_of_scenes_are_shown_as_they_are(drawn: list[Figure]) -> None:
+    names = ["cost_$5_or_$6", r"a$\frac{$"]  # between dollars, matplotlib would read mathematics
+    scene_bars(names, [0.5, 0.2], Path("unused.png"))
+    drawn[0].draw_without_rendering()
+    labels = drawn[0].axes[0].get_yticklabels()
+    assert [label.get_text() for label in labels] == names and not any(label.get_parse_math() for label in labels)
 
 
 def test_the_suffix_sets_the_file_format(tmp_path: Path) -> None:
