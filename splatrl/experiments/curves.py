@@ -60,7 +60,7 @@ def learning_curves(group: Sequence[Entry], path: Path) -> None:
     panels[-1].set_xlim(left=0)
     panels[-1].xaxis.set_major_formatter(EngFormatter(sep=""))
     figure.align_ylabels(panels)
-    columns = max(1, min(len(handles), 3, LETTERS // (HANDLE + max(len(line.get_label()) for line in handles))))
+    columns = max(1, min(len(handles), 3, LETTERS // (HANDLE + max(len(str(line.get_label())) for line in handles))))
     legend = figure.legend(handles=handles, loc="outside upper center", ncols=columns, frameon=False, handlelength=3.5)
     for words in legend.get_texts():
         words.set_parse_math(False)
