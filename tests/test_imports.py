@@ -35,6 +35,7 @@ ORDER = [
         "several",
         "spherical_harmonics",
         "values",
+        "waits",
     },
     {"cameras"},
     {"bodies"},

@@ -45,6 +45,7 @@ from splatrl.training import (
     views,
 )
 from splatrl.values import require_number
+from splatrl.waits import late_bar
 
 
 def build_model(cfg: DictConfig, env: EnvBase) -> ActorValueOperator:
@@ -117,7 +118,8 @@ def build_trainer(
     def test() -> dict[str, float]:
         test_env.set_seed(cfg.logger.test_seed)  # a test depends on the policy alone, not on the tests before it
         actor, seed = Actor(model, judges=False), cfg.logger.test_seed
-        episodes = run_episodes(test_env, actor, starts.state, seed=seed, scene=starts.scene, memory=starts.memory)
+        with late_bar("test", len(starts.state), "episode") as bar:
+            episodes = run_episodes(test_env, actor, starts.state, True, seed, bar.update, starts.scene, starts.memory)
         result = {"success": episodes.success.double().mean().item()}
         if world.task.goals_for_success is not None:
             result["goals"] = episodes.goals.double().mean().item()
