@@ -9,7 +9,7 @@ from torch.nn.functional import one_hot
 from torchrl.envs import EnvBase
 
 from splatrl.curriculum import Curriculum
-from splatrl.datasets.demonstrations import AFTER, Demonstrations, joined
+from splatrl.datasets.demonstrations import AFTER, FASTEST, Demonstrations, joined
 from splatrl.envs.tasks.base import Outcome
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.rollouts import knowing
@@ -124,8 +124,10 @@ def teacher_episodes(
 
 def demonstrations_of(world: World, episodes: list[TensorDictBase]) -> Demonstrations:
     """Return episodes that were recorded in a world, frames [T] each, as demonstrations."""
-    names = tuple(world.task.motion.action_names)
-    return Demonstrations(joined(episodes), names, repeats=world.repeats, scene=world.digest)
+    motion, repeats = world.task.motion, world.repeats
+    seconds = motion.seconds_per_step
+    fps = Demonstrations.fps if seconds is None else min(max(1, round(1.0 / (seconds * repeats))), FASTEST)
+    return Demonstrations(joined(episodes), tuple(motion.action_names), fps, repeats, world.digest)
 
 
 def _spread(starts: Tensor, generator: torch.Generator) -> Iterator[Tensor]:

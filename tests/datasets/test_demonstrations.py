@@ -142,20 +142,21 @@ def test_other_tasks_are_recorded_and_replayed(task: str, more: list[str], tmp_p
 @pytest.mark.parametrize(
     ("task", "more"),
     [
-        *[("pointnav", ["motion@task.motion=drive"]), ("imagenav", LATE), ("route", [])],
+        *[("pointnav", ["motion@task.motion=drive"]), ("imagenav", LATE), ("route", ["task.motion.time_step=0.05"])],
         *[pytest.param(task, [], marks=pytest.mark.slow) for task in ("gates", "push", "walk")],
     ],
 )
 def test_teachers_are_recorded_and_replayed_in_batches_of_any_size(task: str, more: list[str], tmp_path: Path) -> None:
     if task not in ("pointnav", "imagenav"):
         pytest.importorskip("mujoco", reason="needs the extra physics")
-    world = make_world(tmp_path, task, *more, "task.max_steps=60")
+    world = make_world(tmp_path, task, *more, "task.max_steps=90")
     counted: list[int] = []
     shown = teacher_episodes(world, 4, 1, counted.append)
     shown.check()
     assert len(shown.starts) == sum(counted) == 4
     ends = shown.starts + shown.lengths - 1
     assert shown.frames["next", "success"][ends].all()
+    assert shown.fps == {"gates": 20, "push": 5, "route": 20, "walk": 5}.get(task, 10)
     memory = {key: shown.frames[key] for key in world.task.memory_spec}
     taught = world.task.teach(shown.frames["state"], memory)
     assert taught is not None and torch.equal(taught.to(shown.frames["action"].dtype), shown.frames["action"])
