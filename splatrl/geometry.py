@@ -179,17 +179,30 @@ def planar_of(body_to_world: Tensor) -> Tensor:
 def quat_yaws(quats: Tensor) -> Tensor:
     """Return the yaws of the x axes that unit wxyz quaternions turn: [..., 4] -> [...] radians in [-π, π]."""
     w, x, y, z = quats.unbind(-1)
-    return torch.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    return atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+
+
+def atan2(y: Tensor, x: Tensor) -> Tensor:
+    """Return the angles from the x axis to points, [...] radians in [-π, π], with the same bytes in any batch.
+
+    On a CPU, ``torch.atan2`` rounds differently in the last few elements of a tensor, which are not vectorised;
+    ``torch.atan`` does not. The angle of the origin is 0.
+    """
+    steep = y.abs() > x.abs()
+    ratio = torch.where(steep, x, y) / torch.where(steep, y, x)
+    angle = torch.where((x == 0) & (y == 0), 0.0, ratio).atan()
+    half, whole = (torch.full_like(angle, turn).copysign(y) for turn in (0.5 * math.pi, math.pi))
+    return torch.where(steep, half - angle, torch.where(x < 0, whole + angle, angle))
 
 
 def wrapped(angles: Tensor) -> Tensor:
     """Wrap angles, radians, to [-π, π]: [...] -> [...]."""
-    return torch.atan2(angles.sin(), angles.cos())
+    return (angles - math.tau * (angles / math.tau).round()).clamp(-math.pi, math.pi)
 
 
 def azimuths(vectors: Tensor) -> Tensor:
     """Return the directions of vectors seen from above, as a yaw: [..., 2 or 3] -> [...] radians in [-π, π]."""
-    return torch.atan2(vectors[..., 1], vectors[..., 0])
+    return atan2(vectors[..., 1], vectors[..., 0])
 
 
 def along_heading(vectors: Tensor, yaw: Tensor) -> Tensor:

@@ -11,6 +11,7 @@ from splatrl import geometry
 from splatrl.geometry import (
     CAMERA_TO_BODY,
     along_heading,
+    atan2,
     axis_rotations,
     azimuths,
     invert_rigid,
@@ -96,6 +97,17 @@ def test_angles_wrap_to_at_most_half_a_turn() -> None:
     angles = torch.tensor([0.5, 2.0, 4.0, -4.0, 0.5 + 3 * math.tau], dtype=torch.float64)
     expected = torch.tensor([0.5, 2.0, 4.0 - math.tau, math.tau - 4.0, 0.5], dtype=torch.float64)
     torch.testing.assert_close(wrapped(angles), expected)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_angles_are_those_of_pytorch_with_the_same_bytes_in_any_batch(dtype: torch.dtype) -> None:
+    y, x = torch.randn(2, 1001, generator=torch.Generator().manual_seed(0), dtype=dtype)
+    y[:6], x[:6] = (torch.tensor(side) for side in ([0.0, 0.0, 1.0, -1.0, -0.0, 0.0], [1.0, -1.0, 0.0, 0.0, -1.0, 0.0]))
+    torch.testing.assert_close(atan2(y, x), torch.atan2(y, x), atol=4 * torch.finfo(dtype).eps, rtol=0)
+    assert torch.equal(atan2(y, x)[:6], torch.atan2(y, x)[:6])
+    assert torch.equal(azimuths(torch.stack([x, y], 1)), atan2(y, x))
+    assert torch.equal(torch.cat([atan2(*few) for few in zip(y.split(7), x.split(7), strict=True)]), atan2(y, x))
+    assert torch.equal(torch.cat([wrapped(few) for few in (9.0 * x).split(7)]), wrapped(9.0 * x))
 
 
 def test_azimuths_are_the_yaw_of_a_body_that_looks_along_the_vectors() -> None:

@@ -9,6 +9,7 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
+from tqdm import tqdm
 
 from splatrl.building.envs import worker_seed
 from splatrl.building.instantiation import instantiate
@@ -18,8 +19,10 @@ from splatrl.datasets import (
     Imitation,
     check_imitation,
     check_taught,
+    has_teacher,
     planner_episodes,
     read_demonstrations,
+    teacher_episodes,
 )
 from splatrl.device import AUTO
 from splatrl.envs.world import World, Worlds
@@ -172,7 +175,7 @@ def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO, folder: Path) ->
         yield {"loss_matching": loss}
 
     def episodes() -> list[Demonstrations]:
-        return shown or _walked(world, cfg.demos, cfg.seed)
+        return shown or _recorded(world, cfg.demos, cfg.seed)
 
     cloner, kept = Cloner(ppo.model, cloning), folder / KEPT
     seed = worker_seed(cfg.seed, 0)
@@ -189,11 +192,12 @@ def _demonstrations(cfg: DictConfig) -> list[Demonstrations]:
     return []
 
 
-def _walked(world: World | Worlds, episodes: int, seed: int) -> list[Demonstrations]:
-    """Record episodes of the planner, divided evenly among the scenes."""
-    every = len(world.worlds)
+def _recorded(world: World | Worlds, episodes: int, seed: int) -> list[Demonstrations]:
+    """Record episodes of the task's teacher, or else of the planner, divided evenly among the scenes."""
+    every, record = len(world.worlds), teacher_episodes if has_teacher(world) else planner_episodes
     shares = [(episodes + every - 1 - number) // every for number in range(every)]
-    return [planner_episodes(one, share, seed) for one, share in zip(world.worlds, shares, strict=True) if share]
+    with tqdm(total=episodes, unit="episode", desc="demonstrate", leave=False, dynamic_ncols=True) as bar:
+        return [record(one, share, seed, bar.update) for one, share in zip(world.worlds, shares, strict=True) if share]
 
 
 def _cuda_graph(choice: bool | str) -> bool | None:

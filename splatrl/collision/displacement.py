@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from splatrl.geometry import first_not_rigid, quats_to_rotations, rigid, rotations_to_quats
+from splatrl.geometry import atan2, first_not_rigid, quats_to_rotations, rigid, rotations_to_quats
 
 
 def checked_poses(name: str, body_to_world: Tensor) -> Tensor:
@@ -57,7 +57,7 @@ class Displacement:
         opposed = (self._start_quats * end_quats).sum(1, keepdim=True) < 0
         self._end_quats = torch.where(opposed, -end_quats, end_quats)  # take the shorter arc
         difference, total = self._start_quats - self._end_quats, self._start_quats + self._end_quats
-        self._arc = 2.0 * torch.atan2(difference.norm(dim=1), total.norm(dim=1))  # half the rotation angle
+        self._arc = 2.0 * atan2(difference.norm(dim=1), total.norm(dim=1))  # half the rotation angle
         travel = (end - start)[:, :3, 3].norm(dim=1) + 2.0 * self._arc * radius
         self.steps = (travel / max_travel).ceil().clamp(min=1).long()
 

@@ -21,7 +21,14 @@ from splatrl.commands.entries import record as main
 from splatrl.commands.faults import in_one_line
 from splatrl.commands.stopping import handled, interrupted_by
 from splatrl.configuration import check_config, check_files, conf_dir, place_configs, save_config, with_absolute_paths
-from splatrl.datasets import Demonstrations, check_lerobot, planner_episodes, write_demonstrations, write_lerobot
+from splatrl.datasets import (
+    Demonstrations,
+    check_lerobot,
+    planner_episodes,
+    teacher_episodes,
+    write_demonstrations,
+    write_lerobot,
+)
 from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.world import World
 from splatrl.files import alone_in, new_folder, require_room
@@ -32,7 +39,8 @@ from splatrl.viewer.keys import keys_of
 from splatrl.viewer.page import Page
 from splatrl.viewer.takes import Takes
 
-BY = ("planner", "keys")
+SCRIPTED = {"planner": planner_episodes, "teacher": teacher_episodes}
+BY = (*SCRIPTED, "keys")
 PAUSE = 10.0
 """Time after which a recording that could not be written is written again, seconds."""
 
@@ -43,7 +51,7 @@ def run(cfg: DictConfig) -> None:
     """Record demonstrations into the folder ``cfg.out``, together with the config needed to replay them."""
     check_config(cfg)
     if cfg.by not in BY:
-        raise ValueError(f"by: expected {' or '.join(BY)}, got {cfg.by}")
+        raise ValueError(f"by: expected {', '.join(SCRIPTED)} or keys, got {cfg.by}")
     folders = {key: Path(cfg[key]) for key in ("out", "lerobot") if cfg[key] is not None}
     if cfg.lerobot is not None:
         out, other = (folders[key].resolve() for key in ("out", "lerobot"))
@@ -62,8 +70,8 @@ def run(cfg: DictConfig) -> None:
     world = build_one_world(cfg)
     if cfg.lerobot is not None:
         check_lerobot(world.robot.image_width, world.robot.image_height)
-    if cfg.by == "planner":
-        found = planned(cfg, world)
+    if cfg.by in SCRIPTED:
+        found = scripted(cfg, world)
         for key, path in folders.items():
             print(write(cfg, world, found, key, path))
         return
@@ -75,7 +83,7 @@ def run(cfg: DictConfig) -> None:
 
 
 def check_demonstrator(cfg: DictConfig) -> None:
-    """Refuse a task that neither the planner nor, for ``by=keys``, a person can demonstrate; no scene is built yet.
+    """Refuse a task that ``cfg.by`` cannot demonstrate; no scene is built yet.
 
     Raises:
         ValueError: names the ways to demonstrate the task that there are.
@@ -84,15 +92,20 @@ def check_demonstrator(cfg: DictConfig) -> None:
     task = instantiate(place_configs(cfg)[0].task)
     if cfg.by == "keys":
         keys_of(task.motion)
-    elif task.goals_for_success is not None or type(task).reached is TaskModule.reached:
-        ways = []
-        if type(task).teach is not TaskModule.teach:
-            ways.append("its own teacher serves DAgger: splatrl-train dagger.rounds=...")
-        with suppress(ValueError):
-            keys_of(task.motion)
-            ways.append("by=keys records what you drive")
-        told = f"by=planner: expected a task whose episodes end at goal states, got {type(task).__name__}"
-        raise ValueError("; ".join([told, *ways]))
+        return
+    ways = {}
+    if task.goals_for_success is None and type(task).reached is not TaskModule.reached:
+        ways["planner"] = "by=planner records shortest paths"
+    if type(task).teach is not TaskModule.teach:
+        ways["teacher"] = "by=teacher records the task's own teacher"
+    if cfg.by in ways:
+        return
+    with suppress(ValueError):
+        keys_of(task.motion)
+        ways["keys"] = "by=keys records what you drive"
+    needed = {"planner": "a task whose episodes end at goal states", "teacher": "a task with a teacher of its own"}
+    told = f"by={cfg.by}: expected {needed[cfg.by]}, got {type(task).__name__}"
+    raise ValueError("; ".join([told, *ways.values()]))
 
 
 def write(cfg: DictConfig, world: World, found: Demonstrations, key: str, path: Path) -> str:
@@ -138,10 +151,10 @@ def untaken(path: Path) -> Path:
     return next(one for one in itertools.chain([path], others) if not one.exists())
 
 
-def planned(cfg: DictConfig, world: World) -> Demonstrations:
-    """Record episodes in which the planner chooses the actions."""
-    with tqdm(unit="frame", desc="record", dynamic_ncols=True) as bar:
-        return planner_episodes(world, cfg.episodes, cfg.seed, bar.update)
+def scripted(cfg: DictConfig, world: World) -> Demonstrations:
+    """Record episodes in which the planner or the task's teacher chooses the actions."""
+    with tqdm(total=cfg.episodes, unit="episode", desc="record", dynamic_ncols=True) as bar:
+        return SCRIPTED[cfg.by](world, cfg.episodes, cfg.seed, bar.update)
 
 
 @contextmanager

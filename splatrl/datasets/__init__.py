@@ -4,7 +4,7 @@ from splatrl.datasets.demonstrations import Demonstrations
 from splatrl.datasets.folder import read_demonstrations, write_demonstrations
 from splatrl.datasets.imitation import Imitation, check_imitation, check_taught
 from splatrl.datasets.lerobot import check_lerobot, write_lerobot
-from splatrl.datasets.recorder import planner_episodes
+from splatrl.datasets.recorder import has_teacher, planner_episodes, teacher_episodes
 from splatrl.datasets.replay import replay
 
 __all__ = [
@@ -13,9 +13,11 @@ __all__ = [
     "check_imitation",
     "check_lerobot",
     "check_taught",
+    "has_teacher",
     "planner_episodes",
     "read_demonstrations",
     "replay",
+    "teacher_episodes",
     "write_demonstrations",
     "write_lerobot",
 ]

@@ -12,6 +12,9 @@ from splatrl.envs.world import World, Worlds
 AFTER = ("state", "reward", "done", "terminated", "truncated", "outcome", "success")
 """Keys of a step's result that are stored, under ``"next"``."""
 
+FASTEST = 1000
+"""Maximum number of frames per second."""
+
 
 @dataclass(frozen=True)
 class Demonstrations:
@@ -24,7 +27,7 @@ class Demonstrations:
             demonstrated discrete actions, also ``optimal`` [N, A] bool, which marks every action that would have been
             right.
         action_names: names of the discrete actions, in order; empty for continuous actions.
-        fps: steps per second, for videos.
+        fps: frames per second, a whole number: of simulated time, rounded, if there is physics.
         repeats: number of times that the robot carried out each action; see ``FrameSkip``.
         scene: fingerprint of the scene, the ``digest`` of its world; None if it is not known.
     """

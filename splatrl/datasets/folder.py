@@ -13,7 +13,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from splatrl.datasets.demonstrations import AFTER, Demonstrations
+from splatrl.datasets.demonstrations import AFTER, FASTEST, Demonstrations
 from splatrl.documents import read_json, write_json
 from splatrl.files import checked_name, require_room
 from splatrl.values import require_number
@@ -74,8 +74,8 @@ def read_demonstrations(folder: Path) -> Demonstrations:
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise ValueError(f"{path}: expected a list of names under action_names, got {names!r:.80}")
     fps, repeats = facts.get("fps"), facts.get("repeats")
-    for key, value in (("fps", fps), ("repeats", repeats)):
-        require_number(f"{path}: {key}", value, 1, 1000, whole=True)
+    for key, value, most in (("fps", fps, FASTEST), ("repeats", repeats, 1000)):
+        require_number(f"{path}: {key}", value, 1, most, whole=True)
     scene = facts.get("scene")
     if not isinstance(scene, str | None):
         raise ValueError(f"{path}: expected a fingerprint under scene, got {scene!r:.80}")

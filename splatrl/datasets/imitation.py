@@ -1,4 +1,4 @@
-"""Imitation learning: clone demonstrations, then learn from the planner in states that the policy visits (DAgger)."""
+"""Imitation learning: clone demonstrations, then learn from a teacher in states that the policy visits (DAgger)."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -14,6 +14,7 @@ from torchrl.envs import EnvBase
 from splatrl.array_files import read_arrays
 from splatrl.curriculum import Curriculum
 from splatrl.datasets.demonstrations import Demonstrations
+from splatrl.datasets.recorder import check_single_steps, has_teacher
 from splatrl.envs.nesting import set_state, state_of
 from splatrl.envs.world import World, Worlds
 from splatrl.files import replacing
@@ -30,7 +31,7 @@ class Imitation:
     Args:
         ppo: holds the policy, the critic and the frame count.
         cloner: fits the policy, each time to all frames gathered so far.
-        world: the world in which the policy acts and the planner plans.
+        world: the world in which the policy acts, and whose task's teacher, or else planner, labels its states.
         shown: returns the demonstration sets to clone first; None begins DAgger with the untrained policy.
         dagger: settings of the DAgger rounds, whose episodes begin at any start in reach (``Plan.in_reach``).
         seed: seed of the starts of these episodes.
@@ -170,29 +171,25 @@ def _together(parts: Sequence[dict[str, Tensor]], device: torch.device) -> dict[
     return {key: torch.cat([part[key].to(device) for part in parts]) for key in (parts[0] if parts else ())}
 
 
-def check_imitation(world: World | Worlds, dagger: DaggerSettings, walked: int = 0) -> None:
+def check_imitation(world: World | Worlds, dagger: DaggerSettings, asked: int = 0) -> None:
     """Refuse an imitation of teachers that a task does not have.
 
     Args:
         world: the world in which the policy acts.
         dagger: settings of the DAgger rounds.
-        walked: number of the planner's episodes that are to be recorded and cloned.
+        asked: number of episodes that are to be recorded and cloned.
 
     Raises:
         ValueError: for a task without the planner's paths or a teacher, or a teacher whose actions are repeated.
     """
-    name, taught = type(world.task).__name__, bool(dagger.rounds) and _has_teacher(world)
-    if walked and not world.planned:
-        raise ValueError(f"demos: expected null or a folder for a task without goal states ({name}), got {walked}")
-    if taught and world.repeats > 1:
-        raise ValueError(
-            f"dagger.rounds: expected 0 with transforms/skip, since the teacher of {name} chooses single steps, got "
-            f"{dagger.rounds}; type transforms/skip=none"
-        )
-    if dagger.rounds and not world.planned and not taught:
-        raise ValueError(
-            f"dagger.rounds: expected 0 for a task with neither goal states nor a teacher ({name}), got {dagger.rounds}"
-        )
+    name = type(world.task).__name__
+    for key, others, number in (("demos", "null or a folder", asked), ("dagger.rounds", "0", dagger.rounds)):
+        if number and has_teacher(world):
+            check_single_steps(world, key)
+        elif number and not world.planned:
+            raise ValueError(
+                f"{key}: expected {others} for a task with neither goal states nor a teacher ({name}), got {number}"
+            )
 
 
 def check_taught(dagger: DaggerSettings, num_envs: int, total_frames: int, shown: int, matched: int) -> None:
@@ -220,13 +217,6 @@ def check_taught(dagger: DaggerSettings, num_envs: int, total_frames: int, shown
             f"collector.total_frames: expected at least {needed:,}, the sum of {of_matching}{shown:,} frames of demos "
             f"and {acted:,} frames of dagger.rounds, got {total_frames:,}"
         )
-
-
-def _has_teacher(world: World | Worlds) -> bool:
-    """Return whether the task has a teacher of its own."""
-    one = world.worlds[0]
-    memory = {key: spec.zero((1,)) for key, spec in one.task.memory_spec.items()}
-    return one.task.teach(one.plan.starts[:1], memory) is not None
 
 
 def _frames(shown: Demonstrations, ppo: PPO, reads: Sequence[str], repeats: int) -> dict[str, Tensor]:

@@ -1,25 +1,55 @@
-"""Recording demonstrations: the planner drives robots along shortest paths to the goal."""
+"""Recording demonstrations: the planner, or a task's own teacher, drives robots, and what succeeds is kept."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torch.nn.functional import one_hot
+from torchrl.envs import EnvBase
 
-from splatrl.curriculum import Plan
-from splatrl.datasets.demonstrations import AFTER, Demonstrations, joined
+from splatrl.curriculum import Curriculum
+from splatrl.datasets.demonstrations import AFTER, FASTEST, Demonstrations, joined
 from splatrl.envs.tasks.base import Outcome
-from splatrl.envs.world import World
+from splatrl.envs.world import World, Worlds
+from splatrl.evaluation.rollouts import knowing
 from splatrl.values import require_number
 
 ROBOTS = 32
 TRIES = 4
-"""Starts tried per requested episode: off a lattice, a path along an obstacle may run into it."""
+"""Episodes tried per requested one: off a lattice, a path along an obstacle may run into it, and teachers may fail."""
+
+Act = Callable[[TensorDictBase], TensorDictBase]
+"""Writes ``action``, and whatever is to be stored beside it, into the TensorDict of a batch of robots."""
+Progress = Callable[[int], object]
+
+
+def has_teacher(world: World | Worlds) -> bool:
+    """Return whether the task has a teacher of its own."""
+    one = world.worlds[0]
+    memory = {key: spec.zero((1,)) for key, spec in one.task.memory_spec.items()}
+    return one.task.teach(one.plan.starts[:1], memory) is not None
+
+
+def check_single_steps(world: World | Worlds, asking: str) -> None:
+    """Refuse a task's own teacher where actions are repeated.
+
+    Args:
+        world: scene and task.
+        asking: the setting that asks for the teacher, for the message.
+
+    Raises:
+        ValueError: names the setting and what to type.
+    """
+    if world.repeats > 1:
+        raise ValueError(
+            f"{asking}: expected transforms/skip=none, since the teacher of {type(world.task).__name__} chooses single "
+            f"steps, got actions of {world.repeats} steps"
+        )
 
 
 def planner_episodes(
-    world: World, episodes: int, seed: int = 0, progress: Callable[[int], object] = lambda frames: None
+    world: World, episodes: int, seed: int = 0, progress: Progress = lambda episodes: None
 ) -> Demonstrations:
     """Record episodes in which the robot follows a shortest path to the goal.
 
@@ -30,7 +60,7 @@ def planner_episodes(
         world: scene and task; its camera noise and appearance apply, but stacked views are stored as single ones.
         episodes: number of episodes.
         seed: seed of starts and random choices.
-        progress: called for each episode that is kept, with its number of frames.
+        progress: called with 1 as each of the episodes that are kept ends.
 
     Raises:
         ValueError: for a task whose episodes do not end at goal states, or whose goal the planner does not reach often
@@ -40,55 +70,150 @@ def planner_episodes(
     plan = world.plan
     if not world.planned:
         raise ValueError(f"planner: expected a task whose episodes end at goal states, got {type(world.task).__name__}")
-    generator = torch.Generator().manual_seed(seed)
-    kept: list[TensorDictBase] = []
-    tried = unseen = 0
-    waiting: list[Tensor] = []
-    near = plan.in_reach.starts
-    for _ in range(TRIES * (1 + episodes // ROBOTS)):
-        while sum(map(len, waiting)) < ROBOTS:
-            waiting.append(near[torch.randperm(len(near), generator=generator)])
-        starts, rest = torch.cat(waiting).split([ROBOTS, sum(map(len, waiting)) - ROBOTS])
-        waiting, starts = [rest], world.task.motion.varied(starts, generator)
-        for episode in _walked(world, plan, starts, seed + len(kept), generator):
-            tried += 1
-            if int(episode["next", "outcome"][-1]) != Outcome.GOAL:
-                unseen += bool(plan.at_goal(episode["state"]).any())
-            elif len(kept) < episodes:
-                kept.append(episode)
-                progress(len(episode))
-        if len(kept) == episodes:
-            names = tuple(world.task.motion.action_names)
-            return Demonstrations(joined(kept), names, repeats=world.repeats, scene=world.digest)
+    generator, env = torch.Generator().manual_seed(seed), world.env(ROBOTS, seed=seed)
+    begins = _spread(plan.in_reach.starts, generator)
+
+    def begin() -> TensorDictBase:
+        states = world.task.motion.varied(next(begins), generator)
+        return env.reset(TensorDict({"state": states}, [ROBOTS], device=env.device), set_state=True)
+
+    kept, failed = _successes(world, env, begin, _shortest(world, generator), episodes, progress)
+    if len(kept) == episodes:
+        return demonstrations_of(world, kept)
+    unseen = sum(bool(plan.at_goal(one["state"]).any()) for one in failed)
     judged = f"; {unseen:,} stood where paths end, but the task did not find the goal in view" if unseen else ""
+    tried = len(kept) + len(failed)
     raise ValueError(
         f"planner: expected {episodes} episodes that reach the goal, got only {len(kept)} of {tried:,}{judged}"
     )
 
 
-@torch.no_grad()
-def _walked(world: World, plan: Plan, starts: Tensor, seed: int, generator: torch.Generator) -> list[TensorDictBase]:
-    """Run one episode from each start along shortest paths, or at random where none exists: frames [T], on the CPU."""
-    env, names, told = world.env(len(starts), seed=seed), world.task.motion.action_names, world.told
-    now = env.reset(TensorDict({"state": starts}, [len(starts)], device=env.device), set_state=True)
-    steps: list[TensorDictBase] = []
-    length = torch.zeros(len(starts), dtype=torch.int64)  # frames of each ended episode
-    running = torch.ones(len(starts), dtype=torch.bool)
-    while running.any() and len(steps) < world.task.max_steps:
+def teacher_episodes(
+    world: World, episodes: int, seed: int = 0, progress: Progress = lambda episodes: None
+) -> Demonstrations:
+    """Record episodes in which the task's own teacher acts, the one that labels states in DAgger.
+
+    Starts, goals and whatever else an episode has are drawn as in a training without curriculum. Only successful
+    episodes are kept.
+
+    Args:
+        world: scene and task; its camera noise and appearance apply, but stacked views are stored as single ones.
+        episodes: number of episodes.
+        seed: seed of everything that is drawn.
+        progress: called with 1 as each of the episodes that are kept ends.
+
+    Raises:
+        ValueError: for a task without a teacher, one whose actions would be repeated, or one that fails too often.
+    """
+    require_number("episodes", episodes, 1, 10**6, whole=True)
+    name = type(world.task).__name__
+    if not has_teacher(world):
+        raise ValueError(f"teacher: expected a task with a teacher of its own, got {name}")
+    check_single_steps(world, "teacher")
+    env = world.env(ROBOTS, Curriculum([world.plan.in_reach], first=None), seed)
+    kept, failed = _successes(world, env, env.reset, knowing(env, env.task.teach), episodes, progress)
+    if len(kept) == episodes:
+        return demonstrations_of(world, kept)
+    ends = [Outcome(int(one["next", "outcome"][-1])).name.lower() for one in failed]
+    counts = ", ".join(f"{ends.count(end):,} in {end}" for end in sorted(set(ends), key=ends.count, reverse=True))
+    raise ValueError(
+        f"teacher: expected {episodes} episodes in which the teacher of {name} succeeds, got only {len(kept)} of "
+        f"{len(kept) + len(failed):,}; the others ended {counts}"
+    )
+
+
+def demonstrations_of(world: World, episodes: list[TensorDictBase]) -> Demonstrations:
+    """Return episodes that were recorded in a world, frames [T] each, as demonstrations."""
+    motion, repeats = world.task.motion, world.repeats
+    seconds = motion.seconds_per_step
+    fps = Demonstrations.fps if seconds is None else min(max(1, round(1.0 / (seconds * repeats))), FASTEST)
+    return Demonstrations(joined(episodes), tuple(motion.action_names), fps, repeats, world.digest)
+
+
+def _spread(starts: Tensor, generator: torch.Generator) -> Iterator[Tensor]:
+    """Yield start states for the robots, [ROBOTS, D], none of them again before all have been used."""
+    waiting = starts[:0]
+    while True:
+        while len(waiting) < ROBOTS:
+            waiting = torch.cat([waiting, starts[torch.randperm(len(starts), generator=generator)]])
+        yield waiting[:ROBOTS]
+        waiting = waiting[ROBOTS:]
+
+
+def _shortest(world: World, generator: torch.Generator) -> Act:
+    """Let robots follow shortest paths, or act at random where none exists."""
+    plan, names = world.plan, world.task.motion.action_names
+
+    def act(now: TensorDictBase) -> TensorDictBase:
         best = plan.optimal(now["state"].to(plan.states.device)).cpu()
         chosen = torch.multinomial(best.float() + 1e-9, 1, generator=generator).squeeze(1)
-        now["action"] = plan.actions.cpu()[chosen].to(env.device)
-        step = env.step(now)
-        seen = recorded(step, told)
+        now["action"] = plan.actions.cpu()[chosen].to(now.device)
         if names:
-            seen["optimal"] = best.float() @ one_hot(plan.actions.cpu(), len(names)).float() > 0
+            now["optimal"] = best.float() @ one_hot(plan.actions.cpu(), len(names)).float() > 0
+        return now
+
+    return act
+
+
+def _successes(
+    world: World, env: EnvBase, begin: Callable[[], TensorDictBase], act: Act, episodes: int, progress: Progress
+) -> tuple[list[TensorDictBase], list[TensorDictBase]]:
+    """Run batches of episodes until enough of them have succeeded, or too many have been tried.
+
+    Which ones are kept does not depend on how long they are: a batch always runs to its end.
+
+    Returns:
+        The first ``episodes`` that succeeded, frames [T] each; and those that did not, of which only ``state`` and
+        ``outcome`` are left.
+    """
+    kept: list[TensorDictBase] = []
+    failed: list[TensorDictBase] = []
+    for _ in range(TRIES * (1 + episodes // ROBOTS)):
+        for episode in _acted(env, begin(), act, world.told, episodes - len(kept), progress):
+            if not episode["next", "success"][-1]:
+                failed.append(episode.select("state", ("next", "outcome")))
+            elif len(kept) < episodes:
+                kept.append(episode)
+        if len(kept) == episodes:
+            break
+    return kept, failed
+
+
+@torch.no_grad()
+def _acted(
+    env: EnvBase, now: TensorDictBase, act: Act, told: Sequence[str], needed: int, progress: Progress
+) -> list[TensorDictBase]:
+    """Run one episode of each robot; a robot whose episode has ended waits for the others.
+
+    Args:
+        env: the robots.
+        now: [B], the beginning of their episodes.
+        act: chooses their actions.
+        told: see ``recorded``.
+        needed: number of successes after which ``progress`` is no longer called.
+        progress: called with 1 as an episode succeeds.
+
+    Returns:
+        The frames of each robot's episode, [T], on the CPU.
+    """
+    running, steps, robots = torch.arange(env.numel()), list[TensorDictBase](), list[Tensor]()
+    while len(running):
+        now = act(now)
+        if len(running) < env.numel():
+            stepping = torch.zeros(env.numel(), 1, dtype=torch.bool)
+            stepping[running] = True
+            now["_step"] = stepping.to(env.device)
+        step = env.step(now)
+        seen = recorded(step, told)[running]
         steps.append(seen)
-        ended = running & seen["next", "done"].squeeze(1)
-        length[ended] = len(steps)
-        running &= ~ended
-        now = env.step_mdp(step)
-    whole = torch.stack(steps, 1)
-    return [whole[row, :count] for row, count in enumerate(length.tolist()) if count]
+        robots.append(running)
+        ended = seen["next", "done"].squeeze(1)
+        for _ in range(min(needed, int((ended & seen["next", "success"].squeeze(1)).sum()))):
+            progress(1)
+            needed -= 1
+        running, now = running[~ended], env.step_mdp(step)
+    frames, robot = TensorDict.cat(steps), torch.cat(robots)
+    return [frames[robot == number] for number in range(env.numel())]
 
 
 def recorded(step: TensorDictBase, told: Sequence[str]) -> TensorDictBase:
@@ -99,6 +224,8 @@ def recorded(step: TensorDictBase, told: Sequence[str]) -> TensorDictBase:
         told: keys of sensor readings and memory; see ``World.told``.
     """
     seen = step.select("pixels", "action", "state", *told).cpu()
+    if "optimal" in step.keys():  # noqa: SIM118, it is no dict
+        seen["optimal"] = step["optimal"].cpu()
     seen["pixels"] = seen["pixels"][..., -3:].clone()
     seen["next"] = step["next"].select(*AFTER).cpu()
     return seen

@@ -12,6 +12,8 @@ import math
 import torch
 from torch import Tensor
 
+from splatrl.geometry import atan2
+
 THIGH, CALF, OFFSET = 0.213, 0.213, 0.08
 """Lengths of the thigh, the calf and the hip's sideways offset, metres, as in ``robots/quadruped.xml``."""
 LEGS = ("front_left", "front_right", "rear_left", "rear_right")
@@ -73,8 +75,8 @@ def leg_angles(foot: Tensor, side: float) -> Tensor:
     x, y, z = foot.unbind(1)
     offset = side * OFFSET
     down = (y * y + z * z - offset * offset).clamp_min(1e-6).sqrt()
-    hip = torch.atan2(y, -z) - torch.atan2(torch.full_like(down, offset), down)
+    hip = atan2(y, -z) - atan2(torch.full_like(down, offset), down)
     cosine = (x * x + down * down - THIGH * THIGH - CALF * CALF) / (2.0 * THIGH * CALF)
     calf = -cosine.clamp(-0.999, 0.999).acos()
-    thigh = torch.atan2(-x, down) - torch.atan2(CALF * calf.sin(), THIGH + CALF * calf.cos())
+    thigh = atan2(-x, down) - atan2(CALF * calf.sin(), THIGH + CALF * calf.cos())
     return torch.stack([hip, thigh, calf], 1)

@@ -10,7 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 
 from splatrl.configuration import differences
 from splatrl.datasets import Demonstrations
-from splatrl.datasets.demonstrations import joined
+from splatrl.datasets.recorder import demonstrations_of
 from splatrl.envs.world import World
 from splatrl.files import natural, remove_stale
 from splatrl.made_with import FREE, changed_content
@@ -73,8 +73,7 @@ class Takes:
         """
         if not self.episodes:
             raise ValueError("by=keys: expected at least one episode that reached the goal, got none")
-        names = tuple(self.world.task.motion.action_names)
-        return Demonstrations(joined(self.episodes), names, repeats=self.world.repeats, scene=self.world.digest)
+        return demonstrations_of(self.world, self.episodes)
 
     def _read(self, path: Path) -> TensorDictBase:
         take = load_checkpoint(path)

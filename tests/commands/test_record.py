@@ -134,7 +134,7 @@ def test_a_replay_that_differs_ends_with_an_error(demos: Path, tmp_path: Path, m
 @pytest.mark.parametrize(
     ("module", "arguments", "message"),
     [
-        (record, ["by=me", "out={new}"], "splatrl-record: by: expected planner or keys, got me"),
+        (record, ["by=me", "out={new}"], "splatrl-record: by: expected planner, teacher or keys, got me"),
         (record, ["episodes=0", "out={new}"], "splatrl-record: episodes: expected a whole number"),
         (record, ["out={demos}"], "splatrl-record: out: expected a new folder, got .* already exists"),
         (record, ["out={new}", "lerobot={new}"], "lerobot: expected a folder separate from out=.*new, got"),
@@ -173,7 +173,7 @@ def test_an_impossible_lerobot_export_is_refused_before_anything_is_recorded(
 ) -> None:
     if change is None:
         monkeypatch.setitem(sys.modules, "pyarrow", None)
-    monkeypatch.setattr(record, "planned", lambda *_: pytest.fail("something was recorded"))
+    monkeypatch.setattr(record, "scripted", lambda *_: pytest.fail("something was recorded"))
     folders = [f"out={tmp_path / 'demos'}", f"lerobot={tmp_path / 'lerobot'}"]
     with pytest.raises(SystemExit, match=message):
         call(record, monkeypatch, *scene, *folders, *([change] if change else []))
@@ -186,17 +186,19 @@ def test_an_impossible_lerobot_export_is_refused_before_anything_is_recorded(
         (
             "push",
             "planner",
-            "Push; its own teacher serves DAgger: .* dagger.rounds=...; by=keys records what you drive",
+            "goal states, got Push; by=teacher records the task's own teacher; by=keys records what you drive",
         ),
-        ("strides", "planner", "Strides; its own teacher serves DAgger: splatrl-train dagger.rounds=..."),
+        ("strides", "planner", "Strides; by=teacher records the task's own teacher"),
         ("snake", "planner", "Snake; by=keys records what you drive"),
+        ("snake", "teacher", "by=teacher: expected a task with a teacher of its own, got Snake; by=keys records .*"),
+        ("fps", "teacher", "Fps; by=planner records shortest paths; by=keys records what you drive"),
         ("strides", "keys", "task: expected actions that keys can express, .* got 12 numbers per action"),
     ],
 )
 def test_a_task_that_cannot_be_demonstrated_is_refused_before_the_world_is_built(
     task: str, by: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if task != "snake":
+    if task in ("push", "strides"):
         pytest.importorskip("mujoco", reason="needs the extra physics")
     monkeypatch.setattr(record, "build_one_world", lambda _: pytest.fail("the world was built"))
     with pytest.raises(SystemExit, match=f"{message}$"):
@@ -206,13 +208,13 @@ def test_a_task_that_cannot_be_demonstrated_is_refused_before_the_world_is_built
 def test_a_recording_whose_folder_was_taken_in_the_meantime_gets_another_folder(
     scene: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out, walk = tmp_path / "demos", record.planned
+    out, walk = tmp_path / "demos", record.scripted
 
     def meanwhile(cfg: DictConfig, world: World) -> Demonstrations:
         (out / "of another").mkdir(parents=True)
         return walk(cfg, world)
 
-    monkeypatch.setattr(record, "planned", meanwhile)
+    monkeypatch.setattr(record, "scripted", meanwhile)
     call(record, monkeypatch, *scene, f"out={out}", "episodes=2")
     assert [path.name for path in out.iterdir()] == ["of another"]
     assert len(read_demonstrations(tmp_path / "demos-2").starts) == 2
@@ -245,6 +247,25 @@ def test_a_number_of_demonstrations_is_recorded_by_the_planner(scene: list[str],
     assert all("loss_cloning" in row for row in trainer.history[:3])
     assert "test_success" in trainer.history[0]  # later tests are as frequent as those of PPO
     assert "loss_cloning" not in trainer.history[3]
+
+
+def test_a_tasks_own_teacher_is_recorded_replayed_and_imitated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    task, demos = tiny_overrides(tmp_path, "imagenav"), tmp_path / "demos"
+    call(record, monkeypatch, *task, "task.max_steps=60", "by=teacher", "episodes=3", "seed=2", f"out={demos}")
+    assert json.loads((demos / "demonstrations.json").read_text())["by"] == "teacher"
+    call(replay, monkeypatch, f"demos={demos}")
+    assert "are identical, byte for byte" in capsys.readouterr().out
+    frames, history = len(read_demonstrations(demos)), []
+    for shown in (f"demos={demos}", "demos=3"):
+        budget = f"collector.total_frames={frames + 128}"
+        cfg = load_config([*task, "task.max_steps=60", *SETTINGS, "cloning.epochs=1", shown, "seed=2", budget])
+        trainer = build_trainer(cfg, build_world(cfg), tmp_path / "run")
+        trainer.fit()
+        history.append([(row["frames"], row.get("loss_cloning")) for row in trainer.history])
+    assert history[0] == history[1], "a number records the same episodes"
+    assert [row[0] for row in history[0]] == [frames, frames + 128]
 
 
 def test_imitation_may_use_up_all_frames(scene: list[str], tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from splatrl.datasets import (
     planner_episodes,
     read_demonstrations,
     replay,
+    teacher_episodes,
     write_demonstrations,
 )
 from splatrl.envs.tasks import Outcome
@@ -136,6 +137,42 @@ def test_other_tasks_are_recorded_and_replayed(task: str, more: list[str], tmp_p
     assert read_demonstrations(tmp_path).repeats == world.repeats == (2 if more == TWICE else 1)
     if more == SENSING:
         assert {"depth", "gps", "compass", "contact", "lidar"} <= set(read_demonstrations(tmp_path).frames.keys())
+
+
+@pytest.mark.parametrize(
+    ("task", "more"),
+    [
+        *[("pointnav", ["motion@task.motion=drive"]), ("imagenav", LATE), ("route", ["task.motion.time_step=0.05"])],
+        *[pytest.param(task, [], marks=pytest.mark.slow) for task in ("gates", "push", "walk")],
+    ],
+)
+def test_teachers_are_recorded_and_replayed_in_batches_of_any_size(task: str, more: list[str], tmp_path: Path) -> None:
+    if task not in ("pointnav", "imagenav"):
+        pytest.importorskip("mujoco", reason="needs the extra physics")
+    world = make_world(tmp_path, task, *more, "task.max_steps=90")
+    counted: list[int] = []
+    shown = teacher_episodes(world, 4, 1, counted.append)
+    shown.check()
+    assert len(shown.starts) == sum(counted) == 4
+    ends = shown.starts + shown.lengths - 1
+    assert shown.frames["next", "success"][ends].all()
+    assert shown.fps == {"gates": 20, "push": 5, "route": 20, "walk": 5}.get(task, 10)
+    memory = {key: shown.frames[key] for key in world.task.memory_spec}
+    taught = world.task.teach(shown.frames["state"], memory)
+    assert taught is not None and torch.equal(taught.to(shown.frames["action"].dtype), shown.frames["action"])
+    write_demonstrations(tmp_path, shown)
+    assert replay(world, read_demonstrations(tmp_path)) == ([], len(shown))
+    if task == "pointnav":
+        longer = teacher_episodes(world, 6, seed=1)
+        assert (longer.frames[: len(shown)] == shown.frames).all(), "how many are asked for changes none of them"
+
+
+def test_a_teacher_that_fails_or_does_not_exist_is_refused(world: World, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="teacher: expected a task with a teacher of its own, got Grid"):
+        teacher_episodes(world, 1)
+    hurried = make_world(tmp_path, "pointnav", "task.max_steps=1")
+    with pytest.raises(ValueError, match="of PointNav succeeds, got only 0 of 128; the others ended 128 in timeout"):
+        teacher_episodes(hurried, 3)
 
 
 def test_stacked_frames_match_those_of_the_env(tmp_path: Path) -> None:

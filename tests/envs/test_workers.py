@@ -11,7 +11,9 @@ import torch
 from torchrl.collectors import Collector
 from torchrl.envs import EnvBase, EnvCreator, ParallelEnv, SerialEnv
 
-from splatrl.building import env_makers, make_env, worker_seed
+from splatrl.building import build_world, env_makers, make_env, worker_seed
+from splatrl.configuration import load_config
+from splatrl.datasets import planner_episodes, write_demonstrations
 from splatrl.envs.nesting import layers
 from tests.tiny import tiny_overrides
 
@@ -114,7 +116,12 @@ WITH_WORKERS = [pytest.mark.slow]  # each worker imports all libraries anew
         for number, snippet in enumerate(SNIPPETS)
     ],
 )
-def test_a_snippet_of_the_clients_page_runs(snippet: str, tmp_path: Path) -> None:
+def test_a_snippet_of_the_clients_page_runs(snippet: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    if "demos/" in snippet:
+        world = build_world(load_config(tiny_overrides(tmp_path)))
+        (tmp_path / "demos").mkdir()
+        write_demonstrations(tmp_path / "demos", planner_episodes(world, 6))
     if "__main__" not in snippet:
         exec(compile(snippet, "clients.md", "exec"), {})
         return

@@ -206,7 +206,9 @@ class Task(Protocol):
         ...
 
     def teach(self, state: Tensor, memory: Memory) -> Tensor | None:
-        """Return the actions [B, ...] of a teacher that knows the state, for DAgger; None defers to the planner.
+        """Return the actions [B, ...] of a teacher that knows the state; None defers to the planner.
+
+        DAgger labels states with them, and demonstrations of the teacher consist of them.
 
         Args:
             state: [B, ...] states of the motion.

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from splatrl.geometry import along_heading, azimuths, wrapped
+from splatrl.geometry import along_heading, atan2, azimuths, wrapped
 
 BACK = 0.45
 """Distance from the ball at which the robot begins to push, metres."""
@@ -71,7 +71,7 @@ def pushing(robot: Tensor, ball: Tensor, mark: Tensor, room: Room) -> Tensor:
     off_sight = [wrapped(azimuths(one - eye) - yaw).abs() for one in (ball, mark)]
     blind = (off_sight[0] > SEEN[0]) & (off_sight[1] > SEEN[1]) & (turn.abs() > TURN)
     turn = torch.where(blind, 0.5 * math.pi, turn)
-    near = (far < 0.4) & (ahead > 0) & (torch.atan2(aside, ahead).abs() < 1.0) | (clear < 0.12)
+    near = (far < 0.4) & (ahead > 0) & (atan2(aside, ahead).abs() < 1.0) | (clear < 0.12)
     speed = torch.where(near & (turn.abs() > 0.9), BACKWARDS, SPEED * turn.cos().clamp_min(0.0) ** 2)
     free = torch.stack([speed, 3.0 * turn], 1)
 
