@@ -15,8 +15,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from splatrl.capture.base import CaptureError
+from splatrl.capture.lens import Lens
 from splatrl.capture.recordings.base import (
-    Lens,
     Recording,
     Shot,
     beside,
