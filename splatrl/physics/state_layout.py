@@ -41,11 +41,6 @@ class StateLayout:
         return slice(2 + self.nq, 2 + self.nq + self.nv)
 
     @property
-    def activations(self) -> slice:
-        """Activations of the actuators, ``act``."""
-        return slice(2 + self.nq + self.nv, None)
-
-    @property
     def position(self) -> slice:
         """Position of the robot's first body: x, y and z in the world frame, metres."""
         return slice(2, 5)
