@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from splatrl.bodies import Box
 from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum.ground import Ground
-from splatrl.several import rows_of, stacked
+from splatrl.per_scene import rows_of, stacked
 
 MOST_DISTANCES = 2**29
 """Most distances, nodes times goals, to the goals of one scene or those of a file: each takes 4 bytes."""

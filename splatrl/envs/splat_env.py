@@ -13,6 +13,7 @@ from splatrl.collision.base import Checker
 from splatrl.collision.nothing import NoChecker
 from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum.starts import Curriculum
+from splatrl.device_faults import Faulty
 from splatrl.envs.drawing.base import Drawing
 from splatrl.envs.given import (
     check_actions,
@@ -30,7 +31,6 @@ from splatrl.envs.sensors.base import Sensor
 from splatrl.envs.specs import env_specs
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks.base import NOTHING, Task
-from splatrl.faults import Faulty
 from splatrl.values import checked_seed
 
 
