@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "tests" / "example_package"
 PAGE = (ROOT / "docs" / "extending.md").read_text()
 SHOWN = [PACKAGE / "explorer" / f"{name}.py" for name in ("clearing", "networks", "tasks", "transforms")]
-SHOWN += sorted([*PACKAGE.rglob("hydra_plugins/*/__init__.py"), *PACKAGE.rglob("*.yaml")])
+SHOWN += sorted([*PACKAGE.rglob("hydra_plugins/*/__init__.py"), *PACKAGE.rglob("*.yaml"), *PACKAGE.glob("*.toml")])
 CLEARING = ["task.goal=0", "~task.goal", "~task.rewards", "allow_targets=[explorer]"]
 CLEARING += ["task._target_=explorer.clearing.Clearing"]
 """Overrides that replace the task of ``task=grid`` by the package's, without its config."""
@@ -58,7 +58,7 @@ def test_the_package_has_exactly_the_files_that_the_page_lists() -> None:
         for name in [word for word in line.split() if "/" in word or "." in word]:
             parents[level:] = [name]
             listed |= set() if name.endswith("/") else {"".join(parents[:level]) + name}
-    found = {str(path.relative_to(PACKAGE)) for path in PACKAGE.rglob("*") if path.suffix in (".py", ".yaml")}
+    found = {str(path.relative_to(PACKAGE)) for path in PACKAGE.rglob("*") if path.suffix in (".py", ".yaml", ".toml")}
     assert listed == found
 
 

@@ -35,6 +35,7 @@ ORDER = [
         "per_scene",
         "spherical_harmonics",
         "values",
+        "waits",
     },
     {"cameras"},
     {"bodies"},

@@ -2,10 +2,13 @@
 
 import re
 import shlex
+import sys
 from pathlib import Path
+from pydoc import locate
 
 import pytest
 
+import splatrl
 from splatrl.commands.entries import PARSERS
 from splatrl.configuration import command_line, load_config, save_config
 
@@ -23,6 +26,7 @@ COMMANDS = {
     for part in line.split(" && ")
     if part.startswith("splatrl-") and (words := shlex.split(part, comments=True))
 }
+HOSTED = ("http", "../../actions/")  # pages of other sites, and of the one that hosts the README
 NEEDS_A_PLUGIN = "+launcher="  # launchers are Hydra plugins, from the extra cluster
 
 
@@ -41,9 +45,6 @@ def test_the_readme_lists_every_package_and_every_page() -> None:
     for name in re.findall(r"`(\w+)/`", listed):
         assert (ROOT / name).is_dir(), name
     assert set(re.findall(r"\]\(docs/(\w+\.md)\)", listed)) == {path.name for path in (ROOT / "docs").glob("*.md")}
-    for link in re.findall(r"\]\(([^)#]+)", README):
-        hosted = ("http", "../../actions/")  # pages of the site that hosts the README
-        assert link.startswith(hosted) or (ROOT / link).exists(), link
 
 
 def test_the_readme_shows_every_command() -> None:
@@ -51,10 +52,27 @@ def test_the_readme_shows_every_command() -> None:
     assert scripts and all(script in README for script in scripts)
 
 
-@pytest.mark.parametrize("page", DOCS, ids=lambda path: path.name)
-def test_links_between_pages_lead_to_existing_files(page: Path) -> None:
-    for link in re.findall(r"\]\(([^)#\s]+)", page.read_text()):
-        assert link.startswith("http") or (page.parent / link).exists(), link
+@pytest.mark.parametrize("page", [*DOCS, *sorted(ROOT.glob("*.md"))], ids=lambda path: path.name)
+def test_links_between_pages_lead_to_existing_files_and_headings(page: Path) -> None:
+    for link, heading in re.findall(r"\]\(([^)#\s]*)#?([^)\s]*)\)", page.read_text()):
+        if link.startswith(HOSTED):
+            continue
+        path = page.parent / link if link else page
+        assert path.exists(), link
+        assert not heading or heading in _anchors(path), f"{link}#{heading}"
+
+
+def _anchors(page: Path) -> list[str]:
+    """Return the anchors of a page's headings, as hosts of repositories make them."""
+    headings = re.findall(r"^#+ (.*)$", BLOCK.sub("", page.read_text()), re.MULTILINE)
+    return [re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings]
+
+
+def test_the_page_of_the_api_documents_every_public_name() -> None:
+    shown = [locate(name) for name in re.findall(r"^::: (\S+)$", (ROOT / "docs" / "api.md").read_text(), re.MULTILINE)]
+    for name in splatrl.__all__:
+        thing = getattr(splatrl, name)
+        assert thing in shown or sys.modules[thing.__module__] in shown, name
 
 
 @pytest.mark.usefixtures("unmade_yards")

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torchrl.envs import Transform
 
 from splatrl.collision.base import Checker
 from splatrl.collision.columns import cells_across
@@ -16,6 +17,7 @@ from splatrl.collision.voxels import Voxels
 from splatrl.curriculum import Plan
 from splatrl.envs.sensors import GoalSensor, Sensor
 from splatrl.envs.tasks.base import Task
+from splatrl.envs.transforms import FrameStack
 from splatrl.motions import OrbitMotion
 from splatrl.scenes.scene import Bounds, Scene
 
@@ -193,6 +195,24 @@ def warn_of_unknown_goal(task: Task, sensors: Mapping[str, Sensor], read: Sequen
         "imagegoal; add one of them to sensors=[...]",
         stacklevel=2,
     )
+
+
+def check_stack(transforms: Sequence[Transform], read: Sequence[str]) -> None:
+    """Refuse stacks of earlier views that a policy does not read, so that it would have no memory.
+
+    Args:
+        transforms: the transforms of an env.
+        read: keys of the observations that the policy reads.
+
+    Raises:
+        ValueError: if it reads nothing that is stacked.
+    """
+    for one in transforms:
+        if isinstance(one, FrameStack) and not set(one.in_keys) & set(read):
+            raise ValueError(
+                f"memory=stack: expected a policy that reads what is stacked, {', '.join(map(str, one.in_keys))}, got "
+                f"one that reads {', '.join(read)}; type memory=gru, or add rgb to sensors=[...]"
+            )
 
 
 def check_goal(task: Task, reached: Tensor) -> None:

@@ -12,7 +12,7 @@ from torchrl.modules import ActorValueOperator
 
 from splatrl.building.envs import worker_seed
 from splatrl.building.instantiation import instantiate
-from splatrl.building.misfits import warn_of_unknown_goal
+from splatrl.building.misfits import check_stack, warn_of_unknown_goal
 from splatrl.configuration import with_absolute_paths
 from splatrl.datasets import (
     Demonstrations,
@@ -45,6 +45,7 @@ from splatrl.training import (
     views,
 )
 from splatrl.values import require_number
+from splatrl.waits import late_bar
 
 
 def build_model(cfg: DictConfig, env: EnvBase) -> ActorValueOperator:
@@ -99,6 +100,8 @@ def build_trainer(
             and then that of the checkpoint; None begins a training. Demonstrations are read only if the policy has not
             yet learned from them.
     """
+    read = list(cfg.get("inputs") or ["pixels"])
+    check_stack(world.make_transforms(), read)
     curriculum = instantiate(cfg.curriculum)([one.plan for one in world.worlds])
     env = world.env(cfg.env.num_envs, curriculum, cfg.seed)
     torch.manual_seed(cfg.seed)
@@ -108,14 +111,15 @@ def build_trainer(
         env, model, loss, optim, collector.frames_per_batch, collector.total_frames, _cuda_graph(collector.cuda_graph)
     )
     teaching = _teaching(cfg, world, ppo, folder) if resumes is None else []  # refuses before anything is written
-    warn_of_unknown_goal(world.task, world.sensors, list(cfg.get("inputs") or ["pixels"]))
+    warn_of_unknown_goal(world.task, world.sensors, read)
     starts = spread_starts(world, cfg.logger.num_test_episodes)
     test_env = world.env(min(cfg.env.num_envs, len(starts.state)), seed=cfg.seed)
 
     def test() -> dict[str, float]:
         test_env.set_seed(cfg.logger.test_seed)  # a test depends on the policy alone, not on the tests before it
         actor, seed = Actor(model, judges=False), cfg.logger.test_seed
-        episodes = run_episodes(test_env, actor, starts.state, seed=seed, scene=starts.scene, memory=starts.memory)
+        with late_bar("test", len(starts.state), "episode") as bar:
+            episodes = run_episodes(test_env, actor, starts.state, True, seed, bar.update, starts.scene, starts.memory)
         result = {"success": episodes.success.double().mean().item()}
         if world.task.goals_for_success is not None:
             result["goals"] = episodes.goals.double().mean().item()

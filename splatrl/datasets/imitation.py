@@ -249,7 +249,8 @@ def _frames(shown: Demonstrations, ppo: PPO, reads: Sequence[str], repeats: int)
         theirs = ", ".join(shown.action_names) or list(found[1])
         raise ValueError(
             f"demos: expected images of {width} × {height} pixels and the task's actions {ours}, "
-            f"got {found[0][1]} × {found[0][0]} and {theirs}"
+            f"got {found[0][1]} × {found[0][0]} and {theirs}; type task, robot and scene as they were recorded, "
+            "which config.yaml in the folder of the demonstrations says"
         )
     seen = {key: shown.stacked(channels // 3) if key == "pixels" else frames.get(key, None) for key in reads}
     for key, values in seen.items():

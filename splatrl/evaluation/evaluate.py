@@ -9,7 +9,6 @@ from typing import Any
 from tensordict import TensorDictBase
 from tqdm import tqdm
 
-from splatrl.curriculum import Plan
 from splatrl.documents import write_json
 from splatrl.envs.transforms import simulated
 from splatrl.envs.world import World, Worlds
@@ -77,14 +76,13 @@ def evaluate(
     """
     facts = _facts_of_training(checkpoint, folder) | {"evaluation": asdict(settings), "seed": seed}
     facts["transforms"] = simulated(world.make_transforms())
-    plans = [one.plan for one in world.worlds]
     if settings.episodes is None:
         starts = spread_starts(world, settings.starts)
     else:
         world, starts = given_episodes(world, Path(settings.episodes), settings.starts)
     sampled, argmax = _run(world, policy, starts, settings)
     summary = summarise(sampled, argmax, starts.distance if world.planned else None) | facts
-    summary |= _facts_of_starts(plans, starts)
+    summary |= _facts_of_starts(world, starts)
     if len(world.names) > 1:
         summary["scenes"] = by_scene(world.names, sampled, argmax)
     if world.task.goal_radius is not None and settings.episodes is None:
@@ -115,13 +113,14 @@ def _facts_of_training(checkpoint: dict[str, Any], folder: Path) -> dict[str, An
         }
 
 
-def _facts_of_starts(plans: Sequence[Plan], starts: Chosen) -> dict[str, int]:
-    """Return what the report says about the start sets and the starts chosen from them."""
-    return {
-        "start_poses": sum(len(plan.start_rows) for plan in plans),
-        "evaluated_starts": len(starts.state),
-        "longest_path": max(int(plan.distance[plan.start_rows].max()) for plan in plans),
-    }
+def _facts_of_starts(world: World | Worlds, starts: Chosen) -> dict[str, int]:
+    """Return what the report says about the chosen starts and, unless the task draws them, the sets they are from."""
+    chosen = {"evaluated_starts": len(starts.state)}
+    if world.task.chooses_episodes:
+        return chosen
+    plans = [one.plan for one in world.worlds]
+    longest = max(int(plan.distance[plan.start_rows].max()) for plan in plans)
+    return {"start_poses": sum(len(plan.start_rows) for plan in plans), **chosen, "longest_path": longest}
 
 
 def _run(
@@ -184,10 +183,11 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
     if "spl" in summary:
         rates.append(f"{summary['collisions']:.1f} collisions per episode")
         rates.append(f"{summary['distance_to_goal']:.2f} m from the goal at the end")
-        where = f"over {summary['evaluated_starts']:,} episodes, each with its own goal"
     else:
         rates.append(f"collisions {summary['collision_rate']:.3f}")
-        where = f"over {summary['evaluated_starts']:,} of {summary['start_poses']:,} start poses"
+    count = f"over {summary['evaluated_starts']:,}"
+    drawn = f"{count} episodes{', each with its own goal' if 'spl' in summary else ''}"
+    where = f"{count} of {summary['start_poses']:,} start poses" if "start_poses" in summary else drawn
     under = ", ".join(re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower() for name in summary["transforms"])
     level = f"curriculum level {summary['level']}"
     return [

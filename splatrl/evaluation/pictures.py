@@ -21,6 +21,7 @@ from splatrl.evaluation.topdown import MapView, footprint, map_window, top_down
 from splatrl.evaluation.video import PANEL, rollout_video
 from splatrl.motions import Motion
 from splatrl.scenes.gaussians import Gaussians
+from splatrl.waits import late_bar
 
 VIDEO, START_MAP, SUCCESS_MAP = "rollouts.mp4", "starts.png", "success_map.png"
 """Names of the files. The video is the last file that an evaluation writes; with several scenes, each one shown has its
@@ -99,7 +100,8 @@ class Pictures:
         start = self.plan.states[ordered[_spread(len(ordered), count)]]
         motion = env.task.motion
         states, memory = (varied(motion, start), {}) if chosen is None else (chosen.state, chosen.memory)
-        recordings = record_episodes(env, policy, states, seed=seed, memory=memory)
+        with late_bar("record", env.task.max_steps, "step") as bar:
+            recordings = record_episodes(env, policy, states, seed=seed, memory=memory, progress=bar.update)
         outside = partial(self._outside, env) if motion.models else None  # without a body, there is nothing to see
         rollout_video(
             [recordings[row] for row in shown([len(recording.action) for recording in recordings], frames)],

@@ -58,6 +58,7 @@ def record_episodes(
     sampled: bool = True,
     seed: int = 0,
     memory: Memory | None = None,
+    progress: Callable[[int], object] = lambda steps: None,
 ) -> list[Recording]:
     """Record one episode from each start, in one batch; PyTorch's global generator is left as it was.
 
@@ -68,6 +69,7 @@ def record_episodes(
         sampled: whether to sample from the policy's distribution or take its mode.
         seed: seed of the action sampling.
         memory: the task's memory at each start, [N, ...] by key, such as goals; None draws it.
+        progress: called with the number of steps that the batch has just taken.
 
     Raises:
         ValueError: for an env with another number of robots.
@@ -84,6 +86,7 @@ def record_episodes(
             steps.append(step.cpu())
             running &= ~steps[-1]["next", "done"].squeeze(1)
             now = env.step_mdp(step)
+            progress(1)
     return [_recording(env, [step[row] for step in steps]) for row in range(len(starts))]
 
 

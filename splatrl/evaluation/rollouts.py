@@ -133,7 +133,7 @@ def run_episodes(
     starts: Tensor,
     sampled: bool = True,
     seed: int = 0,
-    progress: Callable[[int], object] = lambda finished: None,
+    progress: Callable[[int], object] = lambda episodes: None,
     scene: Tensor | None = None,
     memory: Mapping[str, Tensor] | None = None,
 ) -> Episodes:
@@ -148,7 +148,8 @@ def run_episodes(
         starts: [N, D] states.
         sampled: whether to sample from the policy's distribution or take its mode.
         seed: seed of the action sampling.
-        progress: called with the number of episodes that just ended.
+        progress: called with how many more episodes' worth of steps are done. Running ones count in part, by the share
+            of their steps, since those of a batch may all end together; in the end all are counted.
         scene: [N] int64, index of each start's scene, for an env with several.
         memory: the task's memory at each start, [N, ...] by key, such as goals; None draws it.
     """
@@ -165,7 +166,7 @@ def run_episodes(
     kept |= {key: specs[key].dtype for key in measured}
     columns = {key: torch.zeros(count, dtype=dtype) for key, dtype in kept.items()}
     episode = torch.arange(rows)  # the episode of each robot; an index of count or more means idle
-    waiting = rows
+    waiting, over, counted, limit = rows, 0, 0, layers(env)[0].task.max_steps
     with acting(sampled, seed, env.device):
         given = {"state": starts, **(memory or {})}
         if scene is not None:
@@ -184,7 +185,10 @@ def run_episodes(
             ended = ((told[0] > 0) & acts).nonzero().squeeze(1)
             for column, values in zip(columns.values(), told[1:], strict=True):
                 column[episode[ended]] = values[ended].to(column.dtype)
-            progress(len(ended))
+            over += len(ended)
+            done = over + int((told[2] * (acts & (told[0] == 0))).sum() / limit)  # told[2] is step_count
+            progress(done - counted)
+            counted = done
             episode[ended] = torch.arange(waiting, waiting + len(ended))
             waiting += len(ended)
             begins = ended[episode[ended] < count]

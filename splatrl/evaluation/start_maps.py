@@ -22,8 +22,12 @@ from splatrl.evaluation.topdown import MapView, TopDown
 
 MAP_SIZE = 5.8
 """Longer side of a map, inches."""
-OVERVIEW = 0.4
-"""Size of the overview of the whole place beside a map, as a fraction of the map's sides."""
+OVERVIEW = 2.3
+"""Longer side of the overview of the whole place beside a map, inches."""
+BESIDE = 0.2
+"""Space between a map and what stands beside it, inches."""
+SCALE, LABELS = 0.2, 0.85
+"""Width of a colour scale and of its labels, inches."""
 MOST_ARROWS = 20
 """Maximum number of positions along the longer side of a map whose arrows can still be told apart."""
 FOOT = 1.1
@@ -60,7 +64,7 @@ def start_map(
     """
     poses, rate = _mean_by_row(planar, success)
     rows = len(poses), int((rate == 1).sum())
-    cell = max(_spacing(poses, view.ground), _side(view.ground) / MOST_ARROWS)
+    cell = max(_legible(_spacing(poses, view.ground), view.ground), _side(view.ground) / MOST_ARROWS)
     some = _thinned(poses[:, :2], cell)
     poses, rate = poses[some], rate[some]
     headings = np.unique(poses[:, :2], axis=0, return_counts=True)[1].max()
@@ -116,19 +120,19 @@ def success_map(
     cell, corner = _spacing(positions, view.ground), positions.min(0)
     cells, rate = _mean_by_row(((positions - corner) / cell).round(), success)
     centers = corner + cells * cell
-    half = 0.43 * cell
+    half = 0.43 * _legible(cell, view.ground)
     squares = centers[:, None] + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     figure, axes = _map(view, colourful=False)
     heat = PolyCollection(
         squares, array=rate, cmap="viridis", clim=(0, 1), edgecolors="white", linewidths=0.4, zorder=3
     )
     axes.add_collection(heat)
-    scale = axes.inset_axes((1.03, 0.0, 0.04, 1.0))
+    scale = _inset(axes, BESIDE, SCALE, axes.bbox.height / DPI)
     bar = figure.colorbar(heat, cax=scale, format=PercentFormatter(1.0, decimals=0))
     bar.set_label("success, mean over headings")
     mean = np.asarray(success, dtype=np.float64).mean()
     axes.set_title(f"success by start position ({starts} {mean:.1%})", fontsize=10)
-    handles = _positions(axes, cut_off, ".", NO_PATH) + _marks(axes, view.marks, 0.5 * cell)
+    handles = _positions(axes, cut_off, ".", NO_PATH) + _marks(axes, view.marks, half)
     _finish(figure, handles, view, path)
 
 
@@ -144,7 +148,12 @@ def _spacing(positions: NDArray[np.float64], ground: TopDown) -> float:
     side = _side(ground)
     gaps = np.concatenate([np.diff(np.unique(positions[:, axis].round(6))) for axis in (0, 1)])
     spacing = gaps.min() if len(gaps) else side
-    return float(min(spacing, side / 8)) if spacing > side / 60 else side / 20
+    return float(spacing) if spacing > side / 60 else side / 20
+
+
+def _legible(spacing: float, ground: TopDown) -> float:
+    """Limit the size of what is drawn at a position, metres: a few positions far apart get no huge arrows or cells."""
+    return min(spacing, _side(ground) / 8)
 
 
 def _side(ground: TopDown) -> float:
@@ -195,20 +204,27 @@ def _map(view: MapView, colourful: bool) -> tuple[Figure, Axes]:
         axes.contour(x, y, mask, levels=[0.5], colors=[INK], linewidths=1.0, zorder=2)
     axes.set(xlabel="x (m)", ylabel="y (m)", xlim=(left, right), ylim=(bottom, top))
     if view.overview is not None:
-        _overview(axes, view.overview, ground, 1.05 if colourful else 1.24)
+        _overview(axes, view.overview, ground, BESIDE if colourful else 2 * BESIDE + SCALE + LABELS)
     return figure, axes
 
 
-def _overview(axes: Axes, overview: TopDown, ground: TopDown, place: float) -> None:
-    """Draw an overview beside a map, ``place`` map widths from its left edge, with the map's window outlined in it."""
+def _inset(axes: Axes, away: float, width: float, height: float) -> Axes:
+    """Make axes on the right of a map, ``away`` from it, that begin at its top; all in inches."""
+    box = axes.bbox
+    across, up = box.width / DPI, box.height / DPI
+    return axes.inset_axes((1 + away / across, 1 - height / up, width / across, height / up))
+
+
+def _overview(axes: Axes, overview: TopDown, ground: TopDown, away: float) -> None:
+    """Draw an overview beside a map, ``away`` inches from it, with the map's window outlined in it."""
     left, right, bottom, top = overview.extent
-    inset = axes.inset_axes((place, 1 - OVERVIEW, OVERVIEW, OVERVIEW))
+    inset = _inset(axes, away, OVERVIEW, OVERVIEW)
     inset.imshow(np.asarray(overview.image), extent=overview.extent, interpolation="antialiased")
     x0, x1, y0, y1 = ground.extent
     inset.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor="white", linewidth=3))
     inset.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=GOAL, linewidth=1.5))
     inset.set(xticks=[], yticks=[], xlim=(left, right), ylim=(bottom, top), anchor="NW")
-    inset.set_title(f"overview, {right - left:.0f} × {top - bottom:.0f} m", fontsize=8)
+    inset.set_xlabel(f"overview, {right - left:.0f} × {top - bottom:.0f} m", fontsize=8)  # a title could meet the map's
 
 
 def _positions(axes: Axes, places: Tensor | None, marker: str, label: str) -> list[Patch | Line2D]:

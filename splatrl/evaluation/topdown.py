@@ -28,6 +28,8 @@ MARGIN = 0.4
 """Minimum distance by which a map extends beyond the outermost pose, metres."""
 AROUND = 0.25
 """Maximum of that distance where the place continues, as a fraction of the longer side of the poses' area."""
+NARROWEST = 3.0
+"""Longer side of a map, at most, in shorter sides: on the strip that a corridor is, nothing could be read."""
 WIDER = 1.5
 """An overview is worth drawing if its longer side is at least this many times the map's."""
 WIDEST = 12.0
@@ -134,6 +136,9 @@ def map_window(
     low = [min(x - MARGIN, max(x - around, edge)) for x, edge in zip(lower, place[0], strict=True)]
     high = [max(x + MARGIN, min(x + around, edge)) for x, edge in zip(upper, place[1], strict=True)]
     side = max(b - a for a, b in zip(low, high, strict=True))
+    short = [max(0.0, 0.5 * (side / NARROWEST - (b - a))) for a, b in zip(low, high, strict=True)]
+    low = [edge - more for edge, more in zip(low, short, strict=True)]
+    high = [edge + more for edge, more in zip(high, short, strict=True)]
     reach = 0.5 * (WIDEST - 1.0) * side
     wide_low = [max(min(a, edge - MARGIN), a - reach) for a, edge in zip(low, place[0], strict=True)]
     wide_high = [min(max(b, edge + MARGIN), b + reach) for b, edge in zip(high, place[1], strict=True)]

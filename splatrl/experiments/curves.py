@@ -1,8 +1,9 @@
 """Learning curves of the arms of a comparison, aggregated over their seeds."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,8 +17,11 @@ from splatrl.evaluation.training_figures import column
 from splatrl.experiments.results import Entry
 
 COLORS = (BLUE, MISSED, REACHED, PARTLY, GOAL)
-MARKERS = "osD^v"
-"""Markers used besides colours, so that overlapping curves can be told apart."""
+MARKERS, DASHES = "osD^v", ("-", "--", ":")
+"""Markers used besides colours, so that overlapping curves can be told apart; and the lines of each five curves."""
+
+LETTERS, HANDLE = 90, 8
+"""Number of letters in a row of the legend, and how many of them the line before a label takes."""
 
 
 def learning_curves(group: Sequence[Entry], path: Path) -> None:
@@ -33,14 +37,14 @@ def learning_curves(group: Sequence[Entry], path: Path) -> None:
     panels: list[Axes] = list(figure.subplots(rows, 1, sharex=True, height_ratios=(3, 3, 2)[:rows]))
     handles = []
     for number, entry in enumerate(group):
-        color, marker = COLORS[number % len(COLORS)], MARKERS[number % len(MARKERS)]
-        _band(panels[0], entry, "test_success", color, marker)
-        _band(panels[1], entry, "success", color)
+        marker, style = look(number)
+        _band(panels[0], entry, "test_success", style, marker)
+        _band(panels[1], entry, "success", style)
         if staged[number]:
-            _band(panels[2], entry, "level", color)
+            _band(panels[2], entry, "level", style)
         seeds = f"{len(entry.runs)} seed{'s' if len(entry.runs) > 1 else ''}"
         label = f"{entry.label} ({seeds})"
-        handles.append(Line2D([], [], color=color, marker=marker, markersize=4.5, linewidth=2, label=label))
+        handles.append(Line2D([], [], marker=marker, markersize=4.5, linewidth=2, label=label, **style))
     for panel, label in zip(panels, ("test success", "training success"), strict=False):
         panel.set(ylabel=label, ylim=(-0.02, 1.02))
         panel.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
@@ -56,11 +60,20 @@ def learning_curves(group: Sequence[Entry], path: Path) -> None:
     panels[-1].set_xlim(left=0)
     panels[-1].xaxis.set_major_formatter(EngFormatter(sep=""))
     figure.align_ylabels(panels)
-    figure.legend(handles=handles, loc="outside upper center", ncols=min(len(handles), 3), frameon=False)
+    columns = max(1, min(len(handles), 3, LETTERS // (HANDLE + max(len(str(line.get_label())) for line in handles))))
+    legend = figure.legend(handles=handles, loc="outside upper center", ncols=columns, frameon=False, handlelength=3.5)
+    for words in legend.get_texts():
+        words.set_parse_math(False)
     save_figure(figure, path)
 
 
-def _band(axes: Axes, entry: Entry, key: str, color: str, marker: str = "") -> None:
+def look(number: int) -> tuple[str, dict[str, Any]]:
+    """Return the marker and the style of a curve's line, which no other of the first fifteen curves has."""
+    turn, place = divmod(number, len(COLORS))
+    return MARKERS[place], {"color": COLORS[place], "linestyle": DASHES[turn % len(DASHES)]}
+
+
+def _band(axes: Axes, entry: Entry, key: str, style: Mapping[str, Any], marker: str = "") -> None:
     """Plot the mean over the seeds as a line, and their range as a band."""
     histories = [rows for rows in entry.histories if rows]
     if not histories:
@@ -72,8 +85,8 @@ def _band(axes: Axes, entry: Entry, key: str, color: str, marker: str = "") -> N
     if not known.any():  # an empty band would leave the layout no room
         return
     frames, seeds = frames[known], seeds[:, known]
-    axes.fill_between(frames, seeds.min(0), seeds.max(0), color=color, alpha=0.18, linewidth=0)
-    axes.plot(frames, seeds.mean(0), color=color, marker=marker, markersize=4.5, linewidth=2, clip_on=not marker)
+    axes.fill_between(frames, seeds.min(0), seeds.max(0), color=style["color"], alpha=0.18, linewidth=0)
+    axes.plot(frames, seeds.mean(0), marker=marker, markersize=4.5, linewidth=2, clip_on=not marker, **style)
 
 
 def _values(rows: Sequence[dict[str, float]], key: str) -> NDArray[np.float64]:

@@ -16,6 +16,7 @@ from splatrl.evaluation.rollouts import run_episodes
 from splatrl.evaluation.starts import spread_starts
 from splatrl.experiments.experiment import Run
 from splatrl.runs import load_policy
+from splatrl.waits import late_bar
 
 KEPT = ("success_rate", "success_rate_argmax", "collision_rate", "timeout_rate", "step_spl", "spl", "soft_spl")
 
@@ -67,10 +68,11 @@ def tested(folder: Path, cfg: DictConfig, world: World | Worlds) -> dict[str, An
     torch.set_num_threads(cfg.threads)
     policy, starts = load_policy(folder, cfg=cfg, world=world).policy, spread_starts(world, cfg.evaluation.starts)
     env = world.env(min(cfg.evaluation.batch_size, len(starts.state)))
-    sampled, argmax = (
-        run_episodes(env, policy, starts.state, way, cfg.evaluation.seed, scene=starts.scene, memory=starts.memory)
-        for way in (True, False)
-    )
+    with late_bar(folder.name, 2 * len(starts.state), "episode") as bar:
+        sampled, argmax = (
+            run_episodes(env, policy, starts.state, way, cfg.evaluation.seed, bar.update, starts.scene, starts.memory)
+            for way in (True, False)
+        )
     summary = summarise(sampled, argmax, starts.distance if world.planned else None)
     return {"starts": len(starts.state), **kept(summary)}
 

@@ -126,8 +126,12 @@ def _camera_place(robot: Robot) -> tuple[float, float]:
 def _about(sensor: Sensor) -> dict[str, Any]:
     """Return the first paragraph of a sensor's docstring, and its settings."""
     words = " ".join((getdoc(type(sensor)) or "").partition("\n\n")[0].split())
-    settings = {key: value for key, value in vars(sensor).items() if isinstance(value, (bool, int, float, str))}
-    return {"is": words, **settings}
+    return {"is": words, **{key: value for key, value in vars(sensor).items() if _plain(value)}}
+
+
+def _plain(value: object) -> bool:
+    """Return whether a value is a number, a word or a tuple of those."""
+    return all(map(_plain, value)) if isinstance(value, tuple) else isinstance(value, (bool, int, float, str))
 
 
 def onnx_bytes(policy: StandalonePolicy, facts: Mapping[str, str]) -> bytes:

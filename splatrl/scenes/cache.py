@@ -15,6 +15,7 @@ import numpy as np
 
 from splatrl.array_files import Arrays, read_arrays
 from splatrl.files import cache_dir, replacing
+from splatrl.waits import announced
 
 GIGABYTES = 16.0
 """Maximum size of the cache in gigabytes, unless $SPLATRL_CACHE_GB sets another one."""
@@ -53,7 +54,9 @@ def cached_arrays(name: str, build: Callable[[], Arrays], most: int | None = Non
         pass
     except (OSError, ValueError, MemoryError) as error:
         warnings.warn(f"{error}; rebuilding this cache file", stacklevel=2)
-    arrays = build()
+    kind = name.partition("-")[0]
+    with announced(f"computing {kind}, which takes long only once: the result is kept in {path.parent}"):
+        arrays = build()
     named: dict[str, Any] = dict(arrays)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

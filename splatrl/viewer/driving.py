@@ -44,7 +44,7 @@ class Driving:
         self.shown = RobotShown(server, "/robot", world.robot)
         driver, gui = self.driver, server.gui
         self.view = gui.add_image(enlarged(driver.pixels), label="what the robot sees")
-        self.goals = GoalsShown(server, "/goals", world)
+        self.goals = GoalsShown(server, "/goals", world, common=takes is not None)
         self.status = gui.add_markdown("")
         self.keys: dict[str, Callable[[], None]] = {}
         for key in keys:

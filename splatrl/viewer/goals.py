@@ -22,16 +22,18 @@ AHEAD_DEG = 5.0
 
 
 class GoalsShown:
-    """Marks for the goals of a task with per-episode goals: an arrow, or a ball for a goal without a direction.
+    """Marks for the goals of a task: an arrow, or a ball for a goal without a direction.
 
     Args:
         server: server of the page, whose panel also shows the picture of an image goal.
         name: scene node that holds the marks, such as ``/robot/goals``.
         world: scene and task.
+        common: whether to show goals that all episodes have in common, too, as on a page without handles for them.
     """
 
-    def __init__(self, server: "viser.ViserServer", name: str, world: World):
+    def __init__(self, server: "viser.ViserServer", name: str, world: World, common: bool = False):
         self.server, self.name, self.world = server, name, world
+        self.shown = common or bool(world.task.memory_spec)
         self.nodes: list[Any] = []
         blank = torch.zeros(world.robot.image_height, world.robot.image_width, 3, dtype=torch.uint8)
         told = ImageGoal.KEY in world.told
@@ -40,9 +42,9 @@ class GoalsShown:
     def show(self, now: TensorDictBase) -> str:
         """Show the goals in one robot's observation [1]; return their distances and directions in words."""
         task = self.world.task
-        if not task.memory_spec:
+        if not self.shown:
             return ""
-        marks = task.marks({key: now[key][0].cpu() for key in task.memory_spec})
+        marks = task.marks({key: now[key][0].cpu() for key in task.memory_spec} or None)
         state = now["state"].cpu()
         height = float(task.motion.body_to_world(state)[0, 2, 3])
         with self.server.atomic():

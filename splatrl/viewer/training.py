@@ -1,5 +1,6 @@
 """The page of a training: its progress, and its robots over the scene, replayed from the last batch."""
 
+import math
 import threading
 import time
 from collections.abc import Mapping
@@ -22,7 +23,14 @@ EVERY = 0.5
 """Minimum seconds between batches that are shown, so that a training with many small batches is not slowed down."""
 RATE = 10
 """Playback speed of a batch, steps per second."""
-FIGURES = {"frames": ",.0f", "success": ".2f", "test_success": ".2f", "collision": ".2f", "return": ".1f"}
+FIGURES = {
+    "frames": ",.0f",
+    "level": ".0f",
+    "success": ".2f",
+    "test_success": ".2f",
+    "collision": ".2f",
+    "return": ".1f",
+}
 """Columns of ``progress.csv`` that the page shows, with their formats."""
 
 
@@ -80,6 +88,7 @@ class TrainingView:
         self.status = page.server.gui.add_markdown("waiting for the first batch")
         self._seen, self._fresh, self._stop = time.monotonic() - EVERY, threading.Event(), threading.Event()
         self._poses: tuple[Tensor, Tensor] | None = None
+        self._figures: dict[str, float] = {}
         self.played = 0  # steps shown so far
         trainer.ppo.collector = WatchedCollector(trainer.ppo.collector, self)
         trainer.watch = self.note
@@ -101,10 +110,12 @@ class TrainingView:
         self._fresh.set()
 
     def note(self, row: Mapping[str, float]) -> None:
-        """Show the figures of a row of the history."""
-        found = {name: row[name] for name in FIGURES if name in row}
+        """Show the figures of a row of the history; those that it lacks stay as they were."""
+        self._figures |= {name: row[name] for name in FIGURES if not math.isnan(row.get(name, math.nan))}
         self.status.content = "\n".join(
-            f"- {name.replace('_', ' ')} {value:{FIGURES[name]}}" for name, value in found.items()
+            f"- {name.replace('_', ' ')} {self._figures[name]:{form}}"
+            for name, form in FIGURES.items()
+            if name in self._figures
         )
 
     def close(self) -> None:

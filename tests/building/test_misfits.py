@@ -10,11 +10,12 @@ from hydra.utils import instantiate
 from torch import Tensor
 
 from splatrl.building import build_one_world, build_trainer, build_world, make_env
-from splatrl.building.misfits import CUT_OFF, check_goal, warn_of_cut_off, warn_of_far_starts
+from splatrl.building.misfits import CUT_OFF, check_goal, check_stack, warn_of_cut_off, warn_of_far_starts
 from splatrl.configuration import load_config
 from splatrl.curriculum import Plan
 from splatrl.curriculum.field import Moves
 from splatrl.curriculum.planner import UNREACHABLE
+from splatrl.envs.transforms import FrameStack
 from splatrl.evaluation.starts import spread_starts
 from tests.envs.contract import base_env
 from tests.tiny import tiny_overrides
@@ -29,6 +30,19 @@ def test_a_goal_among_the_robots_that_none_reaches_is_not_said_to_lie_outside() 
         "task.goal: expected a pose that robots can reach, got [0.6, 0.4]; type another landmarks.goal, or another "
         "motion@task.motion"
     )
+
+
+def test_stacked_views_that_the_policy_does_not_read_are_refused() -> None:
+    cfg = load_config(["task=pointnav", "memory=stack"])
+    stack = instantiate(cfg.transforms.stack)
+    with pytest.raises(ValueError) as refused:
+        check_stack([stack], list(cfg.inputs))
+    assert str(refused.value) == (
+        "memory=stack: expected a policy that reads what is stacked, pixels, got one that reads depth, "
+        "pointgoal_with_gps_compass; type memory=gru, or add rgb to sensors=[...]"
+    )
+    check_stack([stack], ["pixels", "depth"])
+    check_stack([FrameStack(4, ("depth",))], ["depth"])
 
 
 def test_a_tenth_of_the_free_poses_may_be_cut_off_from_the_goal_and_more_are_warned_of(tmp_path: Path) -> None:

@@ -77,7 +77,7 @@ def test_demonstrations_without_an_observation_that_the_policy_reads_are_refused
         next(Imitation(ppo, cloner, world, lambda: [shown], DaggerSettings(0, 128, 1), 0)())
 
 
-def test_demonstrations_whose_actions_were_repeated_otherwise_are_refused(
+def test_demonstrations_with_other_actions_or_repeated_otherwise_are_refused(
     cfg: DictConfig, world: World, shown: Demonstrations
 ) -> None:
     ppo = make_ppo(cfg, world)
@@ -85,6 +85,9 @@ def test_demonstrations_whose_actions_were_repeated_otherwise_are_refused(
     refused = r"demos: expected each action to be carried out once, .* \(transforms\.skip\), got 4 times"
     with pytest.raises(ValueError, match=refused):
         next(Imitation(ppo, cloner, world, lambda: [replace(shown, repeats=4)], once, 0)())
+    others = replace(shown, action_names=("ahead", "stop"))
+    with pytest.raises(ValueError, match=r"actions \+x, .* and ahead, stop; type task, robot and scene as they were"):
+        next(Imitation(ppo, cloner, world, lambda: [others], once, 0)())
 
 
 def test_teachers_that_a_task_does_not_have_are_refused(tmp_path: Path) -> None:

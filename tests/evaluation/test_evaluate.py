@@ -8,7 +8,7 @@ from tensordict import TensorDictBase
 
 from splatrl.building import build_world
 from splatrl.configuration import load_config
-from splatrl.evaluation.evaluate import EvaluationSettings, evaluate
+from splatrl.evaluation.evaluate import EvaluationSettings, evaluate, summary_lines
 from splatrl.evaluation.pictures import Pictures
 from tests.tiny import tiny_overrides
 
@@ -35,5 +35,8 @@ def test_results_are_written_last_since_they_make_a_run_finished(
         with pytest.raises(KeyboardInterrupt):
             evaluate(world, ahead, CHECKPOINT, folder, SETTINGS, seed=0, video=False)
     assert (folder / "starts.png").is_file() and not (folder / "evaluation.json").exists()
-    _, files = evaluate(world, ahead, CHECKPOINT, folder, SETTINGS, seed=0, video=False)
+    summary, files = evaluate(world, ahead, CHECKPOINT, folder, SETTINGS, seed=0, video=False)
+    assert f"over 4 of {len(world.plan.start_rows):,} start poses" in summary_lines(summary)[0]
+    drawn = {key: value for key, value in summary.items() if key != "start_poses"}  # as of a task that draws its starts
+    assert "over 4 episodes" in summary_lines(drawn)[0]
     assert (folder / "evaluation.json").is_file() and all(file.is_file() for file in files)

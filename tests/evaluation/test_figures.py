@@ -19,7 +19,7 @@ from splatrl.evaluation import start_maps, training_figures
 from splatrl.evaluation.figure_style import GOAL, MISSED, PARTLY, REACHED
 from splatrl.evaluation.start_maps import start_map, success_map
 from splatrl.evaluation.topdown import MapView, TopDown
-from splatrl.evaluation.training_figures import learning_curve
+from splatrl.evaluation.training_figures import learning_curve, scene_bars
 
 GROUND = TopDown(torch.full((80, 120, 3), 200, dtype=torch.uint8), (-1.5, 1.5, -0.5, 1.5))
 PLACE = torch.tensor([0.3, 0.7, 0.5], dtype=torch.float64)
@@ -111,6 +111,22 @@ def test_what_has_no_values_is_left_out_of_a_learning_curve(drawn: list[Figure])
     learning_curve([{**row, "test_success": 0.5} for row in history], Path("unused.png"))
     assert [text.get_text() for text in drawn[1].legends[0].get_texts()] == ["test", "curriculum level"]
     assert len(drawn[1].axes) == 2 and not drawn[1].axes[0].texts
+
+
+def test_large_returns_are_written_whole_and_not_as_differences_from_an_offset(drawn: list[Figure]) -> None:
+    learning_curve([{"frames": 100.0 * n, "return": -123_400.0 - n} for n in range(1, 9)], Path("unused.png"))
+    drawn[0].draw_without_rendering()
+    axis = drawn[0].axes[1].yaxis
+    assert axis.get_offset_text().get_text() == ""
+    assert all(label.get_text().startswith("−1234") for label in axis.get_ticklabels())
+
+
+def test_names_of_scenes_are_shown_as_they_are(drawn: list[Figure]) -> None:
+    names = ["cost_$5_or_$6", r"a$\frac{$"]  # between dollars, matplotlib would read mathematics
+    scene_bars(names, [0.5, 0.2], Path("unused.png"))
+    drawn[0].draw_without_rendering()
+    labels = drawn[0].axes[0].get_yticklabels()
+    assert [label.get_text() for label in labels] == names and not any(label.get_parse_math() for label in labels)
 
 
 def test_the_suffix_sets_the_file_format(tmp_path: Path) -> None:
@@ -221,6 +237,15 @@ def test_cells_show_the_mean_over_headings_at_their_position(drawn: list[Figure]
     assert drawn[0].axes[0].get_title() == f"success by start position (all starts {success.double().mean():.1%})"
 
 
+def test_cells_far_apart_are_drawn_small_and_at_their_positions(drawn: list[Figure]) -> None:
+    planar = lattice() * torch.tensor([2.8, 2.8, 1.0], dtype=torch.float64)  # 0.7 m apart on a map of 3 m
+    success_map(planar, torch.ones(96, dtype=torch.bool), VIEW, Path("unused.png"))
+    heat = next(c for c in drawn[0].axes[0].collections if c.get_array() is not None)
+    centers = np.array([path.vertices[:-1].mean(0) for path in heat.get_paths()])
+    assert centers == pytest.approx(planar[::8, :2].numpy(), abs=1e-6)
+    assert np.ptp(heat.get_paths()[0].vertices[:, 0]) == pytest.approx(0.86 * 3.0 / 8)
+
+
 def test_a_map_is_in_metres_with_x_to_the_right_and_y_up(drawn: list[Figure]) -> None:
     success_map(lattice(), torch.ones(96, dtype=torch.bool), VIEW, Path("unused.png"))
     axes = drawn[0].axes[0]
@@ -273,9 +298,25 @@ def test_an_inset_shows_the_whole_place_and_the_window_of_the_map(drawn: list[Fi
     start_map(starts, done, replace(VIEW, overview=wide), Path("unused.png"))
     success_map(starts, done, replace(VIEW, overview=wide), Path("unused.png"))
     for figure in drawn:
-        inset = next(axes for axes in figure.axes[0].child_axes if "30 × 20 m" in axes.get_title())
+        inset = next(axes for axes in figure.axes[0].child_axes if "30 × 20 m" in axes.get_xlabel())
         assert inset.get_xlim() == (-15.0, 15.0) and inset.get_ylim() == (-5.0, 15.0)
         box = inset.patches[-1].get_bbox()
         assert (box.x0, box.x1, box.y0, box.y1) == GROUND.extent
     start_map(starts, done, VIEW, Path("unused.png"))
     assert not drawn[-1].axes[0].child_axes
+
+
+@pytest.mark.parametrize("sides", [(3.0, 1.0), (1.0, 3.0), (1.0, 1.0)])
+def test_what_stands_beside_a_map_has_its_size_whatever_the_shape_of_the_map(
+    sides: tuple[float, float], drawn: list[Figure]
+) -> None:
+    width, height = sides
+    ground = TopDown(torch.zeros(round(60 * height), round(60 * width), 3, dtype=torch.uint8), (0, width, 0, height))
+    view = MapView(ground, overview=TopDown(torch.zeros(60, 60, 3, dtype=torch.uint8), (-9.0, 9.0, -9.0, 9.0)))
+    success_map(lattice(), torch.ones(96, dtype=torch.bool), view, Path("unused.png"))
+    drawn[0].draw_without_rendering()
+    inset, scale = drawn[0].axes[0].child_axes
+    assert scale.bbox.width / drawn[0].dpi == pytest.approx(start_maps.SCALE)
+    assert inset.bbox.size / drawn[0].dpi == pytest.approx([start_maps.OVERVIEW] * 2)
+    assert not inset.get_tightbbox().overlaps(scale.get_tightbbox())
+    assert not inset.get_tightbbox().overlaps(drawn[0].axes[0].title.get_window_extent())

@@ -10,6 +10,7 @@ from splatrl.building import build_world
 from splatrl.commands import evaluate, train
 from splatrl.configuration import load_config, run_config
 from splatrl.evaluation.episode_sets import MOST_EPISODES
+from splatrl.evaluation.evaluate import summary_lines
 from splatrl.evaluation.starts import given_episodes
 from tests.tiny import tiny_overrides
 
@@ -33,7 +34,8 @@ def test_the_report_has_habitats_measures_and_the_episodes_are_saved(run: Path) 
     for key in (*MEASURES, *(f"{key}_argmax" for key in MEASURES)):
         assert report[key] >= 0.0, key
     assert report["success"] == report["success_rate"] and report["spl"] <= report["success"]
-    assert "step_spl" not in report
+    assert not {"step_spl", "start_poses", "longest_path"} & report.keys()  # each episode has its own start and goal
+    assert "over 6 episodes, each with its own goal" in summary_lines(report)[0]
     assert (run / "episodes.json.gz").is_file()
 
 

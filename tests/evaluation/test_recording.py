@@ -37,8 +37,9 @@ ACTIONS = [0, 4, 3], [4, 2, 4], [0, 0, 0]  # out of bounds; into the block; to t
 
 def test_each_recording_ends_where_its_own_episode_ends() -> None:
     policy = scripted(*ACTIONS)
-    recordings = record_episodes(tiny_env((3,)), policy, STARTS)
-    assert policy.step == 3  # as many steps as the longest episode
+    counted: list[int] = []
+    recordings = record_episodes(tiny_env((3,)), policy, STARTS, progress=counted.append)
+    assert policy.step == sum(counted) == 3  # as many steps as the longest episode
     assert [r.outcome for r in recordings] == [Outcome.OUT_OF_BOUNDS, Outcome.COLLISION, Outcome.GOAL]
     assert [r.action.tolist() for r in recordings] == [[0, 4, 3], [4, 2], [0]]
     for recording in recordings:

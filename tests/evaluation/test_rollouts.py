@@ -1,5 +1,6 @@
 """Running episodes from given starts."""
 
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDictBase
@@ -42,6 +43,18 @@ def test_the_planner_reaches_the_goal_from_every_start_in_the_fewest_steps(robot
     assert episodes.step_spl(shortest) == 1.0
     torch.testing.assert_close(episodes.episode_return, 50 - 0.2 * (shortest - 1).float())
     assert sum(finished) == len(some)
+
+
+def test_episodes_that_all_end_together_count_in_part_while_they_run() -> None:
+    counted: list[int] = []
+
+    def stays(td: TensorDictBase) -> TensorDictBase:
+        return td.set("action", torch.full((len(td),), 4))  # turns on the spot
+
+    episodes = run_episodes(tiny_env([8], max_steps=16), stays, starts()[:16], progress=counted.append)
+    assert (episodes.length == 16).all()
+    assert len(counted) == 32 and min(counted) >= 0 and sum(counted) == 16
+    assert np.abs(np.cumsum(counted) - np.linspace(0.5, 16, 32)).max() <= 1.0
 
 
 def test_the_planner_with_repeated_actions_reaches_the_goal_in_the_fewest_steps() -> None:

@@ -136,6 +136,17 @@ def test_a_map_of_a_room_ends_at_its_walls_and_has_no_overview() -> None:
     assert wide is None
 
 
+@pytest.mark.parametrize("along", [0, 1])
+def test_a_map_of_a_corridor_shows_what_is_beside_it(along: int) -> None:
+    floor = [torch.linspace(-5, 5, 41), torch.linspace(-0.3, 0.7, 5)]
+    places = torch.cartesian_prod(*floor).roll(along, 1).tolist()
+    poses = torch.tensor([[-4.0, 0.0], [4.0, 0.4]]).roll(along, 1).tolist()
+    (low, high), _ = map_window(blobs([((x, y, 0.0), 0.05, GREEN) for x, y in places]), *poses, below=1.5)
+    size = [b - a for a, b in zip(low, high, strict=True)]
+    assert size[along] == pytest.approx(10.0, abs=0.3) and size[1 - along] == pytest.approx(size[along] / 3.0)
+    assert low[1 - along] + high[1 - along] == pytest.approx(0.4, abs=0.1)
+
+
 def test_the_width_of_an_overview_is_limited_to_a_multiple_of_the_map() -> None:
     (low, high), wide = map_window(yard(1000.0), (-1.0, -1.0), (1.0, 1.0), below=1.5)
     assert wide is not None

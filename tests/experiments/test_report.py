@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from splatrl.experiments import Experiment
+from splatrl.experiments.curves import look
 from splatrl.experiments.report import write_joint_report, write_report
 from tests.experiments.made_up import finish, made_up
 
@@ -84,6 +85,10 @@ def test_curves_without_values_leave_their_panel_empty(tmp_path: Path, recwarn: 
     finish(experiment.runs[0], 0.9, tested=())
     write_report(experiment, "a machine")
     assert [str(each.message) for each in recwarn] == []  # of a layout that finds no room
+
+
+def test_fifteen_curves_of_one_figure_look_different() -> None:
+    assert len({(marker, *style.values()) for marker, style in map(look, range(15))}) == 15
 
 
 def test_a_report_without_a_finished_run_says_so(tmp_path: Path) -> None:

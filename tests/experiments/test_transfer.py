@@ -9,6 +9,7 @@ from omegaconf import OmegaConf
 from PIL import Image
 from tensordict import TensorDictBase
 
+from splatrl import waits
 from splatrl.building import build_one_world
 from splatrl.configuration import load_config, placed, run_config
 from splatrl.experiments import Experiment, Run, checked, planned, transfer
@@ -50,8 +51,9 @@ def test_every_policy_is_tested_in_every_scene(tmp_path: Path) -> None:
 
 
 def test_a_policy_that_repeats_actions_is_measured_by_the_steps_of_shortest_paths(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr(waits, "LONG", 0.0)
     cfg = load_config([*tiny_overrides(tmp_path), "transforms/skip=four"])
     world = build_one_world(cfg)
 
@@ -61,6 +63,7 @@ def test_a_policy_that_repeats_actions_is_measured_by_the_steps_of_shortest_path
     monkeypatch.setattr(transfer, "load_policy", lambda *given, **more: SimpleNamespace(policy=planner))
     rates = transfer.tested(tmp_path, cfg, world)
     assert rates["success_rate"] == rates["step_spl"] == 1.0
+    assert f"{tmp_path.name}:" in capsys.readouterr().err  # on the bar of a test that takes long
 
 
 def test_a_policy_keeps_its_network_and_takes_the_robot_and_goal_of_the_test_place(tmp_path: Path) -> None:

@@ -35,6 +35,8 @@ KINDS: dict[str, list[str]] = {
     "sensors": [
         "task=pointnav",
         "sensors=[rgb,depth,lidar,contact,pointgoal]",
+        "sensors.lidar.field_deg=180",
+        "sensors.lidar.elevation_deg=-5",
         "memory=stack",
         "network.memory=24",
     ],
@@ -103,7 +105,10 @@ def test_onnxruntime_computes_what_pytorch_does(kind: str, exported: Callable[[s
     sensors = json.loads(facts["sensors"])
     assert list(sensors) == [name for name in observed if name != "pixels"]
     if kind == "sensors":
-        assert sensors["depth"]["farthest"] == 10.0 and sensors["lidar"]["is"].startswith("A planar scan")
+        assert sensors["depth"]["farthest"] == 10.0
+        lidar = sensors["lidar"]
+        assert lidar.pop("is").startswith("A planar scan")
+        assert lidar == {"beams": 64, "field_deg": 180.0, "elevation_deg": -5.0, "reach": 10.0}
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from splatrl import waits
 from splatrl.scenes.cache import DAY, _warn_unwritable, cache_dir, cached_arrays
 
 ARRAYS = {"a": np.arange(6).reshape(2, 3), "b": np.array(0.5)}
@@ -41,6 +42,22 @@ def test_arrays_are_built_once_and_kept_in_one_file(folder: Path) -> None:
     assert_arrays(cached_arrays("x-1", build))
     assert build.calls == 1
     assert [entry.name for entry in folder.iterdir()] == ["x-1.npz"]
+
+
+def test_arrays_that_take_long_to_build_are_announced(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(waits, "LONG", 0.0)
+    told = [""]
+
+    def build() -> dict[str, np.ndarray]:
+        while not told[-1] and len(told) < 10_000:
+            time.sleep(0.001)
+            told.append(capsys.readouterr().err)
+        return ARRAYS
+
+    cached_arrays("levels-1", build)
+    assert told[-1] == f"computing levels, which takes long only once: the result is kept in {folder}\n"
 
 
 @pytest.mark.parametrize("size", [0, 10, 150, -20])

@@ -9,6 +9,7 @@ import pytest
 import torch
 from omegaconf import DictConfig
 
+from splatrl import waits
 from splatrl.building import build_model, build_trainer, build_world
 from splatrl.configuration import load_config
 from splatrl.envs.world import World, Worlds
@@ -82,8 +83,12 @@ def test_a_policy_that_reads_anything_else_is_refused(tmp_path: Path) -> None:
 
 
 def test_matching_frames_count_and_come_before_all_others(
-    made: tuple[DictConfig, World | Worlds], tmp_path: Path
+    made: tuple[DictConfig, World | Worlds],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.setattr(waits, "LONG", 0.0)
     cfg = made[0].copy()
     cfg.merge_with_dotlist(
         ["matching.frames=64", "matching.pairs=256", "env.num_envs=16", "collector.total_frames=256"]
@@ -95,6 +100,7 @@ def test_matching_frames_count_and_come_before_all_others(
     first, second, third = trainer.history
     assert [row["frames"] for row in trainer.history] == [64, 128, 256]
     assert "loss_matching" in first and "loss_cloning" in second and "loss_objective" in third
+    assert "test:   0%" in capsys.readouterr().err  # on the bar of a test that takes long
 
 
 def test_a_training_stopped_after_matching_continues_there_with_the_same_bytes(

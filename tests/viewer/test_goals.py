@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from splatrl.viewer.driving import Driving
 from splatrl.viewer.goals import whereabouts
 from splatrl.viewer.page import Page
 from splatrl.viewer.robot import enlarged, rgb
+from splatrl.viewer.takes import Takes
 
 
 @pytest.mark.parametrize(
@@ -58,3 +60,10 @@ def test_a_moving_target_is_shown_at_its_position_and_a_task_without_memory_show
     assert apple.position[:2] == pytest.approx(target[:2].tolist()) and "object" in driving.status.content
     plain = Driving(page, world)
     assert plain.goals.nodes == [] and "\n" not in plain.status.content
+
+
+def test_a_recording_shows_the_goal_that_all_episodes_have_in_common(page: Page, world: World, tmp_path: Path) -> None:
+    driving = Driving(page, world, takes=Takes(world, tmp_path, {}), wanted=1)
+    (goal,), (mark,) = driving.goals.nodes, world.task.marks()
+    assert goal.position[:2] == pytest.approx(mark.planar[:2].tolist())
+    assert f"{mark.name} " in driving.status.content

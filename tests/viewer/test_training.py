@@ -1,5 +1,6 @@
 """The viewer shows a training while it runs, and a trained policy."""
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -36,7 +37,10 @@ def train(room: Path, name: str, watched: bool = False) -> Path:
     trainer.fit()
     if watched:
         until(lambda: view.played > 8, "robots that move")
-        assert "frames 512" in view.status.content and "test success" in view.status.content
+        assert "frames 512\n- level " in view.status.content and "test success" in view.status.content
+        view.note({"frames": 640.0, "success": math.nan})  # no episode has ended, and there was no test
+        assert "frames 640" in view.status.content and "test success" in view.status.content
+        assert "nan" not in view.status.content
         visitor.close()
         view.close()
         page.close()

@@ -38,6 +38,7 @@ class Lidar(PlainSensor):
         require_number("sensors.lidar.reach", reach, 1e-3, 1e6)
         require_number("sensors.lidar.elevation_deg", elevation_deg, -90.0, 90.0)
         self.reach = float(reach)
+        self.beams, self.field_deg, self.elevation_deg = beams, float(field_deg), float(elevation_deg)
         gaps = beams if field_deg == 360.0 else max(beams - 1, 1)
         azimuth = torch.deg2rad(torch.arange(beams, dtype=torch.float64) * field_deg / gaps - field_deg / 2)
         up = math.radians(elevation_deg)
@@ -46,8 +47,7 @@ class Lidar(PlainSensor):
 
     def spec(self, robot: Robot) -> TensorSpec:
         """Return the spec of one range per beam."""
-        count = len(self._beams[torch.device("cpu")])
-        return Bounded(0.0, self.reach, shape=(count,), dtype=torch.float32)
+        return Bounded(0.0, self.reach, shape=(self.beams,), dtype=torch.float32)
 
     def read(self, moment: Moment) -> Tensor:
         """Return the range of each beam: [B, beams] float32, metres."""

@@ -1,12 +1,13 @@
 """Latency of views and actions."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
+from splatrl.envs.drawing.depth_drawing import VIEW_DEPTH
 from splatrl.envs.transforms.randomness import RandomTransform
 from splatrl.values import are_numbers, require_number
 
@@ -14,7 +15,8 @@ MOST = 64
 """Maximum delay, steps."""
 NO_FLOAT, NO_CHOICE = 1e9, -1
 """Placeholders, for continuous and discrete actions, of an action not chosen yet; they lie outside any action space."""
-LATE = ("latency", "late_pixels", "late_action")
+VIEWS = ("pixels", "depth", VIEW_DEPTH)
+"""Keys of what the camera sees: its image, what its depth sensor reads, and the depth that weather needs."""
 
 
 class Latency(RandomTransform):
@@ -22,13 +24,14 @@ class Latency(RandomTransform):
 
     Real cameras and links have varying latency (GaussGym also draws both delays per episode). Until an episode has an
     action that is old enough, its first action is carried out; until it has a view that is old enough, its first view
-    is shown. Rewards, termination and other sensor readings are not delayed.
+    is shown. A view is everything in ``VIEWS`` that is observed: depth comes from the same camera, and is as late as
+    ``pixels``. Rewards, termination and other sensor readings are not delayed.
 
     It adds to the observation ``latency`` [B, 2] int64, delays of camera and action in this episode, steps;
-    ``late_pixels`` [B, C + 1, H, W, 3] uint8, the latest views in the order in which they were taken, where C is the
-    camera's maximum delay; and ``late_action`` [B, A, ...], the latest actions chosen, where A is the action's maximum
-    delay. A reset to a given state together with these values continues the episode. Since nothing is kept outside the
-    TensorDict, rows do not depend on each other.
+    ``late_pixels`` [B, C + 1, H, W, 3] uint8 (and ``late_depth`` likewise, if depth is observed), the latest views in
+    the order in which they were taken, where C is the camera's maximum delay; and ``late_action`` [B, A, ...], the
+    latest actions chosen, where A is the action's maximum delay. A reset to a given state together with these values
+    continues the episode. Since nothing is kept outside the TensorDict, rows do not depend on each other.
 
     Args:
         camera: minimum and maximum delay of views, steps.
@@ -40,7 +43,7 @@ class Latency(RandomTransform):
     """
 
     def __init__(self, camera: Sequence[int] = (0, 1), action: Sequence[int] = (0, 1), seed: int = 0):
-        super().__init__(seed, out_keys=["pixels", *LATE])
+        super().__init__(seed, out_keys=["pixels", "late_pixels", "latency", "late_action"])
         for name, pair in (("camera", camera), ("action", action)):
             if not are_numbers(pair, 2):
                 raise ValueError(f"latency.{name}: expected the lowest and the highest delay, got {pair}")
@@ -61,24 +64,25 @@ class Latency(RandomTransform):
         return tensordict.set("late_action", chain[:, 1:].clone())
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        view = next_tensordict["pixels"].unsqueeze(1)
-        views = torch.cat([tensordict["late_pixels"][:, 1:], view], 1)
+        views = {
+            key: torch.cat([tensordict[_late(key)][:, 1:], next_tensordict[key].unsqueeze(1)], 1)
+            for key in _viewed(next_tensordict)
+        }
         kept = {key: tensordict[key].clone() for key in ("latency", "late_action")}
         return self._shown(next_tensordict, views, kept["latency"]).update(kept)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        view, batch = tensordict_reset["pixels"], tensordict_reset.batch_size
-        options = {"generator": self.generator, "device": view.device}
+        batch, device = tensordict_reset.batch_size, tensordict_reset["pixels"].device
+        options = {"generator": self.generator, "device": device}
         drawn = [torch.randint(low, high + 1, batch, **options) for low, high in zip(self.low, self.high, strict=True)]
         spec = self.parent.full_action_spec["action"] if self.parent is not None else None
         assert spec is not None, "latency: expected a parent env, found none"
         shape = (batch[0], self.high[1], *spec.shape[1:])
-        late = torch.full(shape, _none_of(spec.dtype), dtype=spec.dtype, device=view.device)
-        values = {
-            "latency": torch.stack(drawn, -1),
-            "late_pixels": view.unsqueeze(1).repeat(1, self.high[0] + 1, 1, 1, 1),
-            "late_action": late,
-        }
+        late = torch.full(shape, _none_of(spec.dtype), dtype=spec.dtype, device=device)
+        viewed, values = _viewed(tensordict_reset), {"latency": torch.stack(drawn, -1), "late_action": late}
+        for key in viewed:
+            view = tensordict_reset[key].unsqueeze(1)
+            values[_late(key)] = view.repeat(1, self.high[0] + 1, *[1] * (view.ndim - 2))
         goes_on = tensordict_reset["level"] == -1  # level -1 marks a given state, whose past is given with it
         for key in values:
             given = tensordict.get(key, None)
@@ -86,11 +90,13 @@ class Latency(RandomTransform):
                 mask = goes_on.view(-1, *[1] * (values[key].ndim - 1))
                 values[key] = torch.where(mask, given, values[key])
         tensordict_reset.set("late_action", values["late_action"]).set("latency", values["latency"])
-        return self._shown(tensordict_reset, values["late_pixels"], values["latency"])
+        return self._shown(tensordict_reset, {key: values[_late(key)] for key in viewed}, values["latency"])
 
     @staticmethod
-    def _shown(tensordict: TensorDictBase, views: Tensor, latency: Tensor) -> TensorDictBase:
-        return tensordict.set("late_pixels", views).set("pixels", _taken(views, latency[:, 0]))
+    def _shown(tensordict: TensorDictBase, views: Mapping[str, Tensor], latency: Tensor) -> TensorDictBase:
+        for key, taken in views.items():
+            tensordict.set(_late(key), taken).set(key, _taken(taken, latency[:, 0]))
+        return tensordict
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Change nothing: recorded views are already delayed."""
@@ -108,12 +114,24 @@ class Latency(RandomTransform):
     def _with_late(self, spec: Composite, observed: Composite) -> Composite:
         assert self.parent is not None
         action, spec = self.parent.full_action_spec["action"], spec.clone()
-        views = (spec.shape[0], self.high[0] + 1, *observed["pixels"].shape[1:])
+        for key in _viewed(observed):
+            one = observed[key]
+            shape = (spec.shape[0], self.high[0] + 1, *one.shape[1:])
+            spec[_late(key)] = Unbounded(shape=shape, dtype=one.dtype, device=spec.device)
         actions = (spec.shape[0], self.high[1], *action.shape[1:])
         spec["latency"] = Unbounded(shape=(*spec.shape, 2), dtype=torch.int64, device=spec.device)
-        spec["late_pixels"] = Unbounded(shape=views, dtype=torch.uint8, device=spec.device)
         spec["late_action"] = Unbounded(shape=actions, dtype=action.dtype, device=spec.device)
         return spec
+
+
+def _viewed(observed: TensorDictBase | Composite) -> list[str]:
+    """Return the keys of what is observed of the camera's views."""
+    return [key for key in VIEWS if key in observed.keys()]  # noqa: SIM118, neither is a dict
+
+
+def _late(key: str) -> str:
+    """Return the key of the latest views."""
+    return f"late_{key}"
 
 
 def _none_of(dtype: torch.dtype) -> float | int:

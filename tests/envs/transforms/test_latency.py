@@ -9,10 +9,14 @@ from torchrl.envs import Compose, EnvBase, TransformedEnv
 
 from splatrl.building import build_one_world
 from splatrl.configuration import load_config
-from splatrl.envs.transforms import FrameSkip, Latency
+from splatrl.curriculum import Curriculum
+from splatrl.envs import SplatEnv
+from splatrl.envs.drawing import DepthDrawing, SceneDrawing
+from splatrl.envs.sensors import Depth
+from splatrl.envs.transforms import FrameSkip, Latency, Weather
 from tests.envs.transforms.test_contract import TransformedContract
-from tests.envs.transforms.views import seeing_env
-from tests.tiny import tiny_overrides
+from tests.envs.transforms.views import renderer, seeing_env
+from tests.tiny import BlockChecker, tiny_overrides, tiny_plan, tiny_robot, tiny_task
 
 
 def late(camera: tuple[int, int], action: tuple[int, int], batch: int = 3, seed: int = 0) -> TransformedEnv:
@@ -59,6 +63,35 @@ def test_views_are_those_of_earlier_steps_and_at_first_the_first_view() -> None:
     for step, view in enumerate(late_views):
         assert torch.equal(view, seen[max(step - 2, 0)]), step
     assert not torch.equal(seen[1], seen[0])
+
+
+def fogged(camera: tuple[int, int]) -> EnvBase:
+    """Make an env with a depth sensor, whose views come late and are in dense fog."""
+    robot = tiny_robot()
+    drawing = DepthDrawing(SceneDrawing(renderer()), robot.image_height, robot.image_width)
+    curriculum = Curriculum(tiny_plan(), None)
+    env = SplatEnv(drawing, BlockChecker(), robot, tiny_task(8), curriculum, [3], sensors={"depth": Depth()})
+    weather = Weather(fog=2.0, dusk=0.0, sun=0.0, rain=0.0, snow=0.0, wet=0.0, often=1.0)
+    return TransformedEnv(env, Compose(Latency(camera, (0, 0)), weather))
+
+
+def test_depth_and_the_fog_that_depends_on_it_are_as_late_as_the_image() -> None:
+    now, then = fogged((0, 0)), fogged((2, 2))
+    start = now.reset().select("state", "weather").clone()
+    plain, delayed = (env.reset(start.clone(), set_state=True) for env in (now, then))
+    on_time = [plain]
+    for step in range(1, 5):
+        action = torch.full((3,), 4 + step % 2)  # they turn, so that each view differs
+        plain, delayed = (
+            env.step(td.set("action", action.clone()))["next"] for env, td in ((now, plain), (then, delayed))
+        )
+        on_time.append(plain)
+        for key in ("pixels", "depth"):
+            assert torch.equal(delayed[key], on_time[max(step - 2, 0)][key]), (step, key)
+    assert not torch.equal(on_time[1]["depth"], on_time[0]["depth"])
+    again = then.reset(delayed.clone(), set_state=True)
+    for key in ("late_pixels", "late_depth", "late_view_depth", "depth", "pixels"):
+        assert torch.equal(again[key], delayed[key]), key
 
 
 def test_actions_are_those_of_earlier_steps_and_at_first_the_first_action() -> None:
