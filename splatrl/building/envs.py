@@ -10,8 +10,8 @@ from torchrl.envs import EnvBase
 from splatrl.building.instantiation import instantiate
 from splatrl.building.worlds import build_world
 from splatrl.configuration import check_texts, load_config
-from splatrl.envs.given import check_batch_size, check_default_dtype
 from splatrl.envs.stateful_env import StatefulEnv
+from splatrl.envs.validation import check_batch_size, check_default_dtype
 from splatrl.values import checked_seed, require_number
 
 

@@ -13,20 +13,9 @@ from torchrl.envs import Transform
 from tqdm import tqdm
 
 from splatrl.bodies import Body
+from splatrl.building.cost_cache import remembering
 from splatrl.building.instantiation import instantiate
-from splatrl.collision import NativeChecker, Occupancy
-from splatrl.collision.base import Checker
-from splatrl.collision.report import NOTHING_SOLID
-from splatrl.configuration import check_config, place_configs
-from splatrl.cost_cache import remembering
-from splatrl.curriculum import NoPath, Plan, plan
-from splatrl.device import KINDS
-from splatrl.envs.drawing import Drawing
-from splatrl.envs.robot import Robot
-from splatrl.envs.sensors import Sensor
-from splatrl.envs.tasks import Task
-from splatrl.envs.world import World, Worlds
-from splatrl.misfits import (
+from splatrl.building.misfits import (
     check_goal,
     check_height,
     warn_of_cut_off,
@@ -34,6 +23,17 @@ from splatrl.misfits import (
     warn_of_no_floor,
     warn_of_uncaptured,
 )
+from splatrl.collision import NativeChecker, Occupancy
+from splatrl.collision.base import Checker
+from splatrl.collision.report import NOTHING_SOLID
+from splatrl.configuration import check_config, place_configs
+from splatrl.curriculum import NoPath, Plan, plan
+from splatrl.device import KINDS
+from splatrl.envs.drawing import Drawing
+from splatrl.envs.robot import Robot
+from splatrl.envs.sensors import Sensor
+from splatrl.envs.tasks import Task
+from splatrl.envs.world import World, Worlds
 from splatrl.motions import Site
 from splatrl.native.threads import threads_of
 from splatrl.scenes.scene import Bounds, Scene, content_of

@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from splatrl.building.envs import worker_seed
 from splatrl.building.instantiation import instantiate
+from splatrl.building.misfits import check_stack, warn_of_unknown_goal
 from splatrl.configuration import with_absolute_paths
 from splatrl.datasets import (
     Demonstrations,
@@ -31,7 +32,6 @@ from splatrl.evaluation.rollouts import run_episodes
 from splatrl.evaluation.starts import spread_starts
 from splatrl.files import expanded
 from splatrl.made_with import made_with
-from splatrl.misfits import check_stack, warn_of_unknown_goal
 from splatrl.training import (
     KEPT,
     PPO,

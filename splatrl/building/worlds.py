@@ -17,8 +17,8 @@ from splatrl.envs.drawing import Drawing
 from splatrl.envs.sensors.base import check_sensors
 from splatrl.envs.transforms import FrameSkip
 from splatrl.envs.world import World, Worlds
+from splatrl.per_scene import stacked
 from splatrl.renderers.one_scene import OneScene
-from splatrl.several import stacked
 from splatrl.training import memory_transforms
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from splatrl.capture.lens import Lens
+
 
 class CaptureError(ValueError):
     """Raised where a capture cannot become a scene; the message says what is wrong, with figures, and what to do."""
@@ -95,9 +97,7 @@ class Reconstruction:
             photos, whose order may mean nothing, and for poses that were known.
         mask: as in ``Photos``, without lens distortion.
         numbers: [N] int64, which of the given photos the images are; None where unknown.
-        camera: [8] float64, OpenCV's fx, fy, cx, cy, k1, k2, p1, p2 of the photos before their lens distortion was
-            removed, or k1, k2, k3, k4 at the end of a fisheye's; None where they had none.
-        fisheye: whether ``camera`` is a fisheye.
+        lens: lens of the photos before its distortion was removed; None where it had none.
     """
 
     paths: list[Path]
@@ -121,8 +121,7 @@ class Reconstruction:
     carried: Tensor | None = None
     mask: Path | None = None
     numbers: Tensor | None = None
-    camera: Tensor | None = None
-    fisheye: bool = False
+    lens: Lens | None = None
 
     def K_at(self, width: int, height: int) -> Tensor:
         """Return the intrinsics [3, 3] float64 for these images at another size."""

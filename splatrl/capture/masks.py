@@ -55,7 +55,7 @@ def masks_of(moving: Tensor, found: Reconstruction, photos: Photos) -> Masks | N
             pixels[row] = pixels[max(row - 1, 0)] | pixels[min(row + 1, len(pixels) - 1)]
     grown = ndimage.binary_dilation(pixels, np.ones((1, 3, 3)), iterations=GROWN)
     shown = np.zeros((len(photos.paths), *pixels.shape[1:]), bool)
-    shown[found.numbers.numpy()] = distorted(grown, (photos.width, photos.height), found)
+    shown[found.numbers.numpy()] = distorted(grown, found)
     if photos.moving is None:
         return shown
     height, width = shown.shape[1:]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from splatrl.capture.base import CaptureError, Photos, unless_forced
 from splatrl.capture.depth_points import with_measured_points
-from splatrl.capture.lens import straightened
+from splatrl.capture.fisheye import straightened
 from splatrl.capture.poses import find_poses
 from splatrl.capture.progress import Progress, Say
 from splatrl.capture.quarters import how_turned

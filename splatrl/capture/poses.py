@@ -13,6 +13,7 @@ from splatrl.capture.base import CaptureError, Photos, Reconstruction
 from splatrl.capture.carrying import carried
 from splatrl.capture.child import run_child
 from splatrl.capture.job import Job, write_job
+from splatrl.capture.lens import Lens
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.stages import Stages, fingerprint
 from splatrl.capture.undistort import undistorted
@@ -151,23 +152,21 @@ def _reconstruction(
     photos: Photos, model: dict[str, np.ndarray], stages: Stages, exact_camera: bool, progress: Progress
 ) -> Reconstruction:
     images = model["images"].tolist()
-    fx, fy, cx, cy = model["camera"][:4].tolist()
-    K = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
-    paths, mask = [photos.paths[number] for number in images], photos.mask
-    camera, ending, fisheye = None, _ending(photos), bool(model["fisheye"])
+    fx, fy, cx, cy, *distortion = model["camera"].tolist()
+    lens = Lens(photos.width, photos.height, fx, fy, cx, cy, tuple(distortion), bool(model["fisheye"]))
+    paths, mask, ending = [photos.paths[number] for number in images], photos.mask, _ending(photos)
+    straight = lens
     if not exact_camera:
-        size, distortion = (photos.width, photos.height), model["camera"][4:]
-        camera = _tensor(model, "camera") if distortion.any() else None
         if mask is not None:
-            (mask,), _ = undistorted([mask], size, K, distortion, stages, f"undistorted_mask{ending}", fisheye=fisheye)
-        paths, K = undistorted(paths, size, K, distortion, stages, f"undistorted{ending}", progress, fisheye)
+            (mask,), _ = undistorted([mask], lens, stages, f"undistorted_mask{ending}")
+        paths, straight = undistorted(paths, lens, stages, f"undistorted{ending}", progress)
     film = not photos.files and photos.camera_to_world is None
     seen = model["points"], model["seen_point"], model["seen_by"]
     return Reconstruction(
         paths=paths,
         width=photos.width,
         height=photos.height,
-        K=K,
+        K=torch.from_numpy(straight.K(straight.size)),
         camera_to_world=_tensor(model, "camera_to_world"),
         points=_tensor(model, "points"),
         colors=_tensor(model, "colors"),
@@ -184,8 +183,7 @@ def _reconstruction(
         carried=torch.from_numpy(carried(model["camera_to_world"][:, :3, 3], *seen)) if film else None,
         mask=mask,
         numbers=_tensor(model, "images"),
-        camera=camera,
-        fisheye=fisheye,
+        lens=lens if straight != lens else None,
     )
 
 

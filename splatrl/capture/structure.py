@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from splatrl.capture.fisheye import FISHEYE
 from splatrl.capture.job import DATABASE, Job, read_job, tell
-from splatrl.capture.lens import FISHEYE
 from splatrl.capture.loops import loop_pairs
 from splatrl.capture.mapping import find_cameras, joined, mapping_options
 from splatrl.capture.pairing import PAIRS, match_pairs

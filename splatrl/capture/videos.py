@@ -13,7 +13,7 @@ from PIL import Image
 from splatrl import images
 from splatrl.capture.base import CaptureError
 from splatrl.decoding import Damage, decoded, interval
-from splatrl.high_range import usual_range
+from splatrl.hdr import usual_range
 
 if TYPE_CHECKING:
     from av import VideoFrame

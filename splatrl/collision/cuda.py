@@ -11,7 +11,7 @@ from splatrl.collision.native import check_pairs, check_shape, collider, corner_
 from splatrl.collision.occupancy import Occupancy
 from splatrl.collision.rays import check_beams, check_reach, room_around
 from splatrl.collision.voxel_grid import checked_points
-from splatrl.faults import FaultFlag
+from splatrl.device_faults import FaultFlag
 from splatrl.native.cuda.kernels import CudaKernels, Load, uploaded
 
 BLOCK_THREADS = 256

@@ -9,7 +9,7 @@ from torch import Tensor
 from splatrl.bodies import Body
 from splatrl.collision.base import Checker
 from splatrl.collision.native import NativeChecker, NativeQueries
-from splatrl.faults import Faulty
+from splatrl.device_faults import Faulty
 from splatrl.native import _core
 
 

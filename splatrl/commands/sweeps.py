@@ -6,13 +6,12 @@ from pathlib import Path
 
 from hydra.conf import HydraConf
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from splatrl.building import scene_digest
 from splatrl.commands.entries import TYPED
 from splatrl.configuration import RUN_CONFIG, quoted
 from splatrl.configuration.sweep_folders import SWEEP_DIR, check_same
-from splatrl.experiments.experiment import Run
 from splatrl.experiments.folders import changes, evaluation, status
 
 PLAIN = re.compile(r"[\w./+-]+")
@@ -31,12 +30,9 @@ def earlier(cfg: DictConfig, folder: Path) -> float | None:
     """
     if not (folder / RUN_CONFIG).exists():
         return None
-    settings = OmegaConf.to_container(cfg)
-    assert isinstance(settings, dict), type(settings)
-    run = Run("", "", "", cfg.seed, folder, (), {str(key): value for key, value in settings.items()})
-    check_same(folder, changes(run, scene_digest))
-    if (found := status(run)) == "finished":
-        return float(evaluation(run)["success_rate"])
+    check_same(folder, changes(folder, cfg, scene_digest))
+    if (found := status(folder, cfg)) == "finished":
+        return float(evaluation(folder)["success_rate"])
     if found == "begun":
         cfg.resume = str(folder)
     return None

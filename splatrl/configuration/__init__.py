@@ -1,10 +1,11 @@
 """Hydra configs: composing them from the command line, checking them, and storing them in run folders."""
 
 from splatrl.configuration.checking import check_config, check_constructors, check_values
-from splatrl.configuration.command_line import UserError, command_line
+from splatrl.configuration.command_line import command_line
 from splatrl.configuration.differences import differences, differences_from_run
 from splatrl.configuration.elsewhere import config_elsewhere, moves_scene, placed, says_where, words_of_place
 from splatrl.configuration.grammar import quoted
+from splatrl.configuration.loading import check_texts, job_config, load_config, with_scene_paths
 from splatrl.configuration.places import place_configs, place_names
 from splatrl.configuration.run_configs import (
     RUN_CONFIG,
@@ -23,8 +24,8 @@ from splatrl.configuration.run_files import (
     with_absolute_paths,
     with_values,
 )
-from splatrl.configuration.scene_choice import check_texts, job_config, load_config, with_scene_paths
 from splatrl.configuration.search_path import conf_dir, is_group, options
+from splatrl.configuration.typed_words import UserError
 
 __all__ = [
     "NAMES_OR_PATHS",

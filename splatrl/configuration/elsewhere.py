@@ -10,6 +10,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from splatrl.configuration.checking import check_constructors
 from splatrl.configuration.grammar import overrides_parser, quoted, written
+from splatrl.configuration.known_keys import has_key
+from splatrl.configuration.loading import load_config, load_job
 from splatrl.configuration.places import place_configs
 from splatrl.configuration.run_configs import run_config
 from splatrl.configuration.run_files import (
@@ -20,7 +22,7 @@ from splatrl.configuration.run_files import (
     set_value,
     with_absolute_paths,
 )
-from splatrl.configuration.scene_choice import has_key, load_config, load_job, without_proposals
+from splatrl.configuration.scene_proposals import without_proposals
 from splatrl.configuration.search_path import composed
 from splatrl.documents import read_yaml
 from splatrl.values import flat

@@ -24,20 +24,21 @@ def check_key(key: str, known: Sequence[Mapping[str, DictConfig]]) -> None:
             that are valid in its place.
     """
     for configs in known:
-        without = [choice for choice, cfg in configs.items() if not _has(cfg, key)]
+        without = [choice for choice, cfg in configs.items() if not has_key(cfg, key)]
         if 0 < len(without) < len(configs):
             raise ValueError(
                 f"{key}: no such key with {', '.join(without)}; run that choice separately, without the key"
             )
     cfg = next(iter(known[0].values()))
-    if not _has(cfg, key):
+    if not has_key(cfg, key):
         _refuse(key, cfg)
 
 
-def _has(cfg: DictConfig, key: str) -> bool:
+def has_key(cfg: DictConfig, key: str) -> bool:
+    """Whether a config has a key, even one without a value."""
     parents, _, leaf = key.rpartition(".")
     node = value_of(cfg, parents) if parents else cfg
-    return isinstance(node, DictConfig) and leaf in list(node)
+    return isinstance(node, DictConfig) and leaf in list(node)  # "in node" is false for keys without a value
 
 
 def _refuse(key: str, known: DictConfig) -> NoReturn:

@@ -18,9 +18,9 @@ from omegaconf.errors import OmegaConfBaseException
 
 from splatrl.configuration.checking import check_constructors
 from splatrl.configuration.grammar import overrides_parser, quoted
+from splatrl.configuration.known_keys import has_key
 from splatrl.configuration.run_files import set_value, with_absolute_paths
-from splatrl.configuration.scene_choice import has_key, load_config
-from splatrl.configuration.search_path import is_group
+from splatrl.configuration.search_path import composed, is_group
 from splatrl.documents import read_config
 from splatrl.files import replacing, require_room
 
@@ -172,7 +172,7 @@ def run_config(folder: Path, allow_targets: Sequence[str] = ()) -> DictConfig:
     cfg = read_config(path)
     try:
         cfg.allow_targets = list(allow_targets)
-        _check_sections(cfg, load_config())
+        _check_sections(cfg, composed([], "train"))
         check_constructors(cfg)
     except (OmegaConfBaseException, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error

@@ -6,7 +6,8 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 
 from splatrl.configuration.grammar import written
-from splatrl.configuration.scene_choice import has_key, is_path, path_of_scene
+from splatrl.configuration.known_keys import has_key
+from splatrl.configuration.scene_choice import is_path, path_of_scene
 from splatrl.files import expanded
 
 PATHS = ("scene.path", "collision.occupancy.cloud", "demos", "evaluation.episodes", "task.motion.looks")

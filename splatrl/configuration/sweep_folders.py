@@ -14,8 +14,8 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, open_dict
 
 from splatrl.configuration.differences import differences_from_run
+from splatrl.configuration.loading import job_config
 from splatrl.configuration.run_configs import RUN_CONFIG
-from splatrl.configuration.scene_choice import job_config
 
 SWEEP_DIR = "hydra.sweep.dir"
 

@@ -1,6 +1,7 @@
 """Geodesic distances from any place on the ground to goals, along the shortest way that a body fits through."""
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from torch import Tensor, nn
 from splatrl.bodies import Box
 from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum.ground import Ground
-from splatrl.several import rows_of, stacked
+from splatrl.per_scene import rows_of, stacked
 
 MOST_DISTANCES = 2**29
 """Most distances, nodes times goals, to the goals of one scene or those of a file: each takes 4 bytes."""
@@ -70,6 +71,11 @@ class Geodesics(nn.Module):
     def round(self) -> bool:
         """Whether the body is round about z, so that it can turn wherever it fits."""
         return not isinstance(self.grounds[0].checker.body, Box)
+
+    @cached_property
+    def _checkers(self) -> SeveralCheckers:
+        """The checkers of all scenes."""
+        return SeveralCheckers([each.checker for each in self.grounds])
 
     def _keep(self, name: str, values: NDArray[Any]) -> None:
         self.register_buffer(name, torch.from_numpy(values), persistent=False)
@@ -195,9 +201,8 @@ class Geodesics(nn.Module):
         """
         scene = (torch.searchsorted(self.begins, goal, right=True) - 1).repeat_interleave(start.shape[1])
         motion = rows_of(self.motion, scene)
-        checker = SeveralCheckers([each.checker for each in self.grounds]).at(scene)
         begins, ends = start.flatten(0, 1), end.flatten(0, 1)
-        touched = checker.sweeps(motion.body_to_world(begins), motion.body_to_world(ends))
+        touched = self._checkers.at(scene).sweeps(motion.body_to_world(begins), motion.body_to_world(ends))
         return (motion.inside(ends) & ~touched).view(start.shape[:2])
 
     def reachable(self, place: Tensor, goal: Tensor) -> Tensor:

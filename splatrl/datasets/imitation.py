@@ -19,7 +19,7 @@ from splatrl.envs.nesting import set_state, state_of
 from splatrl.envs.world import World, Worlds
 from splatrl.files import replacing
 from splatrl.training import PPO, Cloner, DaggerSettings, targets, visited
-from splatrl.training.room import with_room
+from splatrl.training.device_memory import with_room
 
 
 class Imitation:

@@ -12,8 +12,8 @@ from torch import Tensor
 from torchrl.data import Bounded, Categorical, TensorSpec
 from torchrl.envs import EnvBase
 
+from splatrl.device_faults import Faulty
 from splatrl.envs.nesting import check_layers, layers
-from splatrl.faults import Faulty
 
 Pixels = npt.NDArray[np.uint8]
 Observation = Pixels | dict[str, npt.NDArray[Any]]

@@ -12,11 +12,11 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from splatrl.curriculum.starts import Curriculum
-from splatrl.envs.given import check_memory, check_seeds, given_scene, given_state
 from splatrl.envs.lattice_steps import LatticeSteps
 from splatrl.envs.restart import with_rows
 from splatrl.envs.rules import Rules, Start
 from splatrl.envs.tasks.base import Anywhere
+from splatrl.envs.validation import check_memory, check_seeds, given_scene, given_state
 
 
 class Lifecycle(NamedTuple):

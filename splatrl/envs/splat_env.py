@@ -13,13 +13,8 @@ from splatrl.collision.base import Checker
 from splatrl.collision.nothing import NoChecker
 from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum.starts import Curriculum
+from splatrl.device_faults import Faulty
 from splatrl.envs.drawing.base import Drawing
-from splatrl.envs.given import (
-    check_actions,
-    check_batch_size,
-    check_default_dtype,
-    check_kind,
-)
 from splatrl.envs.lattice_steps import LatticeSteps, suits
 from splatrl.envs.lifecycle import Lifecycle
 from splatrl.envs.restart import StateWhenAsked, maybe_reset, with_rows
@@ -30,7 +25,12 @@ from splatrl.envs.sensors.base import Sensor
 from splatrl.envs.specs import env_specs
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks.base import NOTHING, Task
-from splatrl.faults import Faulty
+from splatrl.envs.validation import (
+    check_actions,
+    check_batch_size,
+    check_default_dtype,
+    check_kind,
+)
 from splatrl.values import checked_seed
 
 

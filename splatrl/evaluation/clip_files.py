@@ -20,7 +20,7 @@ from torch import Tensor
 
 from splatrl.decoding import Damage, decoded
 from splatrl.files import natural, new_folder
-from splatrl.high_range import usual_range
+from splatrl.hdr import usual_range
 from splatrl.images import PHOTO_SUFFIXES, displayed, open_video, pixel_aspect, read_photo
 
 VIDEOS = (".mp4", ".mov")

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from splatrl.documents import write_json
 from splatrl.evaluation.clip_files import Clip
-from splatrl.evaluation.eye import Eye
+from splatrl.evaluation.policy_camera import Eye
 from splatrl.evaluation.rollouts import acting
 from splatrl.files import replacing
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from splatrl.evaluation.chart import font
 from splatrl.evaluation.clip_files import film_images
 from splatrl.evaluation.clips import predictions
-from splatrl.evaluation.eye import Eye
+from splatrl.evaluation.policy_camera import Eye
 from splatrl.evaluation.rollouts import acting
 from splatrl.evaluation.video import encode
 from splatrl.files import replacing

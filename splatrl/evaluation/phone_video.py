@@ -15,7 +15,7 @@ from splatrl.cameras import Cameras, intrinsics
 from splatrl.evaluation.phone_walk import camera_poses
 from splatrl.evaluation.video import encode
 from splatrl.files import replacing
-from splatrl.high_range import GAMMA
+from splatrl.hdr import GAMMA
 from splatrl.renderers.base import Renderer
 from splatrl.values import require_number
 

@@ -6,7 +6,7 @@ import torch
 from scipy import ndimage
 from torch import Tensor
 
-from splatrl.high_range import GAMMA
+from splatrl.hdr import GAMMA
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from splatrl.experiments.experiment import Experiment
-from splatrl.experiments.folders import evaluation, frames_done, status
+from splatrl.experiments.folders import evaluation, finished, frames_done
 
 
 @dataclass(frozen=True)
@@ -44,21 +44,22 @@ class Budget:
 
 def budget(experiment: Experiment) -> Budget:
     """Count finished and remaining frames; time is estimated at the finished trainings' speed, or the expected one."""
-    finished = [run for run in experiment.runs if status(run) == "finished"]
-    left = [run for run in experiment.runs if run not in finished]
-    figures = [evaluation(run) for run in finished]
+    ended = [run for run in experiment.runs if finished(run)]
+    left = [run for run in experiment.runs if run not in ended]
+    figures = [evaluation(run.folder) for run in ended]
     frames, seconds = (sum(values[key] for values in figures) for key in ("frames", "wall_seconds"))
     speed = frames / seconds if seconds else experiment.frames_per_second
-    frames_left = sum(max(run.frames - frames_done(run), 0) for run in left)  # demonstrations may overshoot run.frames
+    done = [frames_done(run.folder) for run in left]  # demonstrations may overshoot run.frames
+    frames_left = sum(max(run.frames - frames, 0) for run, frames in zip(left, done, strict=True))
     return Budget(
         name=experiment.name,
         trainings=len(experiment.runs),
-        finished=len(finished),
+        finished=len(ended),
         seeds=tuple(sorted({run.seed for run in experiment.runs})),
         frames=sum(run.frames for run in experiment.runs),
         frames_left=frames_left,
         speed=speed,
-        measured=len(finished) if seconds else 0,
+        measured=len(ended) if seconds else 0,
         seconds_left=frames_left / speed + experiment.overhead * len(left),
     )
 

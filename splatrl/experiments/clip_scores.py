@@ -17,8 +17,8 @@ from splatrl.configuration import config_elsewhere, run_config
 from splatrl.envs.world import World
 from splatrl.evaluation.clip_files import film_images, read_clips
 from splatrl.evaluation.clips import ClipResult, match
-from splatrl.evaluation.eye import Eye
 from splatrl.evaluation.film import draw_film
+from splatrl.evaluation.policy_camera import Eye
 from splatrl.evaluation.walk_looks import Lens
 from splatrl.evaluation.walks import Hand, record_walks
 from splatrl.experiments.experiment import Run

@@ -10,7 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 from splatrl.building import scene_digest
 from splatrl.documents import read_json, write_json
 from splatrl.experiments.experiment import Experiment, Run
-from splatrl.experiments.folders import changes, status
+from splatrl.experiments.folders import changes, finished, status
 from splatrl.experiments.machine import machine
 from splatrl.experiments.report import MACHINE, SCORES, write_joint_report, write_report
 from splatrl.experiments.running import train
@@ -43,9 +43,9 @@ def check_settings(runs: Sequence[Run], fresh: bool, digest: Callable[[DictConfi
         return digests[scene]
 
     for run in runs:
-        if status(run) == "new":
+        if status(run.folder, run.config) == "new":
             continue
-        changed = changes(run, known)
+        changed = changes(run.folder, run.config, known)
         if changed and not fresh:
             way_out = "type folder=<another>, or fresh=true to delete it and start over"
             told = "; ".join([*changed, way_out])
@@ -67,7 +67,7 @@ def train_all(experiments: Sequence[Experiment], jobs: int, cores: int, program:
     Returns:
         The runs that failed.
     """
-    todo = [e for e in experiments if any(status(run) != "finished" for run in e.runs)]
+    todo = [e for e in experiments if not all(map(finished, e.runs))]
     for experiment in todo:
         experiment.folder.mkdir(parents=True, exist_ok=True)
         write_json(experiment.folder / MACHINE, {"machine": machine(jobs)})
@@ -88,7 +88,7 @@ def score(experiment: Experiment, scored_by: Score) -> bool:
         ValueError: if another process is scoring the same experiment.
     """
     path, names = experiment.folder / SCORES, sorted(run.folder.name for run in experiment.runs)
-    if any(status(run) != "finished" for run in experiment.runs):
+    if not all(map(finished, experiment.runs)):
         return False
     if path.exists() and read_json(path).get("runs") == names:
         return False

@@ -63,10 +63,6 @@ class Run:
         batch = int(self.config["collector"]["frames_per_batch"])
         return self.budget // batch * batch
 
-    def finished_after(self, frames: int) -> bool:
-        """Return whether the training ends after this number of frames, as another batch would exceed its budget."""
-        return frames + int(self.config["collector"]["frames_per_batch"]) > self.budget
-
     @property
     def has_curriculum(self) -> bool:
         """Whether the training begins with only a part of the start set."""

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from splatrl.experiments.experiment import Experiment, Run
-from splatrl.experiments.folders import evaluation, history, status
+from splatrl.experiments.folders import evaluation, finished, history
 
 
 @dataclass(frozen=True)
@@ -62,12 +62,12 @@ class Entry:
     @cached_property
     def evaluations(self) -> list[dict[str, Any]]:
         """``evaluation.json`` of each run."""
-        return [evaluation(run) for run in self.runs]
+        return [evaluation(run.folder) for run in self.runs]
 
     @cached_property
     def histories(self) -> list[list[dict[str, float]]]:
         """``progress.csv`` of each run."""
-        return [history(run) for run in self.runs]
+        return [history(run.folder) for run in self.runs]
 
     @property
     def has_curriculum(self) -> bool:
@@ -122,7 +122,7 @@ def entries(experiment: Experiment) -> list[Entry]:
     scenes = list(dict.fromkeys(run.scene for run in experiment.runs))
     ordered = sorted(groups.items(), key=lambda group: scenes.index(group[0][0]))
     return [
-        Entry(runs[0].label, scene, runs[0].budget, [run for run in runs if status(run) == "finished"])
+        Entry(runs[0].label, scene, runs[0].budget, [run for run in runs if finished(run)])
         for (scene, _), runs in ordered
     ]
 

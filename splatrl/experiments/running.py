@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from splatrl.configuration import quoted
 from splatrl.experiments.experiment import Run
-from splatrl.experiments.folders import frames_done, status
+from splatrl.experiments.folders import finished, frames_done, status
 from splatrl.files import alone_in
 from splatrl.native.threads import CORES
 
@@ -34,7 +34,7 @@ def command(run: Run, program: Sequence[str]) -> list[str]:
         run: the training.
         program: the training command, which takes Hydra overrides as arguments, such as ``splatrl-train``.
     """
-    if status(run) == "new":
+    if status(run.folder, run.config) == "new":
         return [*program, *run.overrides, f"hydra.run.dir={quoted(run.folder)}"]
     return [*program, f"resume={quoted(run.folder)}"]
 
@@ -105,19 +105,19 @@ def train(
     Raises:
         KeyboardInterrupt: on Ctrl-C, once all trainings have ended.
     """
-    waiting = deque(run for run in runs if status(run) != "finished")
+    waiting = deque(run for run in runs if not finished(run))
     running: dict[Run, subprocess.Popen[bytes] | None] = {}  # None stands for another process
     told: set[Run] = set()
     failed: list[Run] = []
     todo = set(waiting)
-    frames = {run: frames_done(run) if run in todo else run.frames for run in runs}
+    frames = {run: frames_done(run.folder) if run in todo else run.frames for run in runs}
     total, initial = sum(run.frames for run in runs), sum(frames.values())
     with tqdm(total=total, initial=initial, unit="frame", unit_scale=True, smoothing=0, dynamic_ncols=True) as bar:
         try:
             while waiting or running:
                 while waiting and len(running) < jobs:
                     run = waiting.popleft()
-                    if status(run) == "finished":  # in the meantime, by another process
+                    if finished(run):  # in the meantime, by another process
                         frames[run] = run.frames
                         continue
                     try:
@@ -136,7 +136,7 @@ def train(
                     if code:
                         failed.append(run)
                         bar.write(f"failed: {run.folder.name}, see {run.folder / LOG}")
-                    frames[run] = run.frames if code == 0 else frames_done(run)
+                    frames[run] = run.frames if code == 0 else frames_done(run.folder)
                 done = len(runs) - len(waiting) - len(running) - len(failed)
                 bar.set_description(f"{done} of {len(runs)} trained", refresh=False)
                 bar.update(max(sum(frames.values()) - bar.n, 0))

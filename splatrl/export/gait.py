@@ -5,7 +5,7 @@ from torchrl.modules import ActorValueOperator
 
 from splatrl.motions.legs import FELT, JOINTS
 from splatrl.physics.dense import Dense
-from splatrl.training.beside import actors_trunk
+from splatrl.training.asymmetric import actors_trunk
 from splatrl.training.inputs import JoinedTrunk
 
 

@@ -12,7 +12,7 @@ from torchrl.modules import ActorValueOperator
 
 from splatrl.envs.nesting import layers
 from splatrl.envs.transforms import SIMULATED, FrameStack, simulated
-from splatrl.training.beside import actors_trunk
+from splatrl.training.asymmetric import actors_trunk
 from splatrl.training.heads import distribution
 from splatrl.training.memory import STATE, Memory, RecurrentReset
 

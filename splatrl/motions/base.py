@@ -65,7 +65,7 @@ class Motion(Protocol):
         step: longest distance that an action moves the robot, metres.
         angle_step: largest angle that an action turns the robot, radians.
         steps_on_host: whether ``move`` leaves the device, so that a step cannot be captured in a CUDA graph.
-        stacks: whether the robots of a batch may stand in different scenes; see ``splatrl.several``.
+        stacks: whether the robots of a batch may stand in different scenes; see ``splatrl.per_scene``.
     """
 
     action_names: tuple[str, ...]

@@ -1,6 +1,6 @@
 """An MJCF robot and things on a terrain, as one MuJoCo model, and what a motion reads from that model."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -8,12 +8,10 @@ import torch
 from torch import Tensor
 
 from splatrl.physics.compose import ROBOT, compose
-from splatrl.physics.gaussians import BodyGaussians, gaussians_from_mjcf
 from splatrl.physics.mjcf import read_mjcf
 from splatrl.physics.optional import needed
 from splatrl.physics.standing import reach_of, top_of
 from splatrl.physics.terrain import Terrain
-from splatrl.scenes.formats import read_gaussians
 
 
 class RobotWorld:
@@ -58,32 +56,6 @@ class RobotWorld:
         if alone.nkey:
             self.qpos[: alone.nq], self.act[: alone.na] = alone.key_qpos[0], alone.key_act[0]
             self.ctrl[: alone.nu] = alone.key_ctrl[0]
-
-    def gaussians(self, looks: Mapping[str, Path]) -> list[BodyGaussians]:
-        """Make Gaussians of the bodies of the robot and the things.
-
-        Args:
-            looks: splat files, by name of thing, that replace the Gaussians of the thing's own geoms.
-        """
-        prefixes = (ROBOT, *(f"{name}/" for name in self.things))
-        found = [body for prefix in prefixes for body in gaussians_from_mjcf(self.model, prefix)]
-        for name, path in looks.items():
-            shown = BodyGaussians(self.things[name], read_gaussians(path))
-            found = [*(body for body in found if not body.body.startswith(f"{name}/")), shown]
-        return found
-
-    def size_of(self, bodies: Sequence[BodyGaussians]) -> float:
-        """Return how far across bodies are together, in their default pose, metres: apart from the outermost 2 %."""
-        mujoco = needed()
-        data = mujoco.MjData(self.model)
-        mujoco.mj_kinematics(self.model, data)
-        points = []
-        for name, gaussians in bodies:
-            body = data.body(name)
-            points.append(gaussians.means.double().numpy() @ body.xmat.reshape(3, 3).T + body.xpos)
-        each = np.concatenate(points)
-        away = np.linalg.norm(each - np.median(each, axis=0), axis=1)
-        return 2.0 * float(np.quantile(away, 0.98))
 
     def body_of_camera(self, camera: str) -> str:
         """Return the name of the body that carries one of the robot's cameras.

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
+import torch
 from torch import Tensor
 
 
@@ -38,11 +39,6 @@ class StateLayout:
     def velocities(self) -> slice:
         """All velocities, ``qvel``."""
         return slice(2 + self.nq, 2 + self.nq + self.nv)
-
-    @property
-    def activations(self) -> slice:
-        """Activations of the actuators, ``act``."""
-        return slice(2 + self.nq + self.nv, None)
 
     @property
     def position(self) -> slice:
@@ -91,3 +87,7 @@ class StateLayout:
     def model_of(self, state: Tensor, models: int) -> Tensor:
         """Return the number of the model that each state obeys, valid even if a state is NaN: [B, n] -> [B] int64."""
         return state[:, self.model].nan_to_num().long().clamp(0, models - 1)
+
+    def with_model(self, state: Tensor, number: Tensor) -> Tensor:
+        """Replace the numbers of the models that states obey: [B, n], [B] -> [B, n]."""
+        return torch.cat([number.unsqueeze(1).to(state), state[:, self.mujoco]], 1)

@@ -65,6 +65,7 @@ class Physics:
         self._rollout = rollout.Rollout(nthread=self.threads if self.threads > 1 else 0)
         self._data = [mujoco.MjData(self.models[0]) for _ in range(self.threads)]
         self._lock = threading.Lock()
+        self._once: Physics | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.models, self.substeps, self.threads)
@@ -82,15 +83,21 @@ class Physics:
         """Length of a state, n."""
         return 1 + int(needed().mj_stateSize(self.model, self._spec))
 
-    def state_of(self, qpos: Any = None, key: int | None = None) -> Tensor:
-        """Return the first model's state [n] float64 at rest: at ``qpos``, at a keyframe, or in the default pose."""
+    @property
+    def once(self) -> "Physics":
+        """The same physics with one substep per step."""
+        if self._once is None:
+            self._once = Physics(self.models, 1, self.threads)
+        return self._once
+
+    def state_of(self, qpos: Any = None, act: Any = None) -> Tensor:
+        """Return the first model's state [n] float64 at rest, by default in the default pose without activations."""
         mujoco = needed()
         data = mujoco.MjData(self.model)
-        if key is not None:
-            mujoco.mj_resetDataKeyframe(self.model, data, key)
-            data.time = 0.0
         if qpos is not None:
             data.qpos[:] = qpos
+        if act is not None:
+            data.act[:] = act
         found = np.zeros(self.size)
         mujoco.mj_getState(self.model, data, found[self.layout.mujoco], self._spec)
         return torch.from_numpy(found)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
-from splatrl.faults import FaultFlag
+from splatrl.device_faults import FaultFlag
 from splatrl.native.cuda.kernels import CudaKernels, Kernels, Load
 from splatrl.native.cuda.turns import Turns
 from splatrl.renderers.base import RenderOutput, checked_background, checked_only, models_of

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
-from splatrl.faults import FaultFlag
+from splatrl.device_faults import FaultFlag
 from splatrl.native.cuda.kernels import Kernels
 from splatrl.renderers.cuda_models import MOST_INDICES, CudaModels
 from splatrl.renderers.parts import ABSENT, Parts, require_parts_of

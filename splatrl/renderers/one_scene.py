@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
-from splatrl.faults import Faulty
+from splatrl.device_faults import Faulty
 from splatrl.renderers.base import Renderer, RenderOutput
 from splatrl.renderers.parts import Parts, in_scenes
 

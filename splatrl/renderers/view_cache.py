@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
-from splatrl.faults import Faulty
+from splatrl.device_faults import Faulty
 from splatrl.native import _core
 from splatrl.renderers.base import Renderer, RenderOutput, draw_only
 from splatrl.renderers.parts import ABSENT, Parts

@@ -10,8 +10,9 @@ from splatrl.training.memory import memory_transforms
 from splatrl.training.networks import actor_critic
 from splatrl.training.ppo import PPO, check_frames
 from splatrl.training.settings import LossSettings, OptimSettings
+from splatrl.training.stage import Stage
 from splatrl.training.trackers import check_tracker, make_tracker
-from splatrl.training.trainer import KEPT, Stage, Trainer
+from splatrl.training.trainer import KEPT, Trainer
 
 __all__ = [
     "KEPT",

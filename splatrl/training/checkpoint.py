@@ -3,6 +3,8 @@
 import io
 import pickletools
 import re
+import shutil
+import warnings
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -53,6 +55,50 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> dict[str,
     if not isinstance(state, dict):
         raise ValueError(f"{path}: expected a checkpoint, got a {type(state).__name__}")
     return state
+
+
+class Checkpoints:
+    """The checkpoints of a run folder: the last one, the one before it, and that of the best policy.
+
+    Args:
+        folder: their folder, which is made.
+    """
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        self.last, self.previous, self.best = (folder / f"{name}.pt" for name in ("last", "previous", "best"))
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def save(self, state: dict[str, Any]) -> None:
+        """Write the last checkpoint, keeping the one before it."""
+        if self.last.exists():
+            with replacing(self.previous) as stream, self.last.open("rb") as source:
+                shutil.copyfileobj(source, stream)
+        save_checkpoint(self.last, state)
+
+    def newest(self, begun: bool) -> dict[str, Any] | None:
+        """Read the last checkpoint or, with a warning, the one before it where that is damaged or missing.
+
+        Args:
+            begun: whether there are other traces of a training.
+
+        Returns:
+            Its state; None if there are no traces at all.
+
+        Raises:
+            ValueError: if there are traces, but no checkpoint that can be read.
+        """
+        if not (begun or any(path.exists() for path in (self.last, self.previous, self.best))):
+            return None
+        try:
+            return load_checkpoint(self.last)
+        except (FileNotFoundError, ValueError) as error:
+            if not self.previous.exists():
+                raise ValueError(f"{error}; there is no earlier checkpoint, so start again in a new folder") from error
+            warnings.warn(f"{error}; resuming from the previous checkpoint, {self.previous.name}", stacklevel=3)
+            state = load_checkpoint(self.previous)
+            save_checkpoint(self.last, state)  # otherwise the next save would keep the damaged one as previous.pt
+            return state
 
 
 def _check_entries(archive: zipfile.ZipFile, size: int) -> None:

@@ -10,7 +10,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn.functional import conv2d
 from torch.nn.grad import conv2d_input
 
-from splatrl.training.tracing import traced
+from splatrl.native.tracing import traced
 
 
 class Convolution(nn.Conv2d):

@@ -1,10 +1,15 @@
-"""The history of a training as a few tensors, so that a checkpoint of a long one stays small and quick to read."""
+"""The history of a training: as a few tensors, so that checkpoints stay small and quick to read, and as a table."""
 
+import csv
+import io
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
+
+from splatrl.files import replacing
 
 Packed = dict[str, tuple[Tensor, Tensor]]
 """By key, the rows that have it, [n] int64, and its values there, [n] int64 or float64."""
@@ -38,6 +43,19 @@ def unpacked(columns: Mapping[str, Any]) -> list[dict[str, float]]:
         for row, value in zip(rows.tolist(), values.tolist(), strict=True):
             history[row][key] = value
     return history
+
+
+def write_table(path: Path, history: Sequence[Mapping[str, float]]) -> None:
+    """Write rows as CSV, unless there are none."""
+    if not history:
+        return
+    keys = list(dict.fromkeys(key for row in history for key in row))
+    table = io.StringIO(newline="")
+    writer = csv.DictWriter(table, keys)
+    writer.writeheader()
+    writer.writerows(history)
+    with replacing(path) as stream:
+        stream.write(table.getvalue().encode())
 
 
 def _numbers(values: Sequence[float]) -> Tensor:

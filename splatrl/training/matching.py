@@ -17,8 +17,8 @@ from tqdm import tqdm
 
 from splatrl.envs.sensors import ImageGoal
 from splatrl.geometry import along_heading
+from splatrl.training.device_memory import with_room
 from splatrl.training.heads import orthogonal
-from splatrl.training.room import with_room
 from splatrl.values import require_number
 
 READS = ("pixels", ImageGoal.KEY)

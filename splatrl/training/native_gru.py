@@ -8,8 +8,8 @@ from torch.autograd.function import once_differentiable
 
 from splatrl.native import _core
 from splatrl.native.threads import usable_cores
+from splatrl.native.tracing import traced
 from splatrl.training.native_trunk import FAST, addresses
-from splatrl.training.tracing import traced
 
 LANES = 16
 """Sizes of features and memory must be multiples of this number."""

@@ -9,7 +9,7 @@ from torch.autograd.function import once_differentiable
 
 from splatrl.native import _core
 from splatrl.native.threads import usable_cores
-from splatrl.training.tracing import traced
+from splatrl.native.tracing import traced
 
 FAST = ("avx2", "avx512")
 """Instruction sets with which the compiled layers are faster than PyTorch's."""

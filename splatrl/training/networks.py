@@ -7,7 +7,7 @@ from torch import nn
 from torchrl.data import TensorSpec
 from torchrl.modules import ActorValueOperator, ValueOperator
 
-from splatrl.training.beside import PreparedBeside, TrunkBeside
+from splatrl.training.asymmetric import PreparedBeside, TrunkBeside
 from splatrl.training.correlation import CorrelationTrunk
 from splatrl.training.heads import FIRST_SCALE, orthogonal, policy_head
 from splatrl.training.inputs import Input, JoinedTrunk, Prepare

@@ -7,9 +7,9 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
 
+from splatrl.device_faults import Faulty
 from splatrl.envs.nesting import check_layers, layers, set_state, state_of
 from splatrl.envs.tasks import Outcome
-from splatrl.faults import Faulty
 from splatrl.training.actor import Actor
 from splatrl.training.collectors import Collector, HostCollector, device_collector
 from splatrl.training.cuda_graph import CudaGraph

@@ -1,25 +1,21 @@
 """The training loop around PPO: progress, history, tests and checkpoints in a run folder."""
 
-import csv
-import io
 import math
 import shutil
-import signal
 import sys
-import threading
 import time
-import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 from tqdm import tqdm
 
-from splatrl.files import remove_stale, replacing
-from splatrl.training.checkpoint import load_checkpoint, save_checkpoint
-from splatrl.training.history import packed, unpacked
+from splatrl.files import remove_stale
+from splatrl.training.checkpoint import Checkpoints, save_checkpoint
+from splatrl.training.history import packed, unpacked, write_table
+from splatrl.training.interrupts import interrupts
 from splatrl.training.ppo import PPO
+from splatrl.training.stage import Resumable, Stage
 from splatrl.training.trackers import Tracker
 from splatrl.values import require_number
 
@@ -28,27 +24,6 @@ KEPT = "imitation"
 """Folder in a run folder for what stages of ``prepare`` keep on the disk, removed when they are done."""
 PAUSE = 10.0
 """Least time between two saves within a lesson of a stage, seconds."""
-Stage = Callable[[], Iterable[dict[str, float]]]
-"""A part of what precedes learning from reward, which yields rows of the history."""
-
-
-@runtime_checkable
-class Resumable(Protocol):
-    """A stage that can be continued where it yields a row, and where it calls ``paused``."""
-
-    paused: Callable[[], object]
-
-    def __call__(self) -> Iterable[dict[str, float]]:
-        """Run the stage, or what is left of it."""
-        ...
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return what the rest of the stage depends on, besides PPO's state."""
-        ...
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Continue from a ``state_dict()``."""
-        ...
 
 
 class Trainer:
@@ -105,7 +80,7 @@ class Trainer:
         self._stage: Resumable | None = None
         self._left: dict[str, Any] | None = None  # of an interrupted stage
         self._began = self._saved = 0.0
-        (self.folder / "checkpoints").mkdir(parents=True, exist_ok=True)
+        self.checkpoints = Checkpoints(self.folder / "checkpoints")
 
     @property
     def level(self) -> int:
@@ -130,9 +105,9 @@ class Trainer:
             ValueError: if there are traces of a training, but no checkpoint that can be read, or one of an env or a
                 network of another shape.
         """
-        for folder in (self.folder, self.folder / "checkpoints"):
+        for folder in (self.folder, self.checkpoints.folder):
             remove_stale(folder)
-        state = self._newest()
+        state = self.checkpoints.newest(begun=(self.folder / TABLE).exists())
         if state is None:
             return
         check(state.get("made_with", {}))
@@ -144,22 +119,7 @@ class Trainer:
                 f"{self.folder}: expected a training whose env and network are shaped as these settings say, "
                 f"got: {line}; settings that change shapes cannot be changed when a training is resumed"
             ) from error
-        self._write_table()
-
-    def _newest(self) -> dict[str, Any] | None:
-        last, previous = (self.folder / "checkpoints" / f"{name}.pt" for name in ("last", "previous"))
-        traces = [path for path in (last, previous, last.with_name("best.pt"), self.folder / TABLE) if path.exists()]
-        if not traces:
-            return None
-        try:
-            return load_checkpoint(last)
-        except (FileNotFoundError, ValueError) as error:
-            if not previous.exists():
-                raise ValueError(f"{error}; there is no earlier checkpoint, so start again in a new folder") from error
-            warnings.warn(f"{error}; resuming from the previous checkpoint, {previous.name}", stacklevel=3)
-            state = load_checkpoint(previous)
-            save_checkpoint(last, state)  # otherwise the next save would keep the damaged one as previous.pt
-            return state
+        write_table(self.folder / TABLE, self.history)
 
     def fit(self) -> None:
         """Train until all frames are used up, with a progress bar."""
@@ -173,7 +133,7 @@ class Trainer:
         self._test_prepared()
         total = self.ppo.frames + (self.ppo.total_frames - self.ppo.frames) // batch * batch
         bars = {"total": total, "initial": self.ppo.frames, "unit": "frame", "desc": "train", "dynamic_ncols": True}
-        with _interrupts() as interrupted, tqdm(**bars) as bar:
+        with interrupts() as interrupted, tqdm(**bars) as bar:
             while not self.ppo.finished:
                 before = self.ppo.frames
                 row = self.ppo.iterate()
@@ -258,7 +218,7 @@ class Trainer:
         tested = tuple(value for name, value in row.items() if name.startswith("test_"))
         if tested and tested >= self.best:
             self.best = tested
-            save_checkpoint(self.folder / "checkpoints" / "best.pt", self.state_dict())
+            save_checkpoint(self.checkpoints.best, self.state_dict())
 
     def _recent(self, key: str, rows: int = 5) -> float:
         values = [row[key] for row in self.history[-rows:] if not math.isnan(row.get(key, math.nan))]
@@ -266,25 +226,9 @@ class Trainer:
 
     def save(self) -> None:
         """Write the table and the last checkpoint, keeping the one before it."""
-        last = self.folder / "checkpoints" / "last.pt"
-        if last.exists():
-            with replacing(last.with_name("previous.pt")) as stream, last.open("rb") as source:
-                shutil.copyfileobj(source, stream)
-        save_checkpoint(last, self.state_dict())
-        self._write_table()
+        self.checkpoints.save(self.state_dict())
+        write_table(self.folder / TABLE, self.history)
         self._saved = time.monotonic()
-
-    def _write_table(self) -> None:
-        """Write the history, which checkpoints also hold, as a table."""
-        if not self.history:
-            return
-        keys = list(dict.fromkeys(key for row in self.history for key in row))
-        table = io.StringIO(newline="")
-        writer = csv.DictWriter(table, keys)
-        writer.writeheader()
-        writer.writerows(self.history)
-        with replacing(self.folder / TABLE) as stream:
-            stream.write(table.getvalue().encode())
 
     def state_dict(self) -> dict[str, Any]:
         """Return PPO's state, with the history, the best test and the seconds spent."""
@@ -304,34 +248,6 @@ class Trainer:
         self.prepared = state.get("prepared", self.ppo.frames > 0)  # older ones were saved only before and after
         self._left = state.get("stage")
         self.history, self.best, self.seconds = unpacked(state["history"]), tuple(state["best"]), state["seconds"]
-
-
-@contextmanager
-def _interrupts() -> Iterator[list[int]]:
-    """Collect the interrupts of a block in a list; the second one raises ``KeyboardInterrupt`` at once.
-
-    A termination (SIGTERM) is treated likewise, if it would have interrupted the block.
-    """
-    found: list[int] = []
-
-    def note(number: int, frame: Any) -> None:
-        if found:
-            raise KeyboardInterrupt
-        found.append(number)
-        print("\nstopping after this batch; interrupt again to stop immediately", file=sys.stderr)
-
-    if threading.current_thread() is not threading.main_thread():
-        yield found  # only the main thread can handle signals
-        return
-    numbers = [signal.SIGINT]
-    if signal.getsignal(signal.SIGTERM) is signal.default_int_handler:
-        numbers.append(signal.SIGTERM)
-    before = [signal.signal(number, note) for number in numbers]
-    try:
-        yield found
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)
 
 
 def _crossed(before: int, after: int, interval: int) -> bool:

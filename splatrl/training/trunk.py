@@ -6,10 +6,10 @@ import torch
 from torch import Tensor, nn
 
 from splatrl.native import _core
+from splatrl.native.tracing import traced
 from splatrl.training.convolution import Convolution
 from splatrl.training.heads import orthogonal
 from splatrl.training.native_trunk import encoded, suits
-from splatrl.training.tracing import traced
 
 GAIN = 2**0.5
 """Orthogonal-initialisation gain for layers followed by a ReLU."""

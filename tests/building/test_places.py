@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from splatrl.building.instantiation import instantiate
+from splatrl.building.misfits import check_height, warn_of_no_floor
 from splatrl.building.places import Place, build_places, start_region
 from splatrl.collision.voxels import Voxels
 from splatrl.configuration import load_config
-from splatrl.misfits import check_height, warn_of_no_floor
 from tests.tiny import tiny_overrides
 
 WIDE = ["task.motion.lower=[-2.0,-2.5]", "task.motion.upper=[2.0,2.5]"]

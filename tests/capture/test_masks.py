@@ -9,6 +9,7 @@ import torch
 from PIL import Image
 
 from splatrl.capture.base import Photos, Reconstruction
+from splatrl.capture.lens import Lens
 from splatrl.capture.masks import GROWN, in_view, masks_of, much_moves, write_masks
 from splatrl.capture.poses import find_poses
 from splatrl.capture.undistort import distorted
@@ -22,7 +23,7 @@ TOP = 50
 """Rows of the images below that show something else, pixels."""
 
 
-def _reconstruction(numbers: list[int], camera: list[float] | None = None, film: bool = True) -> Reconstruction:
+def _reconstruction(numbers: list[int], lens: Lens | None = None, film: bool = True) -> Reconstruction:
     """Return a reconstruction of these photos, without points."""
     empty, whole = torch.zeros(0, 3, dtype=torch.float64), torch.zeros(0, dtype=torch.int64)
     poses = torch.eye(4, dtype=torch.float64).repeat(len(numbers), 1, 1)
@@ -31,8 +32,7 @@ def _reconstruction(numbers: list[int], camera: list[float] | None = None, film:
     given = Reconstruction(
         paths, 80, 60, torch.from_numpy(K * [[0.5], [0.5], [1.0]]), poses, empty, empty, whole, whole
     )
-    lens = None if camera is None else torch.tensor(camera, dtype=torch.float64)
-    return replace(given, seconds=seconds, numbers=torch.tensor(numbers), camera=lens)
+    return replace(given, seconds=seconds, numbers=torch.tensor(numbers), lens=lens)
 
 
 @pytest.mark.parametrize("film", [True, False])
@@ -71,18 +71,17 @@ def test_much_moves_only_above_a_few_percent_and_a_folder_without_masks_shows_no
 
 @pytest.mark.parametrize("fisheye", [False, True])
 def test_masks_are_moved_to_where_the_lens_showed_the_same(fisheye: bool) -> None:
-    camera = [70.0, 68.0, 41.0, 29.0, 0.2, 0.05, 0.0, 0.0]
-    found = replace(_reconstruction([0], camera), fisheye=fisheye)
+    fx, fy, cx, cy, distortion = 70.0, 68.0, 41.0, 29.0, (0.2, 0.05, 0.0, 0.0)
+    found = _reconstruction([0], Lens(80, 60, fx, fy, cx, cy, distortion, fisheye))
     masks = np.zeros((1, 60, 80), bool)
     masks[0, 8:11, 10:13] = True
-    fx, fy, cx, cy, *distortion = camera
     ray = np.linalg.inv(found.K.numpy()) @ [11.5, 9.5, 1.0]
-    lens, K = cv2.fisheye if fisheye else cv2, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    there = lens.projectPoints(ray[None, None], np.zeros(3), np.zeros(3), K, np.array(distortion))[0].reshape(1, 2)
-    line, column = np.argwhere(distorted(masks, (80, 60), found)[0]).mean(0) + 0.5
+    model, K = cv2.fisheye if fisheye else cv2, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    there = model.projectPoints(ray[None, None], np.zeros(3), np.zeros(3), K, np.array(distortion))[0].reshape(1, 2)
+    line, column = np.argwhere(distorted(masks, found)[0]).mean(0) + 0.5
     assert np.linalg.norm(there[0] - [11.5, 9.5]) > 1
     assert np.linalg.norm(there[0] - [column, line]) < 0.8
-    assert distorted(masks, (80, 60), _reconstruction([0])) is masks, "images without distortion"
+    assert distorted(masks, _reconstruction([0])) is masks, "images without distortion"
 
 
 def test_poses_with_masks_are_those_of_the_place_although_something_that_moves_fills_much_of_the_image(

@@ -214,6 +214,17 @@ def test_a_colmap_model_in_text_with_line_ends_of_windows_is_read(tmp_path: Path
     torch.testing.assert_close(photos.camera_to_world, torch.from_numpy(walk(3)))
 
 
+def test_the_colmap_model_with_the_most_images_is_refused_if_it_is_broken_and_no_smaller_one_takes_its_place(
+    tmp_path: Path,
+) -> None:
+    for name, numbers in (("0", [0]), ("1", [1, 2, 3])):
+        source = _model(tmp_path / "in", "PINHOLE", True, numbers, name)
+    broken = source / "sparse" / "1" / "images.txt"
+    broken.write_text(broken.read_text().rstrip() + "\n1 one 0 0 0 0 0 0 1 a.png\n")
+    with pytest.raises(CaptureError, match=r"sparse.1.images\.txt: expected a COLMAP model"):
+        read_recording(source, tmp_path / "out")
+
+
 @pytest.mark.parametrize("text", [False, True])
 def test_of_several_colmap_models_the_one_with_the_most_images_is_read(text: bool, tmp_path: Path) -> None:
     for name, numbers in (("0", [0]), ("1", [1, 2, 3]), ("2", [4, 5])):

@@ -15,10 +15,10 @@ from PIL import Image, ImageFilter
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.depth_points import with_measured_points
 from splatrl.capture.fit import FitSettings
+from splatrl.capture.lens import Lens
 from splatrl.capture.pipeline import capture
 from splatrl.capture.poses import find_poses
 from splatrl.capture.recordings import is_recording, read_recording, record3d
-from splatrl.capture.recordings.base import Lens
 from splatrl.capture.recordings.keeping import one_camera
 from splatrl.capture.recordings.turning import quarter_turns
 from splatrl.capture.settings import CaptureSettings

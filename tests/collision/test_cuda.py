@@ -14,7 +14,7 @@ from torch import Tensor
 from splatrl.bodies import Body, Box, Capsule, Sphere
 from splatrl.collision import CudaChecker, NativeChecker, Occupancy, cuda, verify, verify_sweeps
 from splatrl.collision.cuda import kernel_defines
-from splatrl.faults import Faulty
+from splatrl.device_faults import Faulty
 from splatrl.geometry import axis_rotations, rigid
 from tests.collision.cases import (
     BODIES,

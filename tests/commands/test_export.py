@@ -15,7 +15,7 @@ from torchrl.modules import ActorValueOperator
 from splatrl.commands import export
 from splatrl.configuration import load_config
 from splatrl.envs.world import World
-from splatrl.evaluation.eye import Eye
+from splatrl.evaluation.policy_camera import Eye
 from splatrl.images import open_video
 from splatrl.runs import load_policy
 from tests.experiments.trained import BEST, NAMES, config, save_run

@@ -364,9 +364,7 @@ def test_a_plugin_that_is_not_installed_is_reported_with_what_to_install(
     typed: str, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = {"launcher": ("ray",), "hydra/launcher": ("basic",), "hydra/sweeper": ("basic",)}
-    monkeypatch.setattr(
-        sys.modules["splatrl.configuration.command_line"], "options", lambda group: found.get(group, ())
-    )
+    monkeypatch.setattr("splatrl.configuration.typed_overrides.options", lambda group: found.get(group, ()))
     with pytest.raises(SystemExit) as ended:
         command_line("train", ["-m", "optim.lr=interval(0.001,0.1)", typed])
     assert str(ended.value.code).startswith(f"splatrl-train: {typed}: {said}")

@@ -1,8 +1,5 @@
 """Configs compose, build what they describe, and explain what is wrong with them."""
 
-import re
-import shlex
-import sys
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NoReturn
@@ -11,7 +8,7 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from torchrl.envs import EnvBase, RewardScaling
 
 from splatrl.bodies import Sphere
@@ -26,14 +23,8 @@ from splatrl.configuration import (
     conf_dir,
     load_config,
     place_configs,
-    resumed_config,
-    run_config,
-    save_config,
-    with_scene_paths,
 )
-from splatrl.configuration.grammar import overrides_parser
-from splatrl.configuration.search_path import composed, group_node
-from splatrl.configuration.sweeps import directed
+from splatrl.configuration.search_path import group_node
 from splatrl.envs.nesting import layers
 from splatrl.envs.tasks.base import Anywhere, Outcome, Step, Verdict
 from splatrl.envs.tasks.module import TaskModule
@@ -47,9 +38,8 @@ from splatrl.renderers import (
     NativeRenderer,
     ReferenceRenderer,
 )
-from splatrl.scenes import write_gaussians
 from tests.envs.devices import pretend_device
-from tests.tiny import LONG_STEPS, WALKING, tiny_gaussians, tiny_overrides
+from tests.tiny import LONG_STEPS, WALKING, tiny_overrides
 
 TASKS = sorted((conf_dir() / "task").glob("*.yaml"))
 SCENES = sorted((conf_dir() / "scene").glob("*.yaml"))
@@ -194,13 +184,6 @@ def test_views_are_cached_on_each_kind_of_device_unless_the_cache_is_disabled(tm
     assert isinstance(plain, NativeRenderer)
 
 
-def test_a_run_is_built_again_from_its_saved_config(tmp_path: Path) -> None:
-    save_config(load_config([*tiny_overrides(tmp_path), "memory=stack"]), tmp_path)
-    saved = run_config(tmp_path)
-    trainer = build_trainer(saved, build_world(saved), tmp_path)
-    assert trainer.ppo.collect()["pixels"].shape[-1] == 12
-
-
 MINE = [
     "allow_targets=[torchrl]",
     "+transforms.mine._target_=torchrl.envs.RewardScaling",
@@ -288,176 +271,11 @@ def test_the_kitchen_has_the_settings_with_which_results_are_compared(shared_sce
     assert len(world.plan.start_rows) > 500
 
 
-def test_a_mistyped_key_is_refused_with_the_valid_keys() -> None:
-    with pytest.raises(SystemExit, match=r"loss.gama: no such key, did you mean loss.gamma\? .*clip_epsilon"):
-        command_line("train", ["scene=backyard", "loss.gama=0.9"])
-    with pytest.raises(SystemExit, match=r"sede: no such key, did you mean seed\? .*collector"):
-        command_line("train", ["sede=1"])
-    with pytest.raises(SystemExit, match=r"no such key\. evaluation\.seed has no keys"):
-        command_line("train", ["evaluation.seed.x=1"])
-    with pytest.raises(SystemExit, match=r"task\.motion\.turn: no such key.*time_step"):
-        command_line("train", ["task=fps", "motion@task.motion=drive", "task.motion.turn=1"])
-
-
 def test_a_missing_value_is_named(tmp_path: Path) -> None:
     with pytest.raises(
         ValueError, match=r"scene\.path: expected a value, got none; type scene\.path=<splat file or folder>"
     ):
         build_world(load_config(["scene=kitchen"]))
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["-m", "seed=0,1", "curriculum=distance,none", "hydra.run.dir=x", "+extra=1", "~loss.gamma"],
-        ["+own.key=1", "~own.key", "~motion@task.motion", "~task.goal"],
-        ["+rewards@own.rewards=unit", "~own.rewards.goal"],
-        ["--cfg", "job", "scene=kitchen", "scene.path=/a/b.spz"],
-        ["task=fps", "motion@task.motion=drive", "task.motion.time_step=0.1", "rewards@task.rewards=unit"],
-    ],
-)
-def test_valid_overrides_sweeps_and_hydra_options_are_accepted_unchanged(arguments: list[str]) -> None:
-    assert command_line("train", arguments) == arguments
-
-
-def test_options_precede_what_a_scene_proposes_so_that_hydra_accepts_both(tmp_path: Path) -> None:
-    write_gaussians(tmp_path / "room.ply", tiny_gaussians())
-    (tmp_path / "scene.yaml").write_text("splat: room.ply\nrobot_height: 0.5\n")
-    words = command_line("train", ["seed=1", f"scene={tmp_path}", "--cfg", "job"])
-    assert words[:2] == ["--cfg", "job"]
-    assert words[2:] == ["robot.height=0.5", "seed=1", "scene=file", f"scene.path='{tmp_path}'"]
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["sensors=[lidar,sonar]"], "sensors: expected one of compass, .*, got sonar"),
-        (["scene={0},{0}"], "scene: expected one value, got .*; type scene=many 'scene.paths=.* for several, or -m"),
-        (["scene=[{0},{0}]"], "scene: expected one scene, got .*; type scene=many 'scene.paths="),
-        (
-            ["-m", "scene=backyard,{0}"],
-            "scene: expected only names of configs, only existing paths, or only seeds .*, got /.* among others",
-        ),
-        (["-m", "scene=backyard,yard:1"], "scene: expected only names .*, got yard:1 among others"),
-        (
-            ["scene=yard:1,yard:2"],
-            "scene: expected one value, got .*; type scene=many 'scene.paths=.* or -m for a sweep",
-        ),
-        (["scene=yards", "scene.count=1,2"], "scene.count: expected one value, got 1,2; .* or sweep trainings with -m"),
-    ],
-)
-def test_invalid_lists_are_refused_with_what_to_type_instead(words: list[str], message: str, tmp_path: Path) -> None:
-    (tmp_path / "blocks.yaml").touch()
-    with pytest.raises(SystemExit, match=message):
-        command_line("train", [word.format(tmp_path) for word in words])
-
-
-@pytest.mark.parametrize("name", ["a,b", "a,$b"])
-def test_a_path_with_a_comma_is_refused_with_the_quotes_that_it_needs(name: str, tmp_path: Path) -> None:
-    (tmp_path / name).mkdir()
-    with pytest.raises(SystemExit) as refused:
-        command_line("train", ["scene=file", f"scene.path={tmp_path / name}"])
-    said, _, typed = str(refused.value.code).partition("; type ")
-    assert said == "splatrl-train: scene.path: expected quotes around a path with a comma"
-    (word,) = shlex.split(typed)
-    assert overrides_parser().parse_override(word).value() == str(tmp_path / name)
-
-
-@pytest.mark.parametrize(
-    "words", [["-m", "seed=0,1", "--cfg", "job"], ["--multirun", "--info=all"], ["-m", "-c", "all"]]
-)
-def test_a_sweep_that_would_only_be_shown_is_refused(words: list[str]) -> None:
-    with pytest.raises(
-        SystemExit, match=r"splatrl-train: -.*: expected no -m beside it, .*; leave out -m and all sweeps"
-    ):
-        command_line("train", words)
-
-
-def test_a_pattern_sweeps_over_the_options_that_match_it() -> None:
-    words = ["-m", "curriculum=glob(*)", "curriculum.first=3", "task=glob(*nav)", "task.goals=5"]
-    assert command_line("train", words) == words
-
-
-@pytest.mark.parametrize(
-    ("typed", "added"),
-    [
-        (["hydra/sweeper=optuna"], ["hydra.sweeper.direction=maximize"]),
-        (["hydra/sweeper=basic", "hydra/sweeper='optuna'"], ["hydra.sweeper.direction=maximize"]),
-        (["hydra/sweeper=optuna", "hydra/sweeper=basic"], []),
-        (["seed=0,1"], []),
-    ],
-)
-def test_optuna_looks_for_the_highest_success_rate_unless_another_direction_is_typed(
-    typed: list[str], added: list[str]
-) -> None:
-    for words in (["task=fps", *typed], [*typed, "hydra.sweeper.direction=minimize"]):
-        assert directed(words) == [*added, *words], "Hydra takes the last direction"
-
-
-def test_optuna_is_given_its_direction_after_options_whatever_the_config(monkeypatch: pytest.MonkeyPatch) -> None:
-    words = ["hydra/sweeper=optuna", "optim.lr=interval(0.001,0.01)"]
-    monkeypatch.setattr(sys.modules["splatrl.configuration.command_line"], "_check_plugin", str)
-    for option in ([], ["--config-dir", "mine"]):
-        expected = ["-m", *option, "hydra.sweeper.direction=maximize", *words]
-        assert command_line("train", ["-m", *option, *words]) == expected
-
-
-@pytest.fixture
-def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working directory with a splat file, a scene folder, and a file with the name of a built-in scene."""
-    monkeypatch.chdir(tmp_path)
-    tiny_overrides(tmp_path)
-    for name in ("it's, a (room).ply", "kitchen"):
-        (tmp_path / name).write_bytes((tmp_path / "tiny.ply").read_bytes())
-    (tmp_path / "garden").mkdir()
-    (tmp_path / "tiny.ply").rename(tmp_path / "garden" / "splat.ply")
-    frame = {"axes": ["y", "-x", "z"], "scale": 2.0}
-    OmegaConf.save(
-        OmegaConf.create({"splat": "splat.ply", "world_from_splat": frame}), tmp_path / "garden" / "scene.yaml"
-    )
-    return tmp_path
-
-
-@pytest.mark.parametrize("path", ["garden", "garden/splat.ply", "it's, a (room).ply", "./kitchen"])
-def test_the_path_of_a_scene_stands_for_its_config(path: str, places: Path) -> None:
-    for written in (path, str(places / path)):
-        for overrides in (
-            with_scene_paths([f"scene={written}"]),
-            command_line("train", ["seed=1", f"scene={written}"]),
-        ):
-            cfg = load_config(overrides)
-            assert (cfg.scene._target_, cfg.scene.path) == ("splatrl.read_scene", written)
-        assert load_config([f"scene={written}"]).scene.path == written
-
-
-def test_a_path_may_be_in_quotes(places: Path) -> None:
-    for quote in "'\"":
-        assert load_config([f"scene={quote}garden/splat.ply{quote}"]).scene.path == "garden/splat.ply"
-
-
-def test_the_name_of_a_scene_takes_precedence_over_a_file_of_that_name(places: Path) -> None:
-    assert with_scene_paths(["scene=kitchen", "task=fps"]) == ["scene=kitchen", "task=fps"]
-    assert OmegaConf.is_missing(load_config(["scene=kitchen"]).scene, "path")
-
-
-def test_a_missing_path_is_refused_with_the_valid_choices(places: Path) -> None:
-    with pytest.raises(SystemExit, match=r"scene: expected one of backyard, file, .* or an existing path, got no.ply"):
-        command_line("train", ["scene=no.ply"])
-
-
-def test_overrides_that_give_no_path_of_a_scene_are_unchanged(places: Path) -> None:
-    others = ["scene=nowhere", "scene=", "scene.path=garden", "task=garden", "+scene=garden", "~scene", "-m"]
-    assert with_scene_paths(others) == others
-
-
-def test_a_scene_folder_states_its_frame(places: Path) -> None:
-    room = tiny_overrides(places)
-    tiny = ("scene=", "scene.path=", "task.motion.", "robot.height", "robot.body")
-    kept = [override for override in room if not override.startswith(tiny)]
-    scene = build_world(load_config(["scene=garden", *kept, "robot.height=1.0", "collision=none"])).scene
-    means = tiny_gaussians().means
-    expected = 2 * torch.stack([means[:, 1], -means[:, 0], means[:, 2]], 1)
-    torch.testing.assert_close(scene.gaussians.means, expected, atol=1e-4, rtol=0)
 
 
 def test_a_hydra_that_is_already_initialised_is_left_unchanged(tmp_path: Path) -> None:
@@ -495,11 +313,6 @@ def test_the_library_refuses_an_override_in_the_words_of_the_command_line(typed:
     with pytest.raises(ValueError, match=r"expected|no such key") as error:
         load_config([typed])
     assert f"splatrl-train: {error.value}" == said.value.code and "\n" not in str(error.value)
-
-
-def test_of_two_choices_from_a_group_the_last_one_holds() -> None:
-    assert load_config(command_line("train", ["task=grid", "task=fps"])) == load_config(["task=grid", "task=fps"])
-    assert load_config(["task=grid", "task=fps"]) == load_config(["task=fps"])
 
 
 class Wander(TaskModule):
@@ -578,62 +391,6 @@ def test_a_snake_is_tested_by_the_number_of_its_apples(
         with pytest.raises(InterruptedError):
             evaluate_run(cfg, tmp_path, world)
     assert seeds == [7, 8]
-
-
-def test_a_resumed_config_is_the_saved_one_with_single_keys_changed(tmp_path: Path) -> None:
-    save_config(load_config(["loss.gamma=0.9"]), tmp_path)
-    cfg = resumed_config(tmp_path, [f"resume={tmp_path}", "collector.total_frames=7"])
-    assert (cfg.loss.gamma, cfg.collector.total_frames) == (0.9, 7)
-    with pytest.raises(ValueError, match=r"expected overrides of single keys, .*, got scene=kitchen"):
-        resumed_config(tmp_path, ["scene=kitchen"])
-
-
-def test_a_resumption_changes_the_keys_of_the_runs_own_task_and_scene(tmp_path: Path) -> None:
-    save_config(load_config(["task=apple", "scene=file", f"scene.path={tmp_path}/garden.ply"]), tmp_path)
-    changes = ["scene.path=moved.ply", "task.red_share=0.2", "+loss.gamma=0.9", "++task.motion.step=0.2"]
-    words = command_line("train", [f"resume={tmp_path}", *changes])
-    assert composed(words, "train").resume == str(tmp_path)  # as Hydra does before the command begins
-    cfg = resumed_config(tmp_path, words)
-    assert (cfg.scene.path, cfg.task.red_share, cfg.loss.gamma, cfg.task.motion.step) == ("moved.ply", 0.2, 0.9, 0.2)
-    assert set(cfg) == set(load_config())
-    with pytest.raises(SystemExit, match=r"task\.red_shares: no such key, did you mean task\.red_share\?"):
-        command_line("train", [f"resume={tmp_path}", "task.red_shares=0.2"])
-    with pytest.raises(SystemExit, match=r"task\.red_share: expected a number such as 0\.3, got 'x'"):
-        command_line("train", [f"resume={tmp_path}", "task.red_share=x"])
-
-
-@pytest.mark.parametrize(
-    "word", ["~loss.gamma", "+loss.gamme=0.9", "++task.red_share=0.2", "+transforms/latency=varied"]
-)
-def test_a_resumption_neither_adds_nor_deletes_keys(word: str, tmp_path: Path) -> None:
-    save_config(load_config(), tmp_path)
-    with pytest.raises(ValueError, match=rf"^resume=.*: expected .*, got \+*{re.escape(word.lstrip('+'))}$"):
-        resumed_config(tmp_path, [f"resume={tmp_path}", word])
-
-
-def test_a_sweep_of_resumptions_may_run_on_a_cluster(tmp_path: Path) -> None:
-    save_config(load_config(), tmp_path)
-    assert resumed_config(tmp_path, [f"resume={tmp_path}", "+launcher=ray"]) == resumed_config(tmp_path, [])
-
-
-def test_a_saved_config_finds_its_scene_from_any_working_directory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    save_config(load_config(["scene=file", "scene.path=scenes/garden.ply"]), tmp_path)
-    assert run_config(tmp_path).scene.path == str(tmp_path / "scenes" / "garden.ply")
-    save_config(load_config(), tmp_path)
-    assert "path" not in run_config(tmp_path).scene
-
-
-def test_a_folder_without_a_run_is_refused_by_name(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=f"{tmp_path}: expected a run folder"):
-        run_config(tmp_path)
-
-
-def test_a_saved_config_keeps_its_interpolations(tmp_path: Path) -> None:
-    save_config(load_config(), tmp_path)
-    assert OmegaConf.to_container(run_config(tmp_path))["task"]["motion"]["height"] == "${robot.height}"
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,9 @@ import pytest
 
 from splatrl.configuration import key_help as key_help_module
 from splatrl.configuration import load_config, options
-from splatrl.configuration.command_line import MAIN_KEYS, command_line
+from splatrl.configuration.command_line import command_line
 from splatrl.configuration.key_help import MOST_USED, WIDEST, comments_of, help_page, key_help
+from splatrl.configuration.typed_words import MAIN_KEYS
 
 CHOICES = [
     *([f"task={task}"] for task in options("task")),

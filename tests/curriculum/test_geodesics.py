@@ -12,7 +12,7 @@ from splatrl.collision import NativeChecker, NoChecker, Occupancy
 from splatrl.curriculum.geodesics import Geodesics
 from splatrl.curriculum.ground import ground
 from splatrl.motions import NavigateMotion
-from splatrl.several import rows_of, stacked
+from splatrl.per_scene import rows_of, stacked
 
 HEIGHT = 0.5
 MOTION = NavigateMotion(HEIGHT, lower=(-1.0, -1.5), upper=(1.0, 1.5))

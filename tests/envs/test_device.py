@@ -14,11 +14,11 @@ from torchrl.envs import EnvBase
 from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
+from splatrl.device_faults import FaultFlag
 from splatrl.envs.drawing import billboard
 from splatrl.envs.restart import restart
 from splatrl.envs.transforms import appearance, episode_look, weather_images
 from splatrl.envs.world import World
-from splatrl.faults import FaultFlag
 from splatrl.training import trunk
 from tests.envs.contract import assert_same, base_env
 from tests.envs.devices import (

@@ -14,7 +14,7 @@ from torchrl.envs.utils import step_mdp
 
 from splatrl.evaluation.clip_files import read_clips, write_clip
 from splatrl.evaluation.clips import Clip, ClipResult, match, table, total
-from splatrl.evaluation.eye import Eye
+from splatrl.evaluation.policy_camera import Eye
 from splatrl.training import actor_critic, memory_transforms
 from tests.tiny import tiny_env
 

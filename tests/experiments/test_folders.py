@@ -17,8 +17,8 @@ def test_a_folder_is_new_then_begun_then_finished(tmp_path: Path) -> None:
     (new.folder / "config.yaml").touch()
     begin(begun, 120)
     finish(finished, 0.9)
-    assert [status(run) for run in (new, begun, finished)] == ["new", "begun", "finished"]
-    assert [frames_done(run) for run in (new, begun, finished)] == [0, 120, 400]
+    assert [status(run.folder, run.config) for run in (new, begun, finished)] == ["new", "begun", "finished"]
+    assert [frames_done(run.folder) for run in (new, begun, finished)] == [0, 120, 400]
 
 
 def test_an_evaluated_run_is_finished_once_another_batch_would_exceed_its_budget(tmp_path: Path) -> None:
@@ -27,16 +27,16 @@ def test_an_evaluated_run_is_finished_once_another_batch_would_exceed_its_budget
         finish(run, 0.9)
         lines = (run.folder / "progress.csv").read_text().splitlines()
         (run.folder / "progress.csv").write_text("\n".join([*lines[:9], f"{frames},0.4,5,2,,90.0"]))
-    assert [status(run) for run in (interrupted, imitated)] == ["begun", "finished"]
+    assert [status(run.folder, run.config) for run in (interrupted, imitated)] == ["begun", "finished"]
 
 
 def test_a_run_that_was_killed_before_its_video_is_not_finished(tmp_path: Path) -> None:
     run = made_up(tmp_path).runs[0]
     run.config["logger"]["video"] = True
     finish(run, 0.9)
-    assert status(run) == "begun"
+    assert status(run.folder, run.config) == "begun"
     (run.folder / "rollouts.mp4").touch()
-    assert status(run) == "finished"
+    assert status(run.folder, run.config) == "finished"
 
 
 def test_a_run_in_several_scenes_is_finished_once_each_shown_scene_has_a_video(tmp_path: Path) -> None:
@@ -46,17 +46,17 @@ def test_a_run_in_several_scenes_is_finished_once_each_shown_scene_has_a_video(t
     summary = json.loads((run.folder / "evaluation.json").read_text())
     write_json(run.folder / "evaluation.json", summary | {"scenes": [{"success_rate": 0.9}] * (SCENES_SHOWN + 1)})
     for number in range(SCENES_SHOWN):
-        assert status(run) == "begun"
+        assert status(run.folder, run.config) == "begun"
         place = run.folder / "scenes" / f"{number}-yard-{number}"
         place.mkdir(parents=True)
         (place / "rollouts.mp4").touch()
-    assert status(run) == "finished"
+    assert status(run.folder, run.config) == "finished"
 
 
 def test_an_empty_cell_of_the_history_is_nan(tmp_path: Path) -> None:
     run = made_up(tmp_path).runs[0]
     begin(run, 80)
-    first, second = history(run)
+    first, second = history(run.folder)
     assert math.isnan(first["success"])
     assert (second["frames"], second["success"]) == (80, 0.08)
 

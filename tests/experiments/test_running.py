@@ -49,7 +49,7 @@ def test_only_unfinished_runs_are_trained_and_no_more_at_a_time_than_allowed(tmp
         nonlocal most
         assert (cores, program) == (2, PROGRAM)
         begun.append(run)
-        most = max(most, sum(status(run) != "finished" for run in begun))
+        most = max(most, sum(status(run.folder, run.config) != "finished" for run in begun))
         finish(run, 0.5)
         return python("pass")
 

@@ -334,7 +334,7 @@ def test_things_that_are_not_drawn_or_do_not_rest_are_refused(
     path.write_text(THING.format(height=height, joint=joint, more=more))
     things = {"egg": str(path), "ball": "ball"}  # both at the place of the robot
     if message is None:
-        assert wheels(things=things).thing_paths["egg"] == path
+        assert wheels(things=things).things.paths["egg"] == path
         return
     with pytest.raises(ValueError, match=rf"^task\.motion\.things: \S+egg\.xml: expected .*{message}") as caught:
         wheels(things=things)

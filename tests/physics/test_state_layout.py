@@ -27,7 +27,7 @@ def test_every_name_reads_what_mujoco_stores_under_it() -> None:
     mujoco.mj_getState(physics.model, data, state.numpy()[layout.mujoco], mujoco.mjtState.mjSTATE_FULLPHYSICS)
     assert physics.layout == StateLayout(15, 13) and state[layout.clock] == 0.5 and state[layout.model] == 0.0
     expected = {
-        "positions": range(100, 115), "velocities": range(200, 213), "activations": [7], "position": range(100, 103),
+        "positions": range(100, 115), "velocities": range(200, 213), "position": range(100, 103),
         "orientation": range(103, 107), "pose": range(100, 107), "joints": [107], "velocity": range(200, 203),
         "angular_velocity": range(203, 206), "joint_rates": [206], "robot_velocities": range(200, 207),
     }  # fmt: skip

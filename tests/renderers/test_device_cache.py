@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from splatrl.cameras import Cameras
-from splatrl.faults import Faulty
+from splatrl.device_faults import Faulty
 from splatrl.renderers import DeviceLatticeRenderer, LatticeRenderer
 from splatrl.renderers.device_cache import WAYS, DeviceAlbum
 from splatrl.renderers.one_scene import OneScene

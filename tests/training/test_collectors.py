@@ -15,10 +15,10 @@ from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
 
 from splatrl.curriculum import Curriculum
+from splatrl.device_faults import FaultFlag
 from splatrl.envs import SplatEnv
 from splatrl.envs.drawing import SceneDrawing
 from splatrl.envs.restart import restart
-from splatrl.faults import FaultFlag
 from splatrl.training import PPO, actor_critic
 from splatrl.training.collectors import CHOSEN, ENDS, DeviceCollector, HostCollector, device_collector
 from splatrl.training.cuda_graph import CudaGraph

@@ -15,12 +15,12 @@ from PIL import Image
 from splatrl import images
 from splatrl.capture.base import CaptureError
 from splatrl.capture.frames import SHARPNESS_WIDTH
+from splatrl.capture.lens import Floats, Lens
 from splatrl.capture.photo_files import read_photo
 from splatrl.capture.videos import shrunk
 from splatrl.documents import parsed_json
 from splatrl.images import PHOTO_SUFFIXES
 
-Floats = NDArray[np.float64]
 Depth = NDArray[np.uint16]
 """[h, w] depth along the camera's axis, millimetres, of any size; 0 where there is none."""
 
@@ -46,29 +46,6 @@ class Picture(Protocol):
     def image(self) -> Image.Image:
         """Return the whole image, RGB, as the recording's intrinsics describe it."""
         ...
-
-
-@dataclass(frozen=True)
-class Lens:
-    """Intrinsics of an image of a stated size, pixels.
-
-    Attributes:
-        width: width of the image that the intrinsics belong to.
-        height: height of that image.
-        fx: horizontal focal length.
-        fy: vertical focal length.
-        cx: principal point, from the left edge.
-        cy: principal point, from the upper edge.
-        distortion: OpenCV's k1, k2, p1, p2, k3.
-    """
-
-    width: float
-    height: float
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, ...] = (0.0,) * 5
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from splatrl.capture.base import CaptureError
+from splatrl.capture.lens import Lens
 from splatrl.capture.recordings.base import (
-    Lens,
     Recording,
     Shot,
     beside,
@@ -57,7 +57,7 @@ def read(source: Path) -> Recording:
         CaptureError: where it is broken, lacks images, or has a camera that is not perspective.
     """
     models = _models(source)
-    counts = [_claimed(model) for model in models]
+    counts = [_claimed(model) for model in models] if len(models) > 1 else [1]
     model = models[counts.index(max(counts))]
     kind = "bin" if (model / "cameras.bin").is_file() else "txt"
     read_cameras, read_images = (_cameras, _images) if kind == "bin" else (_cameras_text, _images_text)
@@ -202,7 +202,7 @@ def _claimed(model: Path) -> int:
             with (model / "images.bin").open("rb") as stream:
                 (count,) = struct.unpack("<Q", stream.read(8))
             return int(count)
-        return len(_read(model / "images.txt", _images_text))
+        return _read(model / "images.txt", lambda content: sum(1 for _ in _lines(content)))
     return 0
 
 

@@ -11,10 +11,10 @@ from PIL import Image
 
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.frames import buckets, sharpest, sharpness
+from splatrl.capture.lens import Floats, Lens
 from splatrl.capture.photo_files import orientation
 from splatrl.capture.progress import Progress
-from splatrl.capture.recordings.base import Depth, Floats, Lens, Picture, Recording
-from splatrl.capture.recordings.straightening import folds, seen_by, straight
+from splatrl.capture.recordings.base import Depth, Picture, Recording
 from splatrl.capture.recordings.turning import (
     quarter_turns,
     stated_turns,
@@ -23,6 +23,7 @@ from splatrl.capture.recordings.turning import (
     turned_poses,
 )
 from splatrl.capture.stages import Stages, fingerprint
+from splatrl.capture.undistort import seen_by
 
 SHOTS, INDEX, DEPTHS = "shots", "index.json", "depth"
 GRADED = 6
@@ -98,12 +99,12 @@ def one_camera(source: object, lenses: Sequence[Lens], border: float = 0.0) -> t
             f"{source}: expected a principal point near the middle of {size[0]:.0f} × {size[1]:.0f} pixels, got "
             f"({middle[0]:.0f}, {middle[1]:.0f}); are the intrinsics for another image size?"
         )
-    without = [straight(lens) for lens in lenses]
+    without = [lens.straight() for lens in lenses]
     straightened = _table(without)
     focals, before = straightened[:, :2], straightened[:, 2:] - border  # extents of the part that shows something
     behind = sizes - border - straightened[:, 2:]
     zoom = (focals / focal * np.maximum(middle / before, (size - middle) / behind)).max()
-    folded = any(map(folds, lenses, without))
+    folded = any(map(Lens.folds, lenses, without))
     if (focals <= 0).any() or not zoom < CROPPED or folded:
         raise CaptureError(
             f"{source}: expected lens distortion that leaves at least a third of each image without it, got less; are "
@@ -133,7 +134,7 @@ def _write(made: Path, recording: Recording, count: tuple[int, int], longest: in
         image, shot, name = picture.image(), shots[number], f"{len(index['names']):04}"
         stored = _scale(f"{recording.source}: {shot.name}", image, shot.lens)
         size = size or _size(camera, min(*stored, longest / max(camera.width, camera.height)))
-        distorted = any(shot.lens.distortion)
+        distorted = shot.lens.bends
         box = boxes[number] * np.tile(stored, 2)
         seen = seen_by(camera, image, shot.lens, size) if distorted else _cut(image, box, size)
         turned_image(seen, turns).save(made / f"{name}.jpg", quality=95, subsampling=0)
@@ -145,9 +146,7 @@ def _write(made: Path, recording: Recording, count: tuple[int, int], longest: in
         index["poses"].append(turned_poses(poses[number], turns).tolist())
     if size is None:
         raise CaptureError(f"{recording.source}: expected images for its poses, found none")
-    across, down = size[0] / camera.width, size[1] / camera.height
-    K = np.array([[camera.fx * across, 0, camera.cx * across], [0, camera.fy * down, camera.cy * down], [0, 0, 1]])
-    index["size"], K = turned_camera(size, K, turns)
+    index["size"], K = turned_camera(size, camera.K(size), turns)
     index["K"] = K.tolist()
     index["depth"] = depths.finish()
     (made / INDEX).write_text(json.dumps(index), "utf-8")

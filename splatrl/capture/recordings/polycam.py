@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from splatrl.capture.base import CaptureError
+from splatrl.capture.lens import Lens
 from splatrl.capture.recordings.base import (
     ARKIT_UP,
     OPENGL,
-    Lens,
     Recording,
     Shot,
     depth_files,

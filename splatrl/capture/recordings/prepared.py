@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from splatrl.capture.base import CaptureError, Photos
+from splatrl.capture.lens import Lens
 from splatrl.capture.photo_files import orientation, photo_size, read_photo
 from splatrl.capture.progress import Progress
 from splatrl.capture.recordings.base import Recording
@@ -42,17 +43,18 @@ def as_prepared(recording: Recording, folder: Path, progress: Progress) -> Photo
             f"{recording.source}: expected images with the aspect ratio of {lens.width:.0f} × {lens.height:.0f}, got "
             f"{size[0]} × {size[1]}"
         )
-    K = torch.tensor([[lens.fx * across, 0, lens.cx * across], [0, lens.fy * down, lens.cy * down], [0, 0, 1]]).double()
+    fx, fy, cx, cy = lens.fx * across, lens.fy * down, lens.cx * across, lens.cy * down
+    lens = Lens(*size, fx, fy, cx, cy, lens.distortion)
     told, stages = [orientation(path) for path in paths], Stages(folder)
     poses = np.array([shot.camera_to_world for shot in recording.shots])
     turns = stated_turns(poses, told)
-    if any(lens.distortion):
-        paths, K = undistorted(paths, size, K, np.array(lens.distortion), stages, RECORDED, progress)
+    if lens.bends:
+        paths, lens = undistorted(paths, lens, stages, RECORDED, progress)
         if turns:
             paths = _copied(paths, turns, stages, UPRIGHT, progress)
     elif len({path.parent for path in paths}) > 1 or set(told) != {1} or not all(map(_plain, paths)):
         paths = _copied(paths, turns, stages, RECORDED, progress)
-    (width, height), turned_K = turned_camera(size, K.numpy(), turns)
+    (width, height), turned_K = turned_camera(size, lens.K(size), turns)
     return Photos(
         paths,
         width,

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from splatrl.capture.base import CaptureError, Photos
+from splatrl.capture.lens import Floats
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.recordings import colmap, polycam, record3d, stray_scanner, transforms
-from splatrl.capture.recordings.base import Floats, Recording
+from splatrl.capture.recordings.base import Recording
 from splatrl.capture.recordings.keeping import keep
 from splatrl.capture.recordings.prepared import as_prepared
 

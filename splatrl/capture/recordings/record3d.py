@@ -21,13 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splatrl.capture.base import CaptureError
+from splatrl.capture.lens import Lens
 from splatrl.capture.recordings.base import (
     ARKIT_UP,
     MAX_BYTES,
     OPENGL,
     Depth,
     FilePicture,
-    Lens,
     Picture,
     Recording,
     Shot,

@@ -20,10 +20,9 @@ from splatrl import images
 from splatrl.capture import videos
 from splatrl.capture.base import CaptureError
 from splatrl.capture.frames import SHARPNESS_WIDTH
+from splatrl.capture.lens import Floats, Lens
 from splatrl.capture.recordings.base import (
     ARKIT_UP,
-    Floats,
-    Lens,
     Picture,
     Recording,
     Shot,

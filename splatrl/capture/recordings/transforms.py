@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from splatrl.capture.base import CaptureError
+from splatrl.capture.lens import Floats, Lens
 from splatrl.capture.photo_files import photo_size
 from splatrl.capture.recordings.base import (
     OPENGL,
-    Floats,
-    Lens,
     Recording,
     Shot,
     beside,

@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from splatrl.capture.held import cameras_up, on_its_side
-from splatrl.capture.recordings.base import Floats
+from splatrl.capture.lens import Floats
 
 TRANSPOSED = {1: Image.Transpose.ROTATE_90, 2: Image.Transpose.ROTATE_180, 3: Image.Transpose.ROTATE_270}
 """Pillow's names of counter-clockwise turns, by their number of quarters."""

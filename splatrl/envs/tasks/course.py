@@ -187,7 +187,7 @@ class Course(TaskModule):
         """Draw states at rest near the starts of given courses: [B] -> [B, n]."""
         start = self.places[rows, 0]
         off = 2.0 * torch.rand(len(rows), 4, generator=generator, device=start.device, dtype=torch.float64) - 1.0
-        return self.motion.with_model(self._placed(start + off * off.new_tensor(self.jitter)), rows)
+        return self.motion.layout.with_model(self._placed(start + off * off.new_tensor(self.jitter)), rows)
 
     def _placed(self, start: Tensor) -> Tensor:
         """Return states at rest at given poses: [B, 4] x, y, z and yaw -> [B, n]."""

@@ -70,9 +70,9 @@ class Gates(Course):
         super().__init__(motion, course or TrackSettings(), rewards, courses, test_courses, seed, max_steps)
         if motion.ceiling is None:
             raise ValueError("task.motion.ceiling: expected a height in metres, got None")
-        if len(motion.thing_paths) != 1:
+        if len(motion.things.paths) != 1:
             raise ValueError(
-                f"task.motion.things: expected only the gate of a track, got {', '.join(motion.thing_paths) or 'none'}"
+                f"task.motion.things: expected only the gate of a track, got {', '.join(motion.things.paths) or 'none'}"
             )
         require_rgb("task.lit", lit)
         motion.repeat(self.course.gates)
@@ -101,7 +101,7 @@ class Gates(Course):
         return Parts(torch.cat([moving.model[:, : 1 + own], model], 1), moving.model_to_world)
 
     def _furnish(self, model: Any, places: Tensor) -> None:
-        for name, (x, y, z, yaw) in zip(self.motion.thing_paths, places.tolist(), strict=True):
+        for name, (x, y, z, yaw) in zip(self.motion.things.paths, places.tolist(), strict=True):
             body = model.body(self.motion.world.things[name]).id
             model.body_pos[body] = x, y, z
             model.body_quat[body] = yaw_quat(yaw)

@@ -12,9 +12,9 @@ from splatrl.envs.robot import Robot
 from splatrl.envs.tasks.base import NOTHING, Anywhere, Mark, Memory
 from splatrl.motions.base import PlannedMotion
 from splatrl.motions.site import Fits, Site
+from splatrl.per_scene import rows_of
 from splatrl.renderers.parts import Parts
 from splatrl.scenes.gaussians import Gaussians
-from splatrl.several import rows_of
 from splatrl.values import require_number, under_key
 
 Module = TypeVar("Module", bound="TaskModule")
@@ -51,7 +51,7 @@ class TaskModule(torch.nn.Module):
         self.motion, self.max_steps = motion, max_steps
 
     def at(self: Module, scene: Tensor) -> Module:
-        """Return the task for rows in given scenes; see ``Task.at`` and ``splatrl.several``."""
+        """Return the task for rows in given scenes; see ``Task.at`` and ``splatrl.per_scene``."""
         return rows_of(self, scene)
 
     @property

@@ -91,4 +91,4 @@ class Walk(Route):
         start = self.places[rows, 0].clone()
         share = torch.rand(len(rows), generator=generator, device=start.device, dtype=torch.float64)
         start[:, 3] += self.ahead * (2.0 * share - 1.0)
-        return self.motion.with_model(self._placed(start), rows)
+        return self.motion.layout.with_model(self._placed(start), rows)

@@ -139,7 +139,7 @@ def test_things_other_than_one_gate_are_refused() -> None:
 
 
 def test_a_track_has_as_many_gates_as_its_settings_say() -> None:
-    assert list(gates().motion.thing_paths) == ["gate1", "gate2"]
+    assert list(gates().motion.things.paths) == ["gate1", "gate2"]
 
 
 @pytest.mark.parametrize("lit", [(1.0, 0.5), (255, 0, 0), "red"])

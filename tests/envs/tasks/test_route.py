@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from splatrl.building import build_one_world
+from splatrl.building.misfits import check_height
 from splatrl.configuration import load_config
 from splatrl.envs.tasks import Outcome, Route
 from splatrl.envs.teachers.chauffeur import drive_to
-from splatrl.misfits import check_height
 from splatrl.motions import PhysicsMotion
 from splatrl.physics import RouteSettings, Terrain
 from tests.envs.tasks.courses import NOTHING, PLANE, CourseContract, cache, judged, wander

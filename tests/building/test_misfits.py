@@ -10,13 +10,13 @@ from hydra.utils import instantiate
 from torch import Tensor
 
 from splatrl.building import build_one_world, build_trainer, build_world, make_env
+from splatrl.building.misfits import CUT_OFF, check_goal, check_stack, warn_of_cut_off, warn_of_far_starts
 from splatrl.configuration import load_config
 from splatrl.curriculum import Plan
 from splatrl.curriculum.field import Moves
 from splatrl.curriculum.planner import UNREACHABLE
 from splatrl.envs.transforms import FrameStack
 from splatrl.evaluation.starts import spread_starts
-from splatrl.misfits import CUT_OFF, check_goal, check_stack, warn_of_cut_off, warn_of_far_starts
 from tests.envs.contract import base_env
 from tests.tiny import tiny_overrides
 from tests.two_rooms import in_both

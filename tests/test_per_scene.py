@@ -5,7 +5,7 @@ import torch
 
 from splatrl.envs.tasks import Apple, Grid
 from splatrl.motions import ForwardMotion, LatticeMotion
-from splatrl.several import rows_of, stacked
+from splatrl.per_scene import rows_of, stacked
 
 
 def grid(x: float = 0.0, height: float = 0.4, step: float = 0.5, columns: int = 4, max_steps: int = 20) -> Grid:

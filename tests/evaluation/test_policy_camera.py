@@ -7,7 +7,7 @@ import pytest
 import torch
 from PIL import Image
 
-from splatrl.evaluation.eye import Eye
+from splatrl.evaluation.policy_camera import Eye
 
 WIDE = math.degrees(2 * math.atan(2.0))
 """Field of view of a camera that sees twice as far to either side as one of 90°."""

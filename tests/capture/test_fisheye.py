@@ -5,18 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from splatrl.array_files import read_arrays
 from splatrl.capture import placing
 from splatrl.capture.base import Photos
-from splatrl.capture.lens import fisheye
+from splatrl.capture.fisheye import fisheye
+from splatrl.capture.lens import WIDEST, Lens
 from splatrl.capture.photo_files import read_photo
 from splatrl.capture.poses import find_poses
 from splatrl.capture.settings import CaptureSettings
 from splatrl.capture.stages import Stages
 from splatrl.capture.structure import MODEL, run
-from splatrl.capture.undistort import WIDEST, undistorted
+from splatrl.capture.undistort import undistorted
 from splatrl.capture.zoom import adjust
 from tests.capture.ray_cast import photos_of, room_image, walk
 from tests.capture.test_poses import _similar
@@ -45,8 +45,8 @@ def test_cameras_behind_a_fisheye_are_found_and_their_images_become_straight(tmp
     seen = [seen_through(pose, 110.0) for pose in truth]
     photos = photos_of(tmp_path / "in", [image for image, _ in seen])
     found = find_poses(photos, tmp_path / "out")
-    assert found.fisheye and found.missing == 0 and found.camera is not None
-    assert found.camera[0].item() == pytest.approx(seen[0][1], rel=0.03)
+    assert found.lens is not None and found.lens.fisheye and found.missing == 0
+    assert found.lens.fx == pytest.approx(seen[0][1], rel=0.03)
     distance, angle = _similar(found.camera_to_world.numpy(), truth)
     assert distance < 0.02 and angle < 0.01
     kept = read_arrays(tmp_path / "out" / "structure" / MODEL)
@@ -70,23 +70,24 @@ def test_straight_images_show_all_of_a_fisheye_up_to_a_limit_and_have_no_black_e
     across_deg: float, tmp_path: Path
 ) -> None:
     focal = SIZE[0] / np.radians(across_deg)
-    K = torch.tensor([[focal, 0, CENTER[0]], [0, focal, CENTER[1]], [0, 0, 1]], dtype=torch.float64)
     x, y = np.meshgrid(*(np.arange(side) + 0.5 - middle for side, middle in zip(SIZE, CENTER, strict=True)))
     tangents = np.stack([x, y], -1) * (np.tan(np.hypot(x, y) / focal) / np.hypot(x, y))[..., None]
     coded = np.dstack([128 + 60 * np.clip(tangents, -2, 2), np.full((*SIZE[::-1], 1), 200)])
     (path,) = photos_of(tmp_path / "in", [coded.round().astype(np.uint8)]).paths
-    stages = Stages(tmp_path / "out")
-    (straight,), new = undistorted([path], SIZE, K, np.zeros(4), stages, "straight", fisheye=True)
+    lens = Lens(*SIZE, focal, focal, *CENTER, (0.0,) * 4, fisheye=True)
+    (straight,), camera = undistorted([path], lens, Stages(tmp_path / "out"), "straight")
+    new = camera.K(SIZE)
     shown = np.degrees(np.arctan([new[0, 2] / new[0, 0], (SIZE[0] - new[0, 2]) / new[0, 0]]).sum())
     assert shown == pytest.approx(min(across_deg, 2 * WIDEST), abs=1.5)
     seen = np.asarray(read_photo(straight, upright=False)).astype(float)
-    meant = (np.stack([x, y], -1) + CENTER - new[:2, 2].numpy()) / new.diagonal()[:2].numpy()
+    meant = (np.stack([x, y], -1) + CENTER - new[:2, 2]) / new.diagonal()[:2]
     assert np.abs(seen[..., :2] - 128 - 60 * meant).max() < 6 and np.abs(seen[..., 2] - 200).max() < 6
 
 
 @pytest.mark.parametrize("bent", [False, True])
 def test_a_fisheye_is_mentioned(bent: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    film = replace(walked(), seconds=SECONDS, fisheye=bent)
+    lens = Lens(*SIZE, 100.0, 100.0, *CENTER, fisheye=bent)
+    film = replace(walked(), seconds=SECONDS, lens=lens)
     monkeypatch.setattr(placing, "find_poses", lambda *_, **__: film)
     monkeypatch.setattr(placing, "place", lambda *_, **__: None)
     photos, said = Photos(film.paths, film.width, film.height, SECONDS), list[str]()

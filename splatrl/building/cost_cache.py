@@ -53,7 +53,7 @@ def remembering(cfg: DictConfig, occupancy: Occupancy) -> Callable[[Moves], Fiel
 @cache
 def _code() -> str:
     """Return a digest of the code that the costs depend on: Python modules, built-in robots and the compiled core."""
-    package = Path(__file__).parent
+    package = Path(__file__).parents[1]
     inner = (path for name in DEPENDS_ON for path in package.joinpath(name).rglob("*"))
     modules = [*package.glob("*.py"), *(path for path in inner if path.suffix in (".py", ".xml"))]
     return digest_of([*sorted(modules), Path(_core.__file__)])

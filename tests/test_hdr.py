@@ -9,7 +9,7 @@ from PIL import Image
 
 from splatrl.capture.frames import read_photos
 from splatrl.evaluation.clip_files import film_images
-from splatrl.high_range import HLG, PQ, usual_range
+from splatrl.hdr import HLG, PQ, usual_range
 
 FROM_SRGB = np.array([[0.6274, 0.3293, 0.0433], [0.0691, 0.9195, 0.0114], [0.0164, 0.0880, 0.8956]])
 MEANT = np.array([[200, 60, 60], [60, 180, 60], [60, 60, 200], [255, 255, 255], [60, 60, 60], [200, 150, 110]])

@@ -9,7 +9,7 @@ from torchrl.data import Bounded, Categorical
 from torchrl.modules import ActorValueOperator
 
 from splatrl.training.actor import Actor
-from splatrl.training.beside import actors_trunk
+from splatrl.training.asymmetric import actors_trunk
 from splatrl.training.inputs import Input
 from splatrl.training.learner import Learner
 from splatrl.training.networks import actor_critic

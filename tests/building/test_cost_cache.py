@@ -10,11 +10,11 @@ import pytest
 import torch
 
 import splatrl
-import splatrl.cost_cache
+import splatrl.building.cost_cache
 from splatrl.building import build_one_world
+from splatrl.building.cost_cache import remembering
 from splatrl.collision import Occupancy
 from splatrl.configuration import load_config
-from splatrl.cost_cache import remembering
 from splatrl.files import cache_dir
 from splatrl.physics.robots import mjcf_path
 from tests.tiny import tiny_gaussians, tiny_overrides
@@ -25,8 +25,8 @@ def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[int]:
     """A list that gets an entry each time that costs are computed."""
     monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path / "cache"))
     count: list[int] = []
-    original = splatrl.cost_cache.cost_field
-    monkeypatch.setattr(splatrl.cost_cache, "cost_field", lambda *parts: count.append(0) or original(*parts))
+    original = splatrl.building.cost_cache.cost_field
+    monkeypatch.setattr(splatrl.building.cost_cache, "cost_field", lambda *parts: count.append(0) or original(*parts))
     return count
 
 
@@ -65,7 +65,7 @@ def test_a_changed_robot_has_costs_of_its_own(
     own = ["robot=mjcf", f"robot.path={path}", "motion@task.motion=physics"]
     moves: Any = SimpleNamespace(repeats=1, motion=SimpleNamespace(nodes=lambda: torch.zeros(3)))
     costs = SimpleNamespace(cost_to_go=torch.zeros(3))
-    monkeypatch.setattr(splatrl.cost_cache, "cost_field", lambda moves: found.append(0) or costs)
+    monkeypatch.setattr(splatrl.building.cost_cache, "cost_field", lambda moves: found.append(0) or costs)
     for limits, count in (("-0.25 0.5", 1), ("-0.25 0.4", 2), ("-0.25 0.4", 2)):
         path.write_text(wheels.replace("-0.25 0.5", limits))
         cfg = load_config([*tiny_overrides(tmp_path, "drive"), *own])
@@ -84,7 +84,7 @@ def test_costs_in_a_damaged_cache_are_computed_again(found: list[int], tmp_path:
 
 
 def test_costs_are_not_cached_for_a_task_from_another_package(found: list[int], tmp_path: Path) -> None:
-    words = [*tiny_overrides(tmp_path), "task._target_=tests.test_cost_cache.grid", "allow_targets=[tests]"]
+    words = [*tiny_overrides(tmp_path), "task._target_=tests.building.test_cost_cache.grid", "allow_targets=[tests]"]
     for _ in range(2):
         build_one_world(load_config(words))
     assert len(found) == 2
@@ -100,18 +100,18 @@ def grid(**settings: object) -> object:
 def test_a_change_of_the_python_code_or_the_compiled_core_computes_costs_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = splatrl.cost_cache._code.__wrapped__()
+    before = splatrl.building.cost_cache._code.__wrapped__()
     (tmp_path / "core").write_bytes(b"another build")
     with monkeypatch.context() as patch:
-        patch.setattr(splatrl.cost_cache._core, "__file__", str(tmp_path / "core"))
-        assert splatrl.cost_cache._code.__wrapped__() != before
-    assert splatrl.cost_cache._code.__wrapped__() == before
+        patch.setattr(splatrl.building.cost_cache._core, "__file__", str(tmp_path / "core"))
+        assert splatrl.building.cost_cache._code.__wrapped__() != before
+    assert splatrl.building.cost_cache._code.__wrapped__() == before
     copy = shutil.copytree(Path(splatrl.__file__).parent, tmp_path / "splatrl", ignore=shutil.ignore_patterns("conf"))
-    monkeypatch.setattr(splatrl.cost_cache, "__file__", str(copy / "cost_cache.py"))
-    assert splatrl.cost_cache._code.__wrapped__() == before
+    monkeypatch.setattr(splatrl.building.cost_cache, "__file__", str(copy / "building" / "cost_cache.py"))
+    assert splatrl.building.cost_cache._code.__wrapped__() == before
     for name in ("geometry.py", "collision/several.py", "envs/tasks/grid.py", "physics/robots/wheels.xml"):
         source = copy / name
         source.write_text(source.read_text() + "\n")
-        now = splatrl.cost_cache._code.__wrapped__()
+        now = splatrl.building.cost_cache._code.__wrapped__()
         assert now != before, name
         before = now
