@@ -24,7 +24,7 @@ from splatrl.values import flat, require_number
 
 SWEEP = {"-m", "--multirun"}
 """Options that ask Hydra for a sweep."""
-LISTED = re.compile(r"'[^']*'|\"[^\"]*\"|[^,]+")
+LISTED = re.compile(r"""(?:^|,)('[^']*'(?=,|$)|"[^"]*"(?=,|$)|[^,]*)""")
 """One of the scenes of a sweep; those whose paths contain commas are quoted."""
 SEEDED = re.compile(r"(\w+):(\d+)")
 """A scene's name with a seed, such as yard:3."""
