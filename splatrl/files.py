@@ -90,13 +90,18 @@ def new_folder(path: Path) -> Iterator[Path]:
 def in_place_of(path: Path, parent: Path) -> Iterator[Path]:
     """Make a temporary folder in ``parent`` for what is to get into the folder ``path``; the block moves its content.
 
+    It is locked while the block runs, so those that killed processes left for the same path are known, and removed.
+
     Raises:
         OSError: if the folder cannot be written; the error names the path.
     """
-    temporary = parent / f".{path.resolve().name}.{secrets.token_hex(4)}.tmp"
+    name = path.resolve().name
+    temporary = parent / f".{name}.{secrets.token_hex(4)}.tmp"
     try:
         temporary.mkdir()
-        yield temporary
+        with alone_in(temporary):
+            _remove_abandoned(parent, name)
+            yield temporary
     except OSError as error:  # the error for a full disk names no file
         if error.errno is None:
             raise
@@ -105,6 +110,14 @@ def in_place_of(path: Path, parent: Path) -> Iterator[Path]:
         raise OSError(error.errno, told, name) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _remove_abandoned(parent: Path, name: str) -> None:
+    """Remove the temporary folders for a path in which no process is writing any more."""
+    for left in parent.glob(".*.tmp"):
+        if re.fullmatch(rf"\.{re.escape(name)}\.[0-9a-f]{{8}}\.tmp", left.name) and not left.is_symlink():
+            with suppress(OSError, ValueError), alone_in(left):  # a ValueError where somebody is still writing
+                shutil.rmtree(left)
 
 
 def require_room(folder: Path, size: int = 1) -> None:
@@ -224,7 +237,7 @@ def cache_dir() -> Path:
         ValueError: without either variable, for a user without a home folder, as in some containers.
     """
     if chosen := os.environ.get("SPLATRL_CACHE"):
-        return Path(chosen)
+        return expanded(chosen)
     if caches := os.environ.get("XDG_CACHE_HOME"):
         return Path(caches) / "splatrl"
     try:

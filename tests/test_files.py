@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from splatrl.files import cache_dir, expanded, read_entry
+from splatrl.files import alone_in, cache_dir, expanded, new_folder, read_entry
 from tests.scenes.samples import lying_zip, zip_bytes
 
 MIB = 1 << 20
@@ -34,6 +34,21 @@ def test_a_user_without_a_home_folder_is_asked_for_a_folder_for_caches(monkeypat
     assert cache_dir() == Path("caches/splatrl")
     monkeypatch.setenv("SPLATRL_CACHE", "mine")
     assert cache_dir() == Path("mine")
+    monkeypatch.setenv("HOME", "/home/me")
+    monkeypatch.setenv("SPLATRL_CACHE", "~/mine")  # as in a file with variables for a container
+    assert cache_dir() == Path("/home/me/mine")
+
+
+def test_a_new_folder_removes_what_killed_processes_left_of_it_and_nothing_else(tmp_path: Path) -> None:
+    left, busy = tmp_path / ".demos.0123abcd.tmp", tmp_path / ".demos.0123abce.tmp"
+    others = [tmp_path / name for name in (".demos.original.tmp", ".demos2.0123abcd.tmp", "demos.0123abcd.tmp")]
+    for folder in (left, busy, *others):
+        (folder / "inner").mkdir(parents=True)
+    (tmp_path / ".demos.0123abcf.tmp").symlink_to(others[0])
+    before = {*tmp_path.rglob("*")}
+    with alone_in(busy), new_folder(tmp_path / "demos"):
+        assert not left.exists()
+    assert {*tmp_path.rglob("*")} == before - {left, left / "inner"} | {tmp_path / "demos"}
 
 
 def _read(archive: bytes, most: int = MIB) -> bytes:

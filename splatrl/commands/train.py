@@ -17,7 +17,7 @@ from splatrl.commands.entries import train as main
 from splatrl.commands.evaluate import evaluate_run
 from splatrl.commands.faults import CONFIGURED, in_one_line
 from splatrl.commands.stopping import stoppable
-from splatrl.commands.sweeps import continuation, earlier
+from splatrl.commands.sweeps import continuation, continuation_of_sweep, earlier
 from splatrl.configuration import (
     RUN_CONFIG,
     check_config,
@@ -40,9 +40,20 @@ from splatrl.viewer.page import Page
 from splatrl.viewer.training import TrainingView
 
 
+def run() -> None:
+    """Run the command; a sweep that is interrupted says how it continues, whoever runs its jobs."""
+    try:
+        run_job()
+    except (KeyboardInterrupt, SystemExit) as ended:
+        if (told := continuation_of_sweep(ended)) is None:
+            raise
+        with stoppable(told):
+            raise KeyboardInterrupt from None
+
+
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="train")
 @in_one_line("splatrl-train")
-def run(cfg: DictConfig) -> float:
+def run_job(cfg: DictConfig) -> float:
     """Train and evaluate the policy that a config describes, or resume a run; return the success rate, for sweepers."""
     job = HydraConfig.get()
     with chdir(job.runtime.cwd) if job.job.chdir else nullcontext():  # relative paths begin where they were typed
@@ -67,7 +78,7 @@ def trained(cfg: DictConfig, job: HydraConf) -> float:
             check_new(folder)
         new = not cfg.resume and not (folder / RUN_CONFIG).exists()
         try:
-            with stoppable(f"continue with: {continuation(job, folder)}"):
+            with stoppable(continuation(job, folder)):
                 return train(cfg, folder)
         except CONFIGURED:
             if new and not any(folder.glob("checkpoints/*.pt")):

@@ -72,9 +72,7 @@ class WritableFolder(Callback):
     def _make(self, config: DictConfig, kind: str) -> None:
         if config.hydra.output_subdir is None:  # a command without run folders
             return
-        hydra = HydraConfig.instance()
-        before = hydra.cfg
-        hydra.set_config(config)  # needed to resolve the folder; Hydra sets it later
+        HydraConfig.instance().set_config(config)  # needed to resolve the folder; Hydra sets it as a job begins
         try:
             folder = Path(config.hydra[kind].dir)
             if kind == "run" and not config.get("resume"):
@@ -87,8 +85,6 @@ class WritableFolder(Callback):
             sys.exit(f"splatrl-{config.hydra.job.name}: {error}")
         except OSError as error:
             _refuse(folder, error, None if kind == "run" and config.get("resume") else f"hydra.{kind}.dir")
-        finally:
-            hydra.cfg = before
 
 
 def _share(config: DictConfig, folder: Path) -> None:

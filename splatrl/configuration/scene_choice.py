@@ -15,6 +15,8 @@ from splatrl.values import flat, require_number
 
 SWEEP = {"-m", "--multirun"}
 """Options that ask Hydra for a sweep."""
+LISTED = re.compile(r"""(?:^|,)('[^']*'(?=,|$)|"[^"]*"(?=,|$)|[^,]*)""")
+"""One of the scenes of a sweep; those whose paths contain commas are quoted."""
 SEEDED = re.compile(r"(\w+):(\d+)")
 """A scene's name with a seed, such as yard:3."""
 
@@ -52,7 +54,7 @@ def _choosing(value: str, sweeps: bool) -> list[str]:
         return [f"scene={path}"]  # without any quotes
     if is_path(path):
         return _files([path])
-    if sweeps and all(map(is_path, several := [bare(one) for one in value.split(",")])):
+    if sweeps and all(map(is_path, several := [bare(one) for one in LISTED.findall(value)])):
         return _files(several)
     if sweeps and (seeds := _seeds(value)):
         return ["scene=yard", f"scene.seed={','.join(seeds)}"]

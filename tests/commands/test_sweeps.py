@@ -6,12 +6,14 @@ import sys
 from datetime import time
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from hydra.conf import HydraConf
+from hydra.core.plugins import Plugins
 from omegaconf import DictConfig, OmegaConf
 
-from splatrl.commands import entries, sweeps, train
+from splatrl.commands import entries, stopping, sweeps, train
 from splatrl.configuration import load_config, run_configs, save_config, sweep_folders
 
 WORDS = ["task=fps", "logger.video=false", "collector.total_frames=2048", "collector.frames_per_batch=1024"]
@@ -164,8 +166,29 @@ def test_a_process_of_a_launcher_says_how_its_own_job_continues(
     sweeps.TYPED.clear()
     monkeypatch.setattr(sys, "argv", ["splatrl-train", "-m", *WORDS, "seed=0,1,2", f"hydra.sweep.dir='{begun}'"])
     with pytest.raises(SystemExit):
-        train.run()
+        train.run_job()
     assert capsys.readouterr().err.endswith(f"; continue with: splatrl-train 'resume={begun}/1'\n")
+
+
+@pytest.mark.parametrize(
+    ("ended", "chosen"),
+    [(KeyboardInterrupt(), []), (SystemExit(stopping.INTERRUPTED), ["hydra.sweep.dir='a sweep'"])],
+)
+def test_a_sweep_that_is_interrupted_while_others_run_its_jobs_says_how_it_continues(
+    begun: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], ended: Any, chosen: list[str]
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise ended
+
+    monkeypatch.chdir(begun.parent)
+    monkeypatch.setattr(Plugins, "instantiate_sweeper", interrupted)
+    monkeypatch.setattr(sweeps, "BasicLauncher", SimpleNamespace(__name__="not what launches here"))
+    with pytest.raises(SystemExit, match=f"^{stopping.INTERRUPTED}$"):
+        sweep(monkeypatch, *WORDS, "seed=0,1,2", *chosen)
+    place = f"'{begun}'" if chosen else next((begun.parent / "multirun").glob("*/*"))
+    first, _, command = capsys.readouterr().err.splitlines()[-1].partition(", continue with: ")
+    assert first.endswith("; jobs on a cluster run on; when they have ended or been cancelled")
+    assert shlex.split(command) == ["splatrl-train", "-m", *WORDS, "seed=0,1,2", f"hydra.sweep.dir={place}"]
 
 
 def test_runs_are_resumed_by_a_sweep(begun: Path, monkeypatch: pytest.MonkeyPatch, given: Given) -> None:

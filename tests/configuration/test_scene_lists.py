@@ -72,6 +72,9 @@ def test_each_job_of_a_sweep_over_folders_has_the_values_that_its_folder_propose
         cfg = job_config(composed(job, "train"), job)
         assert (cfg.robot.height, cfg.seed, cfg.landmarks.goal) == (height, 1, [5.5, 0.5, 0.0])
         assert cfg.task.motion.lower == [4.0, -1.5] and cfg.scene.path == str(east)
+    (tmp_path / "x, y").symlink_to(west)
+    given = f"'{tmp_path}/x, y','{east}'"
+    assert command_line("train", ["-m", f"scene={given}"])[-1] == f"scene.path={given}"
     with pytest.raises(SystemExit, match=f"only existing paths, .*, got {west} among"):
         command_line("train", ["-m", f"scene={west},{tmp_path}/nowhere/"])
 
