@@ -53,14 +53,14 @@ def cameras_up(camera_to_world: Floats) -> Held:
     for _ in range(10):  # reweighted against a few cameras that are rolled unlike the rest
         weights = weights / weights.sum()
         spread, common = (right * weights[:, None]).T @ right, weights @ right
-        values, vectors = np.linalg.eigh(spread)
-        side = vectors[:, 2]
+        values, axes = np.linalg.eigh(spread)
+        side = axes[:, 2]
         if values[1] < 4 * values[0] or values[1] < 0.003:
             up, lean = own - side * (own @ side), LARGEST_LEAN
             break
-        values, vectors = np.linalg.eigh(spread - ASKEW * np.outer(common, common))
+        left, vectors = np.linalg.eigh(spread - ASKEW * np.outer(common, common))
         up = vectors[:, 0]
-        lean = math.atan(math.sqrt(max(values[0], 0.0) / values[1]))
+        lean = math.atan(math.sqrt(max(left[0], 0.0) / values[1]))
         weights = 1.0 / np.maximum(np.abs((right - ASKEW * common) @ up), 0.02)
     up = up / np.linalg.norm(up)
     straight_down = abs(up @ own) < STRAIGHT_DOWN[0] and abs(up @ forward) > STRAIGHT_DOWN[1]
