@@ -18,12 +18,17 @@ LATE = 1.5
 """Maximum time between the two frames at a cut, in usual times from frame to frame; a longer one is a gap in a take."""
 
 
+def coarse(grey: NDArray[np.uint8]) -> Floats:
+    """Return a grey image [H, W] over ``SIZE`` pixels, [h, w]."""
+    return np.asarray(Image.fromarray(grey).resize(SIZE, Image.Resampling.BOX), np.float64)
+
+
 def pattern(grey: NDArray[np.uint8]) -> Floats:
     """Return the coarse pattern of a grey image [H, W] as a vector, of length 1 unless the image is of one grey.
 
     Brightness and contrast are left out: a camera that adapts to the light changes them from frame to frame.
     """
-    small = np.asarray(Image.fromarray(grey).resize(SIZE, Image.Resampling.BOX), np.float64).reshape(-1)
+    small = coarse(grey).reshape(-1)
     small -= small.mean()
     return np.asarray(small / max(float(np.linalg.norm(small)), 1e-9))
 

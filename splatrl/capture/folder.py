@@ -131,7 +131,7 @@ def problems(placed: Placed, found: Suggestions, quality: Quality, moving: Tenso
         f"{quality.floating} of {quality.solid} solid voxels are floaters: cameras saw through them.": (
             floating > FEW_FLOATERS
         ),
-        f"Held-out images are rendered at only {corrected or 0:.1f} dB: the image quality is poor.": corrected
+        f"Held-out images are rendered at only {corrected or 0:.1f} dB, colours corrected: they look poor.": corrected
         is not None
         and corrected < GOOD_PSNR,
         "No image was held out, so the image quality is unknown.": quality.held_out == 0,

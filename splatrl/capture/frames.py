@@ -14,7 +14,7 @@ from PIL import Image
 
 from splatrl.capture import photo_files, videos
 from splatrl.capture.base import CaptureError, Photos
-from splatrl.capture.cuts import cuts, pattern
+from splatrl.capture.cuts import coarse, cuts, pattern
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.stages import Stages, fingerprint
 from splatrl.images import PHOTO_SUFFIXES
@@ -29,8 +29,10 @@ PER_SECOND = 4.0
 SHARPNESS_WIDTH = 480
 SMALLEST = 32
 """Minimum side of an image, pixels; smaller ones show no features."""
-BLACK = 10.0
-"""Mean grey level below which a video frame shows nothing: the lens was covered, or clips fade into each other."""
+BLACK, DARK, EVEN = 10.0, 25.0, 1.5
+"""Mean grey level below which a video frame shows nothing: the lens was covered, or clips fade into each other. And the
+level below which it shows nothing but noise if, over coarse pixels, it deviates by less than ``EVEN``, as in a pocket
+that the phone brightens up. Films of rooms and yards that are darkened to a level of 12 deviate by 2.2 or more."""
 Thing = TypeVar("Thing")
 
 
@@ -99,6 +101,11 @@ def sharpness(grey: np.ndarray) -> float:
     return float((around - 4 * grey[1:-1, 1:-1]).var())
 
 
+def shows_something(grey: np.ndarray) -> bool:
+    """Return whether a video frame [H, W] uint8 shows more than black, or than the noise of a covered lens."""
+    return bool(grey.mean() >= DARK or (grey.mean() >= BLACK and coarse(grey).std() >= EVEN))
+
+
 def buckets(times: np.ndarray, count: tuple[int, int]) -> np.ndarray:
     """Split a video into stretches of equal duration.
 
@@ -151,7 +158,7 @@ def _from_video(
             grey = videos.grey(frame, SHARPNESS_WIDTH)
             shown.append(seconds - start)
             patterns.append(pattern(grey))
-            if grey.mean() >= BLACK:
+            if shows_something(grey):
                 yield int(np.searchsorted(ends, seconds, side="right")), (seconds, frame), sharpness(grey)
 
     for seconds, frame in sharpest(graded()):

@@ -11,6 +11,9 @@ Floats = NDArray[np.float64]
 
 LARGEST_LEAN = math.radians(35.0)
 """How far people look up or down, and so how far off the cameras' own up may be where all of them look one way."""
+ASKEW = 0.9
+"""Fraction of what the right axes have in common along up that counts as a roll of all images, as by a crooked mount.
+Cameras that turn to one side only do not tell such a roll from a lean, and the rest keeps their up near their own."""
 LYING = (3.0, 0.1)
 """Minimum ratio between the spreads in a plane (second eigenvalues) of the cameras' up axes and of their right axes,
 and minimum spread of the up axes, for a film that lies on its side; upright films have ratios of 0.03 to 0.4 and
@@ -35,10 +38,11 @@ directions, for a camera that looks straight down: its own up axes hardly say wh
 
 
 def cameras_up(camera_to_world: Floats) -> Held:
-    """Return the direction perpendicular to the cameras' right axes, on the side of their own up axes.
+    """Return the direction to which the cameras' right axes all have one angle, near a right angle.
 
-    Where all cameras look the same way, their right axes agree, and only the mean of their own up axes is left to
-    decide. Cameras that look straight down have up behind them.
+    Of its two ways, the one nearer to the cameras' own up axes is taken. Where all cameras look the same way, their
+    right axes agree, and only the mean of their own up axes is left to decide. Cameras that look straight down have up
+    behind them.
 
     Args:
         camera_to_world: [N, 4, 4], OpenCV camera axes.
@@ -46,14 +50,18 @@ def cameras_up(camera_to_world: Floats) -> Held:
     right = camera_to_world[:, :3, 0]
     own, forward = -camera_to_world[:, :3, 1].mean(0), camera_to_world[:, :3, 2].mean(0)
     weights, up, side, lean = np.ones(len(right)), own, own, 0.0
-    for _ in range(10):  # reweighted against a few cameras held askew
-        values, vectors = np.linalg.eigh((right * weights[:, None]).T @ right / weights.sum())
-        up, side = vectors[:, 0], vectors[:, 2]
+    for _ in range(10):  # reweighted against a few cameras that are rolled unlike the rest
+        weights = weights / weights.sum()
+        spread, common = (right * weights[:, None]).T @ right, weights @ right
+        values, axes = np.linalg.eigh(spread)
+        side = axes[:, 2]
         if values[1] < 4 * values[0] or values[1] < 0.003:
             up, lean = own - side * (own @ side), LARGEST_LEAN
             break
-        lean = math.atan(math.sqrt(max(values[0], 0.0) / values[1]))
-        weights = 1.0 / np.maximum(np.abs(right @ up), 0.02)
+        left, vectors = np.linalg.eigh(spread - ASKEW * np.outer(common, common))
+        up = vectors[:, 0]
+        lean = math.atan(math.sqrt(max(left[0], 0.0) / values[1]))
+        weights = 1.0 / np.maximum(np.abs((right - ASKEW * common) @ up), 0.02)
     up = up / np.linalg.norm(up)
     straight_down = abs(up @ own) < STRAIGHT_DOWN[0] and abs(up @ forward) > STRAIGHT_DOWN[1]
     return Held(up if up @ (-forward if straight_down else own) >= 0 else -up, side, lean)

@@ -112,13 +112,17 @@ def lying(paths: list[Path], longest: int) -> list[bool]:
     Raises:
         CaptureError: where some have another size whichever way they are turned, or cannot be read.
     """
-    sizes = [shrunk_size(photo_size(path), longest) for path in paths]
+    stored = [photo_size(path) for path in paths]
+    sizes = [shrunk_size(size, longest) for size in stored]
     usual = Counter(sizes).most_common(1)[0][0]
-    other = [path.name for path, size in zip(paths, sizes, strict=True) if size not in (usual, usual[::-1])]
-    if other:
+    others = [number for number, size in enumerate(sizes) if size not in (usual, usual[::-1])]
+    if others:
+        (width, height), (other_width, other_height) = stored[sizes.index(usual)], stored[others[0]]
         raise CaptureError(
-            f"{paths[0].parent}: expected photos of one size from one camera, got {len(other)} of another size than "
-            f"the other {len(paths) - len(other)}; remove {_named(other)}"
+            f"{paths[0].parent}: expected photos of one size from one camera, got {len(paths) - len(others)} like "
+            f"{paths[sizes.index(usual)].name} with {width} × {height} pixels, and {len(others)} of other sizes, like "
+            f"{paths[others[0]].name} with {other_width} × {other_height}; remove "
+            f"{_named([paths[number].name for number in others])}"
         )
     return [size != usual for size in sizes]
 

@@ -173,6 +173,14 @@ def test_the_report_on_a_good_capture_lists_no_problems(written: tuple[Path, Pla
     assert (stated["scale_error"], stated["up_error_deg"]) == (0.12, 6.6)
 
 
+def test_images_that_are_rendered_poorly_are_mentioned_by_the_figure_that_decides(
+    written: tuple[Path, Placed, Quality],
+) -> None:
+    _, placed, quality = written
+    poor = replace(quality, psnr=17.6, psnr_corrected=18.58)
+    assert any("at only 18.6 dB, colours corrected:" in problem for problem in problems(placed, NOTHING, poor))
+
+
 def test_gps_positions_that_do_not_give_the_scale_are_mentioned(written: tuple[Path, Placed, Quality]) -> None:
     _, placed, quality = written
     for gps, told in ((None, False), (torch.zeros(2, 2), True)):

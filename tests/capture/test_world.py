@@ -177,9 +177,8 @@ def test_images_that_were_turned_on_their_side_are_placed_like_upright_ones() ->
     lies = torch.arange(len(upright.paths)) % 5 < 3
     poses = upright.camera_to_world.clone()
     poses[lies, :3, 0], poses[lies, :3, 1] = -upright.camera_to_world[lies, :3, 1], upright.camera_to_world[lies, :3, 0]
-    flat = torch.zeros(30, 3, dtype=torch.float64)  # no floor that would determine up
-    flat[:, 0] = torch.linspace(-1, 1, 30)
-    few = {"points": flat, "colors": upright.colors[:30], "seen_point": torch.zeros(0), "seen_by": torch.zeros(0)}
+    cloud = torch.from_numpy(np.random.default_rng(0).normal(size=(3000, 3)))  # nothing that would determine up
+    few = {"points": cloud, "colors": upright.colors[:3000], "seen_point": torch.zeros(0), "seen_by": torch.zeros(0)}
     given = replace(upright, camera_to_world=poses, turned=lies, **few)
     placed, expected = (place(found, marker=None) for found in (given, replace(upright, **few)))
     torch.testing.assert_close(placed.world_from_capture, expected.world_from_capture)
@@ -279,6 +278,16 @@ def test_cameras_that_all_look_one_way_have_the_up_direction_of_their_images() -
     poses = walk().camera_to_world.numpy()[:1].repeat(5, 0)
     own = -poses[0, :3, 1]
     assert cameras_up(poses).up @ own > math.cos(math.radians(5.0))
+
+
+@pytest.mark.parametrize("roll_deg", [-12.0, 6.0])
+def test_a_camera_that_is_mounted_askew_and_looks_around_has_the_up_direction_of_its_place(roll_deg: float) -> None:
+    yaw, rng = np.linspace(0.0, 5.5, 60), np.random.default_rng(0)
+    turned = np.stack([yaw, np.full(60, 0.1), np.full(60, math.radians(roll_deg))], 1)
+    turned += np.radians(rng.normal(0.0, 1.5, turned.shape))
+    walked = np.concatenate([rng.normal(size=(60, 3)), turned], 1)
+    held = cameras_up(camera_poses(torch.from_numpy(walked)).numpy())
+    assert held.up[2] > math.cos(math.radians(1.5)) and held.lean < math.radians(7.0)
 
 
 def test_recorded_gravity_and_metric_scale_take_precedence() -> None:
