@@ -74,7 +74,9 @@ class DriveMotion(StoppingMotion):
                 f"task.motion: expected a turn of at least {SLOWEST:g} radians within time_step, got {turn:g}"
             )
         angle_cell = math.tau / math.ceil(HEADINGS_A_TURN * math.tau / turn - 1e-9)
-        super().__init__((), step, turn, height, lower, upper, spacing, headings, max(CELL, spacing / CELLS), angle_cell)
+        super().__init__(
+            (), step, turn, height, lower, upper, spacing, headings, max(CELL, spacing / CELLS), angle_cell
+        )
         self.time_step = time_step
         self.reach, self.angle_between = REACH, math.tau / WAYS
         limits = torch.tensor([[linear[0], -angular], [linear[1], angular]], dtype=torch.float32)

@@ -41,7 +41,7 @@ def upright_frame(
 ) -> Frame:
     """Return the frame that stands a file upright with its floor at z = 0 and its walls along x and y.
 
-    Walls that are parallel to the file's axes to within ``STRAIGHT`` turn nothing.
+    Where up is an axis of the file, walls that are parallel to its other axes to within ``STRAIGHT`` turn nothing.
 
     Args:
         upright: how the file lies; the other arguments override it.
@@ -53,7 +53,7 @@ def upright_frame(
     name = axis_name(upright.up)
     standing = _standing(upright.up)
     turn = 0.0 if upright.walls is None else _oblique(standing @ upright.walls)
-    if axes is None and (name is None or turn):
+    if axes is None and (name is None or abs(turn) > STRAIGHT):
         along, across = math.cos(turn), math.sin(turn)
         transform = np.eye(4)
         transform[:3, :3] = scale * np.array([[along, across, 0.0], [-across, along, 0.0], [0.0, 0.0, 1.0]]) @ standing
@@ -174,9 +174,8 @@ def _standing(up: ArrayLike) -> NDArray[np.float64]:
 
 
 def _oblique(walls: NDArray[np.float64]) -> float:
-    """Return the angle from the nearest of ±x and ±y to walls [3], radians in ±π/4; 0 if they are straight."""
-    angle = (math.atan2(walls[1], walls[0]) + 0.25 * math.pi) % (0.5 * math.pi) - 0.25 * math.pi
-    return angle if abs(angle) > STRAIGHT else 0.0
+    """Return the angle from the nearest of ±x and ±y to walls [3], radians in ±π/4."""
+    return (math.atan2(walls[1], walls[0]) + 0.25 * math.pi) % (0.5 * math.pi) - 0.25 * math.pi
 
 
 def _rounded(value: float, digits: int = 6) -> float:
