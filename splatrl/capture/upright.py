@@ -6,11 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from splatrl.scenes.walls import entropy
+
 Floats = NDArray[np.float64]
 
-WITHIN, SAMPLED, CELLS = 0.9, 6000, 200
-"""Quantile of the distance from the middle up to which points are used, about how many of these are sampled, and the
-number of cells along an axis."""
+WITHIN, SAMPLED = 0.9, 6000
+"""Quantile of the distance from the middle up to which points are used, and about how many of these are sampled."""
 FARTHEST, STEP = 10, 1
 """Degrees that are searched around the given direction, beyond its lean, and the step of the search."""
 UNSURE, LEANING, UNLIKELY = math.radians(3.0), 0.45, 0.03
@@ -63,13 +64,6 @@ def straightened(points: Floats, held: Held) -> tuple[Floats, bool]:
         up, gain = _straightest(off, up, axis, 0.0)
     clear = gain > CLEAR
     return up if clear or held.lean > ONE_WAY else held.up, clear
-
-
-def entropy(values: Floats) -> float:
-    """Return the entropy of the histogram of coordinates [N] in [−1, 1] along an axis: the less, the sharper."""
-    cells = np.clip((values + 1.0) * (CELLS / 2), 0, CELLS - 1).astype(int)
-    shares = np.bincount(cells, minlength=CELLS) / len(values)
-    return float(-(shares * np.log(np.maximum(shares, 1e-12))).sum())
 
 
 def _straightest(off: Floats, up: Floats, side: Floats, lean: float) -> tuple[Floats, float]:

@@ -17,8 +17,8 @@ from splatrl.capture.marker import MARKER_SIDE, scale_by_marker
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.quarters import quarters
 from splatrl.capture.scale import Distance, ScaleFrom, contradiction, scale_by_distance, scale_by_gps
-from splatrl.capture.upright import entropy
 from splatrl.capture.upright_check import doubt_of_up
+from splatrl.scenes.walls import find_walls
 from splatrl.values import require_number
 
 Floats = NDArray[np.float64]
@@ -37,7 +37,6 @@ UNEVEN = 3.0
 """Maximum time from one image of a film to the next, in usual times; the sharpest images lie unevenly."""
 OUTERMOST = (0.05, 0.95)
 """Quantiles of the cameras' heights beyond which heights count as wrong."""
-_TURNS = np.radians(np.arange(0.0, 90.0, 0.5))
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +242,7 @@ def _world_from_capture(poses: Floats, points: Floats, ground: Ground, scale: fl
     cameras, flat = poses[:, :3, 3] @ turn.T, points @ turn.T
     heights = flat[:, 2] - ground.height
     above = float(np.median(cameras[:, 2])) - ground.height
-    yaw = wall_direction(flat[(heights > 0.1 * above) & (heights < 1.5 * above), :2])
+    yaw = find_walls(flat[(heights > 0.1 * above) & (heights < 1.5 * above), :2]).yaw
     spin = np.array([[math.cos(yaw), math.sin(yaw), 0.0], [-math.sin(yaw), math.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
     turn = spin @ turn
     if (turn @ poses[0, :3, 2])[0] < 0:  # of the two ways along the wall, the one in which the first camera looks
@@ -255,36 +254,6 @@ def _world_from_capture(poses: Floats, points: Floats, ground: Ground, scale: fl
     transform[:3, :3] = scale * turn
     transform[:3, 3] = -scale * middle
     return transform
-
-
-def wall_direction(places: Floats) -> float:
-    """Return the direction of the longest wall, radians in (−π/2, π/2].
-
-    Walls at right angles make the two histograms of the points' coordinates sharp: the rotation with the least entropy
-    is taken, and of its two directions the one in which the points reach farther.
-
-    Args:
-        places: [P, 2] positions of points on walls and things.
-    """
-    if len(places) < 10:
-        return 0.0
-    low, high = np.quantile(places, [0.02, 0.98], axis=0)
-    places = places[((places >= low) & (places <= high)).all(1)]
-    size = float(np.linalg.norm(high - low)) or 1.0
-    middle = np.median(places, 0)
-
-    def spread(yaw: float) -> float:
-        along = (places - middle) @ np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
-        return sum(entropy(2.0 * along[:, axis] / size) for axis in (0, 1))
-
-    coarse = float(_TURNS[int(np.argmin([spread(yaw) for yaw in _TURNS]))])
-    fine = coarse + np.radians(np.arange(-0.5, 0.51, 0.1))
-    yaw = float(fine[int(np.argmin([spread(turn) for turn in fine]))])
-    first = np.quantile(places @ [math.cos(yaw), math.sin(yaw)], [0.05, 0.95])
-    second = np.quantile(places @ [-math.sin(yaw), math.cos(yaw)], [0.05, 0.95])
-    if second[1] - second[0] > first[1] - first[0]:
-        yaw += 0.5 * math.pi
-    return yaw - math.pi if yaw > 0.5 * math.pi else yaw
 
 
 def _standing(up: Floats) -> Floats:

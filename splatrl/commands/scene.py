@@ -114,10 +114,13 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
         return
     words = [word for key, word in STILL_TO_TYPE.items() if proposals.get(key) is None]
     train = " ".join(["train in it: splatrl-train", shlex.quote(f"scene={target.path}/"), *words])
+    checks = list[str]()
     if GUESS in (upright.axis_guess.confidence, upright.sign_guess.confidence):
-        view = pictures.view(scene)
-        train = f"look at {view}: if the place lies on its side there, or upside down, pass --up; if not, {train}"
-    print(train)
+        checks.append(f"look at {pictures.view(scene)}: if the place lies on its side there, or upside down, pass --up")
+    if proposals.get("metric") is False:
+        size = " × ".join(f"{high - low:.3g}" for low, high in zip(*scene.bounds, strict=True))
+        checks.append(f"if the place is not {size} m, pass --distance or --scale")
+    print("; ".join([*checks, f"otherwise {train}" if checks else train]))
 
 
 def look_again(options: argparse.Namespace, folder: Path, target: SceneFolder) -> None:

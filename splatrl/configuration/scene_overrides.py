@@ -14,6 +14,8 @@ TARGETS = {
     "step": ("task.motion.step", "task.motion.spacing"),
 }
 """Keys of a ``scene.yaml``, with the config keys that take their values."""
+IN_METRES = "task.success_distance"
+"""Config key of tasks whose goal lies within metres, not within steps: the length of their steps is their own."""
 CORNERS = ("task.motion.lower", "task.motion.upper")
 """Config keys that take the two corners of ``walk``."""
 
@@ -29,6 +31,8 @@ def scene_overrides(stated: Mapping[str, Any], has: Callable[[str], bool]) -> li
         has: returns whether the config has a key; a robot that circles an object, for example, has no bounds.
     """
     values = {target: stated[key] for key, targets in TARGETS.items() if key in stated for target in targets}
+    if has(IN_METRES):
+        values.pop("task.motion.step", None)
     values.update(zip(CORNERS, stated.get("walk", ()), strict=False))
     return [f"{key}={_written(value)}" for key, value in values.items() if has(key)]
 

@@ -10,8 +10,9 @@ from torchrl.data import Bounded
 from splatrl.motions.planar import StoppingMotion, along
 from splatrl.values import require_number
 
-CELL = 0.05
-"""Distance between the positions at which paths are computed, metres."""
+CELL, CELLS = 0.05, 4
+"""Distance between the positions at which paths are computed, metres, where starts lie closely; elsewhere it is a
+multiple, with at least ``CELLS`` from one start to the next, so that a large place needs no more of them."""
 STILL = 0.1
 """Fraction of both velocity limits below which an action means stop, in tasks in which the robot declares arrival."""
 HEADINGS_A_TURN = 4
@@ -73,7 +74,8 @@ class DriveMotion(StoppingMotion):
                 f"task.motion: expected a turn of at least {SLOWEST:g} radians within time_step, got {turn:g}"
             )
         angle_cell = math.tau / math.ceil(HEADINGS_A_TURN * math.tau / turn - 1e-9)
-        super().__init__((), step, turn, height, lower, upper, spacing, headings, CELL, angle_cell)
+        cells = math.floor(spacing / (CELLS * CELL) + 1e-9) if 0 < spacing < math.inf else 1
+        super().__init__((), step, turn, height, lower, upper, spacing, headings, CELL * max(1, cells), angle_cell)
         self.time_step = time_step
         self.reach, self.angle_between = REACH, math.tau / WAYS
         limits = torch.tensor([[linear[0], -angular], [linear[1], angular]], dtype=torch.float32)

@@ -1,5 +1,6 @@
 """Places a splat file in the world: from a guess, from nerfstudio's transform, or from a known distance."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ MOST_BYTES = 2**20
 Frame = dict[str, Any]
 """Arguments of ``similarity`` by name, in types that YAML can write."""
 
+STRAIGHT = math.radians(2.0)
+"""Angle between walls and the axes below which they count as parallel; that of a captured wall is known to 1° or 2°."""
 STANDING = {
     "x": ["y", "z", "x"],
     "-x": ["z", "y", "-x"],
@@ -36,7 +39,9 @@ def upright_frame(
     scale: float | None = None,
     translation: Sequence[float] | None = None,
 ) -> Frame:
-    """Return the frame that stands a file upright with its floor at z = 0.
+    """Return the frame that stands a file upright with its floor at z = 0 and its walls along x and y.
+
+    Where up is an axis of the file, walls that are parallel to its other axes to within ``STRAIGHT`` turn nothing.
 
     Args:
         upright: how the file lies; the other arguments override it.
@@ -46,9 +51,12 @@ def upright_frame(
     """
     scale = _rounded(upright.metres_per_unit) if scale is None else scale
     name = axis_name(upright.up)
-    if axes is None and name is None:
+    standing = _standing(upright.up)
+    turn = 0.0 if upright.walls is None else _oblique(standing @ upright.walls)
+    if axes is None and (name is None or abs(turn) > STRAIGHT):
+        along, across = math.cos(turn), math.sin(turn)
         transform = np.eye(4)
-        transform[:3, :3] = scale * _standing(upright.up)
+        transform[:3, :3] = scale * np.array([[along, across, 0.0], [-across, along, 0.0], [0.0, 0.0, 1.0]]) @ standing
         frame = matrix_frame(transform)
     else:
         frame = {"axes": list(axes or STANDING[str(name)]), "scale": scale}
@@ -163,6 +171,11 @@ def _standing(up: ArrayLike) -> NDArray[np.float64]:
     slant = -x * y / (1 + z)
     turn = np.array([[1 - x * x / (1 + z), slant, -x], [slant, 1 - y * y / (1 + z), -y], [x, y, z]])
     return turn @ coarse
+
+
+def _oblique(walls: NDArray[np.float64]) -> float:
+    """Return the angle from the nearest of ±x and ±y to walls [3], radians in ±π/4."""
+    return (math.atan2(walls[1], walls[0]) + 0.25 * math.pi) % (0.5 * math.pi) - 0.25 * math.pi
 
 
 def _rounded(value: float, digits: int = 6) -> float:

@@ -56,6 +56,11 @@ class StatedFrame:
         if self.scale is not None:
             require_number("scale", self.scale, above=0.0, unit="metres per unit")
 
+    @property
+    def placed(self) -> bool:
+        """Whether axes, a transform or a translation state how the file lies among the world's axes."""
+        return any(stated is not None for stated in (self.axes, self.transform, self.translation))
+
     def up(self) -> list[float] | None:
         """Return the up direction in the file's frame, [3]; None if neither axes nor a transform state it."""
         turned = self.transform if self.axes is None else similarity(self.axes)
@@ -73,7 +78,7 @@ class StatedFrame:
         Raises:
             ValueError: if nerfstudio's file is damaged.
         """
-        if any(stated is not None for stated in (self.axes, self.transform, self.translation)):
+        if self.placed:
             return self, []
         transform = transform_beside(splat)
         if transform is None:
@@ -87,6 +92,9 @@ class StatedFrame:
     def guess(self, gaussians: Gaussians, origin: Sequence[float] = (0.0, 0.0, 0.0)) -> Upright:
         """Guess how a file lies, except for what is stated.
 
+        Walls are left out where the file's axes mean something: if axes, a transform or a translation are stated, or if
+        the file is georeferenced.
+
         Args:
             gaussians: the file's Gaussians, in its own frame, relative to ``origin``.
             origin: [3] point in the file's frame.
@@ -94,6 +102,8 @@ class StatedFrame:
         roughly = self.rough_up is not None
         upright = guess_upright(gaussians, self.rough_up if roughly else self.up(), roughly, self.vertical)
         upright = replace(upright, origin=origin)
+        if self.placed or any(origin):
+            upright = replace(upright, walls=None)
         scale = self.scale
         if scale is None and self.transform is not None:
             scale = float(self.transform[:3, 0].norm())

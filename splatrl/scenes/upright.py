@@ -11,6 +11,7 @@ from splatrl.geometry import quats_to_rotations
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.layers import ALIGNED, Layer, heavy_layers, layer_at, leaning_layer
 from splatrl.scenes.scene import captured
+from splatrl.scenes.walls import CLEAR, find_walls
 
 Floats = NDArray[np.float64]
 
@@ -77,6 +78,7 @@ class Upright:
         sign_guess: confidence in the sign of ``up``.
         floor_guess: confidence in the floor.
         units_guess: confidence in the units.
+        walls: [3] unit vector along the longest wall, in the file's frame; None where no walls are clear.
         origin: [3] point of the file that becomes x = y = 0 of the world; not the file's own origin in a georeferenced
             file.
     """
@@ -89,6 +91,7 @@ class Upright:
     sign_guess: Guess
     floor_guess: Guess
     units_guess: Guess
+    walls: Floats | None = None
     origin: Sequence[float] = (0.0, 0.0, 0.0)
 
     def __str__(self) -> str:
@@ -97,6 +100,7 @@ class Upright:
             f"  axis      {self.axis_guess}",
             f"  sign      {self.sign_guess}",
             f"floor       at {self.floor:.3g} units along up; {self.floor_guess}",
+            *(["walls       x and y run along them"] if self.walls is not None else []),
             f"units       {self.metres_per_unit:.4g} metres per unit; {self.units_guess}",
         ]
         return "\n".join(rows)
@@ -117,7 +121,7 @@ def guess_upright(
     roughly: bool = False,
     vertical: ArrayLike | None = None,
 ) -> Upright:
-    """Guess up, the floor and the units from the positions and orientations of opaque Gaussians.
+    """Guess up, the floor, the walls and the units from the positions and orientations of opaque Gaussians.
 
     The ground is the layer that holds the most Gaussians, mainly those that lie flat in it, and on which the most
     stands upright; directions near a file axis are preferred. Rival layers lower the confidence. The upper side of the
@@ -169,7 +173,10 @@ def guess_upright(
         floor_guess = Guess(GUESS, "the main layer lies above the rest, so this is only the bottom of the scene")
     ceiling = ends[1] if len(ends) == 2 else None
     scale, units_guess = _units(None if ceiling is None else ceiling - ends[0])
-    return Upright(sign * layer.normal, ends[0], ceiling, scale, axis_guess, sign_guess, floor_guess, units_guess)
+    up = sign * layer.normal
+    between = near & (points @ up > ends[0] + layer.thickness) & (points @ up < max(ends[1:], default=math.inf))
+    walls = _walls(points[between], up)
+    return Upright(up, ends[0], ceiling, scale, axis_guess, sign_guess, floor_guess, units_guess, walls)
 
 
 def _ground(
@@ -223,6 +230,13 @@ def _evidence(normals: Floats, weights: Floats, layer: Layer, vertical: ArrayLik
     prefers = _PREFERENCE if np.abs(layer.normal).max() > _NEAR_AXIS else 1.0
     prefers *= _STATED if _along(layer, vertical) else 1.0
     return prefers * layer.weight**2 * (_BARE + float(weights[across].sum()))
+
+
+def _walls(points: Floats, up: Floats) -> Floats | None:
+    """Return the direction of the longest wall among points above the floor, [3]; None if it is not clear."""
+    across = np.linalg.svd(up[None])[2][1:]
+    walls = find_walls(points @ across.T)
+    return np.array([math.cos(walls.yaw), math.sin(walls.yaw)]) @ across if walls.gap > CLEAR else None
 
 
 def _snapped(points: Floats, normals: Floats, weights: Floats, layer: Layer, lean: bool = True) -> Layer:

@@ -20,7 +20,7 @@ from splatrl.capture.marker import MarkerScale
 from splatrl.capture.scale import Click, Distance, clicked_point
 from splatrl.capture.suggestions import NOTHING
 from splatrl.capture.upright_check import why_not_upright
-from splatrl.capture.world import SCALE_ERROR, Placed, mean_height, place, wall_direction
+from splatrl.capture.world import SCALE_ERROR, Placed, mean_height, place
 from splatrl.evaluation.phone_walk import camera_poses
 from tests.capture.walks import ABOVE, CAMERAS, K, strewn, walk, without_points
 
@@ -418,17 +418,3 @@ def test_impossible_heights_distances_and_clicks_are_refused() -> None:
         place(walk(), marker=None, distance=Distance.between(Click(3, -900, 0), Click(3, 1, 1), 1.0))
     with pytest.raises(CaptureError, match="expected at least 2 cameras and 20 points to find the floor, got 40 and 5"):
         place(without_points(walk(), torch.arange(len(walk().points)) < 5), marker=None)
-
-
-@pytest.mark.parametrize("yaw_deg", [-80.0, -30.0, 0.0, 12.5, 45.0, 90.0])
-def test_x_runs_along_the_longest_wall(yaw_deg: float) -> None:
-    generator = np.random.default_rng(0)
-    along = generator.uniform(-1, 1, 900)
-    wall = generator.normal(0, 0.01, 900)
-    room = np.concatenate([np.stack([3 * along, 1 + wall], 1), np.stack([3 * along, wall - 1], 1)])
-    room = np.concatenate([room, np.stack([3 + wall[:300], along[:300]], 1)])
-    yaw = math.radians(yaw_deg)
-    turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
-    found = math.degrees(wall_direction(room @ turn.T))
-    off = (found - yaw_deg + 90.0) % 180.0 - 90.0
-    assert abs(off) < 0.5

@@ -419,7 +419,11 @@ def test_the_kitchen_is_in_metres_with_its_floor_at_zero(shared_scenes: Path, tm
 
 @pytest.mark.usefixtures("unproposed")
 @pytest.mark.parametrize(
-    ("sign", "said"), [(GUESS, "look at {}: if the place lies on its side"), (SURE, "train in it")]
+    ("sign", "said"),
+    [
+        (GUESS, r"look at \S+/yard-view.png: if the place lies on its side there, or upside down, pass --up; if"),
+        (SURE, "if"),
+    ],
 )
 def test_the_view_is_to_be_looked_at_where_up_is_only_a_guess(
     splat: Path, sign: str, said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -430,7 +434,11 @@ def test_the_view_is_to_be_looked_at_where_up_is_only_a_guess(
     monkeypatch.setattr("splatrl.scenes.stated.guess_upright", guessed)
     main([str(splat)])
     last = capsys.readouterr().out.splitlines()[-1]
-    assert last.startswith(said.format(splat.with_name("yard-view.png"))) and "train in it: splatrl-train" in last
+    size = " the place is not 5.92 × 3.84 × 1.2 m, pass --distance or --scale; otherwise train in it: splatrl-train"
+    assert re.match(said + size, last)
+    main([str(splat), "--scale", "1.0", "--force"])
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith("train in it") if sign == SURE else "pass --up; otherwise train in it" in last
 
 
 @pytest.mark.usefixtures("unproposed")

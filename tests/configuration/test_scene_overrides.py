@@ -60,6 +60,13 @@ def test_a_folder_states_everything_that_a_training_needs(garden: Path, tmp_path
     assert run_config(tmp_path) == load_config([f"scene={garden.absolute()}", *SMALL])
 
 
+@pytest.mark.parametrize("task", ["pointnav", "imagenav"])
+def test_a_task_that_measures_its_goal_in_metres_keeps_its_own_steps(garden: Path, task: str) -> None:
+    motion = load_config([f"scene={garden}", f"task={task}", *SMALL]).task.motion
+    assert (motion.step, motion.spacing) == (0.25, 0.5)
+    assert load_config([f"scene={garden}", f"task={task}", "task.motion.step=0.1", *SMALL]).task.motion.step == 0.1
+
+
 def trained(cfg: DictConfig, folder: Path) -> int:
     """Train for a few batches, and return the number of frames that the policy was trained on."""
     world = build_world(cfg)

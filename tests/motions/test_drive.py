@@ -115,8 +115,13 @@ def test_invalid_settings_are_refused(change: dict[str, Any], message: str) -> N
         DriveMotion(HEIGHT, **change)
 
 
+def test_paths_in_a_large_place_whose_starts_lie_far_apart_take_no_more_nodes_than_in_a_small_one() -> None:
+    small, large = (DriveMotion(HEIGHT, upper=(x, 1.0), spacing=0.1 * x) for x in (1.0, 7.0))
+    assert len(large.nodes()) < len(small.nodes())
+    assert (small.cell, large.cell) == (0.05, pytest.approx(0.15))
+
+
 def test_more_poses_for_shortest_paths_than_fit_into_memory_are_refused() -> None:
-    motion = DriveMotion(HEIGHT, lower=(-500.0, -500.0), upper=(500.0, 500.0), spacing=50.0)
-    assert len(motion.states()) == 21 * 21 * 36
-    with pytest.raises(ValueError, match=r"at most 16,777,216 poses for shortest paths, .* in steps of 0\.05 m"):
+    motion = DriveMotion(HEIGHT, lower=(-100.0, -100.0), upper=(100.0, 100.0), spacing=0.4)
+    with pytest.raises(ValueError, match=r"at most 16,777,216 poses for shortest paths, .* in steps of 0\.1 m"):
         motion.nodes()
