@@ -19,11 +19,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from hypothesis import settings
 
 if TYPE_CHECKING:
     import torch
 
     from splatrl.scenes import Gaussians
+
+settings.register_profile("untimed", deadline=None)  # a busy machine may take any time
+settings.load_profile("untimed")
 
 for library in ("OMP", "NUMBA"):  # one core for each worker, and for each program that a test starts
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")

@@ -53,7 +53,7 @@ def check_height(bounds: Bounds, task: Task) -> None:
         )
     if lowest >= bottom - 1e-6:
         return
-    if task.motion.seconds_per_step is not None:
+    if task.motion.height is None:
         raise ValueError(f"scene.bounds: expected a bottom below the robot, at {lowest:.3g} m, got {bottom:.3g} m")
     raise ValueError(
         f"robot.height: expected robots above {bottom:.3g} m, the bottom of scene.bounds, got {lowest:.3g}"

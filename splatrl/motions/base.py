@@ -81,7 +81,7 @@ class Motion(Protocol):
 
     @property
     def seconds_per_step(self) -> float | None:
-        """Duration for which an action is simulated, seconds; None if an action is a single move."""
+        """Duration of an action, seconds; None if an action is a single move."""
         ...
 
     @property

@@ -82,6 +82,11 @@ class DriveMotion(StoppingMotion):
         self.register_buffer("limits", limits, persistent=False)
 
     @property
+    def seconds_per_step(self) -> float:
+        """Duration of an action, seconds."""
+        return self.time_step
+
+    @property
     def action_spec(self) -> Bounded:
         """Spec of one robot's action, [2]: linear velocity, metres per second, and angular, radians per second."""
         return Bounded(low=self.limits[0], high=self.limits[1], shape=(2,), dtype=torch.float32)

@@ -90,7 +90,7 @@ def test_the_origin_moves_straight_and_the_body_turns_at_a_constant_rate():
     torch.testing.assert_close(poses[:, :3, :3], axis_rotations(2, 1.2 * shares))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10_000), max_travel=st.floats(0.05, 0.5), radius=st.floats(0.05, 1.0))
 def test_no_point_of_the_body_travels_further_than_allowed_between_two_poses(seed, max_travel, radius):
     move = Displacement(random_poses(3, seed), random_poses(3, seed + 1), radius, max_travel)
@@ -103,7 +103,7 @@ def test_no_point_of_the_body_travels_further_than_allowed_between_two_poses(see
         assert points.diff(dim=0).norm(dim=2).max() <= max_travel + 1e-12
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 10_000))
 def test_a_move_and_its_reverse_have_bitwise_equal_poses(seed):
     start, end = random_poses(4, seed), random_poses(4, seed + 1)

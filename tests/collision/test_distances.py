@@ -13,7 +13,7 @@ def true_distances(occupancy: Occupancy, points: np.ndarray) -> np.ndarray:
     return np.linalg.norm(np.maximum(gaps, 0.0), axis=2).min(1)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), share=st.sampled_from([0.01, 0.1, 0.6]))
 def test_clearance_is_below_the_true_distance_by_less_than_a_voxel_diagonal(seed, share):
     rng = np.random.default_rng(seed)

@@ -17,7 +17,7 @@ def random_grid(seed: int, resolution: float = 0.1) -> Occupancy:
     return Occupancy(generator.random(shape) < 0.4, tuple(origin.tolist()), resolution)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seeds=st.tuples(st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1)))
 def test_a_union_is_solid_where_either_is(seeds):
     a, b = (random_grid(seed) for seed in seeds)

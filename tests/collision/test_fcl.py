@@ -180,7 +180,7 @@ def test_the_pose_at_the_free_fraction_is_free(body):
     assert (fraction[checker.collides(start)] == 0.0).all()
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10_000), body=st.sampled_from(BODIES))
 def test_a_sweep_includes_its_ends_and_is_the_same_in_both_directions(seed, body):
     checker = FclChecker(clutter(seed, 0.01), body)

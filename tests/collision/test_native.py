@@ -174,7 +174,7 @@ def test_the_free_fraction_is_free_and_below_1_exactly_where_something_is_hit(sc
         assert not TorchChecker(occupancy, smaller(body)).collides(stopped[some]).any()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     quat=st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: math.hypot(*q) > 0.1),
     place=st.tuples(st.floats(-0.9, 0.9), st.floats(0.1, 1.6), st.floats(-0.4, 0.8)),
@@ -187,7 +187,7 @@ def test_any_rotation_gets_the_same_answer_from_the_torch_checker(quat, place, b
     assert not found.beyond(1e-6), str(found)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     quarters=st.tuples(*[st.integers(0, 7)] * 3),
     place=st.tuples(*[st.integers(-6, 10)] * 3),

@@ -109,7 +109,7 @@ def test_trimming_keeps_every_solid_voxel_in_the_smallest_grid():
     assert Occupancy(np.zeros((2, 3, 4), bool), (1, 1, 1), 0.1).trimmed().occupied.size == 0
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 2**32 - 1),
     shape=st.tuples(*[st.integers(0, 6)] * 3),

@@ -40,7 +40,7 @@ def random_occupancy(seed: int, share: float, shape: tuple[int, int, int], origi
     return Occupancy(np.random.default_rng(seed).random(shape) < share, origin, 0.1)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 2**32 - 1),
     share=st.sampled_from([0.02, 0.5, 0.97]),

@@ -84,7 +84,7 @@ def test_a_move_stops_just_before_the_first_contact(body):
     assert torch.equal(fraction < 1, checker.sweeps(start, end))
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(seed=st.integers(0, 10_000), body=st.sampled_from(BODIES))
 def test_a_turning_sweep_misses_nothing_and_is_hardly_wider_than_the_body(seed, body):
     occupancy = clutter(seed, 0.01)

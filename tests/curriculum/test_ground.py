@@ -57,7 +57,7 @@ def largest_part(ways: NDArray[np.uint16], nodes: NDArray[np.bool_]) -> NDArray[
     return part
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(
     shape=st.tuples(st.integers(1, 30), st.integers(1, 30)),
     goals=st.integers(1, 20),

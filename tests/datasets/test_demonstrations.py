@@ -156,7 +156,7 @@ def test_teachers_are_recorded_and_replayed_in_batches_of_any_size(task: str, mo
     assert len(shown.starts) == sum(counted) == 4
     ends = shown.starts + shown.lengths - 1
     assert shown.frames["next", "success"][ends].all()
-    assert shown.fps == {"gates": 20, "push": 5, "route": 20, "walk": 5}.get(task, 10)
+    assert shown.fps == {"gates": 20, "imagenav": 10, "route": 20}.get(task, 5)
     memory = {key: shown.frames[key] for key in world.task.memory_spec}
     taught = world.task.teach(shown.frames["state"], memory)
     assert taught is not None and torch.equal(taught.to(shown.frames["action"].dtype), shown.frames["action"])

@@ -12,14 +12,15 @@ from splatrl.curriculum.planner import UNREACHABLE
 from splatrl.envs.tasks import Outcome
 from splatrl.evaluation import Episodes, pictures
 from splatrl.evaluation.pictures import Pictures, shown, steps_a_second
-from splatrl.motions import PhysicsMotion
+from splatrl.motions import DriveMotion, PhysicsMotion
 from tests.tiny import tiny_motion, tiny_overrides
 
 
-def test_robots_with_physics_are_shown_in_real_time_and_others_at_a_fixed_pace() -> None:
+def test_actions_that_have_a_duration_are_shown_in_real_time_and_others_at_a_fixed_pace() -> None:
     pytest.importorskip("mujoco")
     speeds = [steps_a_second(PhysicsMotion("wheels", "eye", time_step=time, threads=1)) for time in (0.1, 0.2)]
     assert speeds == [10, 5] and steps_a_second(tiny_motion()) == 6
+    assert steps_a_second(DriveMotion(height=0.4, time_step=0.5)) == 2
 
 
 def test_a_video_shows_fewer_episodes_if_all_would_not_fit_at_the_longest_length() -> None:

@@ -32,7 +32,7 @@ def filled(boxes: np.ndarray, voxels: Voxels) -> np.ndarray:
     return result
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(arrays(bool, array_shapes(min_dims=3, max_dims=3, max_side=7)), st.tuples(*[st.integers(-9, 9)] * 3))
 def test_the_union_of_the_boxes_equals_the_solid_voxels(occupied: np.ndarray, origin: tuple[int, int, int]) -> None:
     voxels = Voxels(occupied, origin, EDGE)

@@ -22,7 +22,7 @@ def assert_alike(fast: RenderOutput, reference: RenderOutput) -> None:
     assert errors.numel() == 0 or errors.mean() < (1e-3 if few else 1e-4)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 10_000),
     count=st.integers(1, 700),

@@ -75,20 +75,20 @@ PLY_FILES = {
 }
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(content=st.sampled_from(list(PLY_FILES.values())), damage=damages())
 def test_a_damaged_ply_file_is_refused_or_valid(folder: Path, content: bytes, damage: Damage) -> None:
     check(folder / "a.ply", damage(content))
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(version=st.integers(2, 3), degree=st.integers(0, 3), damage=damages())
 def test_a_damaged_spz_file_is_refused_or_valid(folder: Path, version: int, degree: int, damage: Damage) -> None:
     payload, count = random_spz(version, degree)
     check(folder / "a.spz", damage(spz_bytes(payload, count, version, degree)))
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(version=st.integers(2, 3), degree=st.integers(0, 3), damage=damages())
 def test_an_spz_file_with_damage_that_its_checksum_does_not_reveal_is_refused_or_valid(
     folder: Path, version: int, degree: int, damage: Damage
@@ -100,7 +100,7 @@ def test_an_spz_file_with_damage_that_its_checksum_does_not_reveal_is_refused_or
 SPLAT = splat_bytes([(1, 2, 3)] * 3, [(0.1, 0.2, 0.3)] * 3, [(9, 99, 199, 255)] * 3, [(200, 128, 90, 100)] * 3)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(damage=damages())
 def test_a_damaged_splat_file_is_refused_or_valid(folder: Path, damage: Damage) -> None:
     check(folder / "a.splat", damage(SPLAT))
@@ -114,7 +114,7 @@ COMPRESSED = [
 ]
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(content=st.sampled_from(COMPRESSED), damage=damages())
 def test_a_damaged_compressed_ply_file_is_refused_or_valid(folder: Path, content: bytes, damage: Damage) -> None:
     pytest.importorskip("gsply", reason="needs the extra gsply")
@@ -127,14 +127,14 @@ def sog() -> dict[str, bytes]:
     return sog_entries(bands=1)[0]
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(damage=damages())
 def test_a_damaged_sog_file_is_refused_or_valid(folder: Path, damage: Damage) -> None:
     pytest.importorskip("imagecodecs", reason="needs the extra gsply")
     check(folder / "a.sog", damage(zip_bytes(sog())))
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(name=st.sampled_from(["meta.json", "means_l", "quats", "shN_centroids", "shN_labels"]), damage=damages())
 def test_a_sog_file_with_damage_that_its_checksums_do_not_reveal_is_refused_or_valid(
     folder: Path, name: str, damage: Damage
@@ -161,7 +161,7 @@ FIELDS = [
 ]
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(keys=st.sampled_from(FIELDS), value=JSON)
 def test_a_sog_file_with_any_json_in_place_of_a_field_is_refused_or_valid(
     folder: Path, keys: tuple[str, ...], value: object

@@ -138,7 +138,7 @@ def test_a_dense_object_on_wide_sparse_ground_does_not_hide_the_ground(share: fl
         assert upright.floor == pytest.approx(0.0, abs=0.05)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(turns=st.tuples(*[st.floats(-math.pi, math.pi)] * 3), scale=st.floats(0.01, 100))
 def test_up_is_found_within_a_degree_or_snapped_to_a_nearby_axis(
     turns: tuple[float, float, float], scale: float
