@@ -17,6 +17,7 @@ from splatrl.capture.videos import shrunk_size
 from splatrl.files import natural, refusing
 from splatrl.images import PHOTO_FORMATS, PHOTO_SUFFIXES
 
+# libraries for HEIF crash on some damaged files, and with them the process
 UNREAD = (".heic", ".heif", ".avif", ".dng", ".tif", ".tiff", ".jxl")
 FILMS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mts", ".mpg", ".3gp")
 """Suffixes of files that are named where a folder holds no photos."""
@@ -48,7 +49,8 @@ def photos_of(folder: Path) -> list[Path]:
     kinds = ", ".join(PHOTO_SUFFIXES)
     if unread:
         others = f" and {len(unread) - 1} more" if len(unread) > 1 else ""
-        raise CaptureError(f"{folder}: expected photos ({kinds}), got {unread[0]}{others}; convert them to JPEG first")
+        advice = f"convert them to JPEG first, as by: magick mogrify -format jpg *{Path(unread[0]).suffix}"
+        raise CaptureError(f"{folder}: expected photos ({kinds}), got {unread[0]}{others}; {advice}")
     if not found:
         deeper = sorted({path.parent for path in folder.glob("*/*") if path.suffix.lower() in PHOTO_SUFFIXES})
         films = sorted(path for path in files if path.suffix.lower() in FILMS)
