@@ -28,8 +28,10 @@ SPEEDS = {
     (0, -1): ("L", "turn right"),
     (1, 1): ("U", "forward, left"),
     (1, -1): ("O", "forward, right"),
+    (-1, 1): ("", "back, turning left"),
+    (-1, -1): ("", "back, turning right"),
 }
-"""Keys and names of continuous actions, by the signs of their linear and angular velocity."""
+"""Keys and names of continuous actions, by the signs of their linear and angular velocity; no key means a digit."""
 AGAIN, OTHER, DISCARD = "R", "N", "X"
 
 

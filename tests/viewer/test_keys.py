@@ -28,6 +28,7 @@ def test_a_lattice_has_keys_for_its_axes_and_spins() -> None:
 
 def test_a_driving_robot_has_keys_for_full_speed_turns_and_arcs() -> None:
     motion = DriveMotion(0.4)
+    assert {"back, turning left", "back, turning right"} <= {key.name for key in keys_of(motion)}
     found = {key.key: key.action for key in keys_of(motion)}
     assert {"I", "J", "K", "L", "U", "O"} <= found.keys()
     ahead, left = motion.limits[1].tolist()
