@@ -27,8 +27,6 @@ from splatrl.scenes.survey import survey
 from splatrl.scenes.upright import GIVEN, GUESS, UNKNOWN
 from splatrl.values import require_number
 
-STILL_TO_TYPE = {"robot_height": "robot.height=0.4", "goal": "'landmarks.goal=[x,y,yaw]'"}
-"""Overrides that the user must type for keys for which no proposal was found."""
 ROBOT_HEIGHT = 0.4
 """Height of the robot where neither ``--height`` nor a ``scene.yaml`` states it, metres."""
 PASS_SCALE = "pass --scale or --distance"
@@ -112,7 +110,8 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
     if (rounded := rounding(gaussians) or rounding(standing)) is not None:
         print(f"not fit to train in: {rounded}")
         return
-    words = [word for key, word in STILL_TO_TYPE.items() if proposals.get(key) is None]
+    still_to_type = {"robot_height": f"robot.height={height:g}", "goal": "'landmarks.goal=[x,y,yaw]'"}
+    words = [word for key, word in still_to_type.items() if proposals.get(key) is None]
     train = " ".join(["train in it: splatrl-train", shlex.quote(f"scene={target.path}/"), *words])
     checks = list[str]()
     if GUESS in (upright.axis_guess.confidence, upright.sign_guess.confidence):

@@ -2,10 +2,13 @@
 
 import itertools
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.font_manager import fontManager, get_font
+from matplotlib.text import Text
 
 from splatrl.envs.tasks.base import Mark
 from splatrl.files import replacing
@@ -14,6 +17,8 @@ REACHED, PARTLY, MISSED = "#009e73", "#e69f00", "#d55e00"  # distinguishable wit
 GOAL, TEST, BLUE, PURPLE, INK = "#e0409f", "#f0e442", "#0072b2", "#8a5a99", "#222222"
 MARKS = ((GOAL, 0), (TEST, 4), ("#56b4e9", 3))
 """Colour and number of corners (0 is a dot) of marks, assigned to their names in order of first appearance."""
+OWN_FONT = "DejaVu Sans"
+"""Font family that ships with matplotlib; its other one, Last Resort, has placeholders only."""
 DPI = 160
 """Resolution of saved figures, dots per inch."""
 
@@ -24,8 +29,30 @@ def mark_styles(marks: Iterable[Mark]) -> dict[str, tuple[str, int]]:
     return dict(zip(names, itertools.cycle(MARKS)))
 
 
+def legible(name: str) -> str:
+    """Return a name for a figure, in which letters that no installed font has are replaced by their escapes."""
+    return "".join(letter if _family(letter) else letter.encode("unicode_escape").decode() for letter in name)
+
+
+@cache
+def _family(letter: str) -> str | None:
+    """Return a font family that has a letter, matplotlib's own if it does; None if no installed family has it."""
+    code = ord(letter)
+    if get_font(fontManager.findfont(OWN_FONT)).get_char_index(code):
+        return OWN_FONT
+    others = (font for font in fontManager.ttflist if not font.name.startswith((OWN_FONT, "Last Resort")))
+    return next((font.name for font in others if get_font(font.fname).get_char_index(code)), None)
+
+
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure atomically, in the format that the suffix of its path names."""
+    """Write a figure atomically, in the format that the suffix of its path names.
+
+    Letters that matplotlib's own font lacks are drawn in an installed font that has them.
+    """
     FigureCanvasAgg(figure)
+    for words in figure.findobj(Text):
+        families = dict.fromkeys(filter(None, map(_family, words.get_text())))
+        if families.keys() - {OWN_FONT}:
+            words.set_fontfamily(list({OWN_FONT: None} | families))
     with replacing(path) as stream:
         figure.savefig(stream, format=path.suffix.removeprefix("."), bbox_inches="tight")

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
 
-from splatrl.evaluation.figure_style import BLUE, DPI, INK, PURPLE, TEST, save_figure
+from splatrl.evaluation.figure_style import BLUE, DPI, INK, PURPLE, TEST, legible, save_figure
 
 
 def learning_curve(history: Sequence[Mapping[str, float]], path: Path) -> None:
@@ -96,7 +96,7 @@ def scene_bars(names: Sequence[str], success: Sequence[float], path: Path) -> No
     axes.axvline(float(np.mean(rates)), color=INK, linewidth=1, linestyle="--", zorder=0)
     over = f"{len(names)} scenes, {np.mean(rates):.1%} on average" if len(names) > 1 else "1 scene"
     axes.set_title(f"success rate in {over}", fontsize=11)
-    axes.set_yticks(np.arange(len(names)), [names[i] for i in order], fontsize=8, parse_math=False)
+    axes.set_yticks(np.arange(len(names)), [legible(names[i]) for i in order], fontsize=8, parse_math=False)
     axes.set(xlim=(0, 1.08), ylim=(len(names) - 0.4, -0.6), xlabel="success")
     axes.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
     for side in ("top", "right", "left"):

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
 
-from splatrl.evaluation.figure_style import BLUE, DPI, GOAL, MISSED, PARTLY, REACHED, save_figure
+from splatrl.evaluation.figure_style import BLUE, DPI, GOAL, MISSED, PARTLY, REACHED, legible, save_figure
 from splatrl.evaluation.training_figures import column
 from splatrl.experiments.results import Entry
 
@@ -43,7 +43,7 @@ def learning_curves(group: Sequence[Entry], path: Path) -> None:
         if staged[number]:
             _band(panels[2], entry, "level", style)
         seeds = f"{len(entry.runs)} seed{'s' if len(entry.runs) > 1 else ''}"
-        label = f"{entry.label} ({seeds})"
+        label = f"{legible(entry.label)} ({seeds})"
         handles.append(Line2D([], [], marker=marker, markersize=4.5, linewidth=2, label=label, **style))
     for panel, label in zip(panels, ("test success", "training success"), strict=False):
         panel.set(ylabel=label, ylim=(-0.02, 1.02))

@@ -137,7 +137,7 @@ class Trainer:
             while not self.ppo.finished:
                 before = self.ppo.frames
                 row = self.ppo.iterate()
-                row["level"] = self.level
+                row |= self._climbed()
                 if self.ppo.finished or _crossed(before, self.ppo.frames, self.test_interval):
                     row |= self._tested()
                 self.seconds = row["seconds"] = time.monotonic() - self._began
@@ -145,7 +145,8 @@ class Trainer:
                 if self.ppo.finished or _crossed(before, self.ppo.frames, self.checkpoint_interval):
                     self.save()
                 bar.update(self.ppo.frames - before)
-                bar.set_postfix(success=f"{self._recent('success'):.2f}", level=f"{self.level}/{self.levels}")
+                climbed = {name: f"{level}/{self.levels}" for name, level in self._climbed().items()}
+                bar.set_postfix(success=f"{self._recent('success'):.2f}", **climbed)
                 if interrupted:
                     self.save()
                     raise KeyboardInterrupt
@@ -187,7 +188,7 @@ class Trainer:
                 stage.load_state_dict(self._left)
             stage.paused, self._stage, self._left = self._paused, stage, None
         for row in stage():
-            row |= {"frames": self.ppo.frames, "level": self.level}
+            row |= {"frames": self.ppo.frames} | self._climbed()
             (lesson,) = (name for name in row if name.startswith("loss_"))
             told = f"trained on {self.ppo.frames:,} frames: {lesson} {row[lesson]:.4f}"
             tested_at = int(max((past["frames"] for past in self.history if "test_success" in past), default=0))
@@ -206,6 +207,10 @@ class Trainer:
         if time.monotonic() - self._saved >= PAUSE:
             self.seconds = time.monotonic() - self._began
             self.save()
+
+    def _climbed(self) -> dict[str, float]:
+        """Return the curriculum's level, if it has several."""
+        return {"level": self.level} if self.levels > 1 else {}
 
     def _tested(self) -> dict[str, float]:
         return {f"test_{name}": value for name, value in self.test().items()}

@@ -1,5 +1,6 @@
 """The part of the page with which a person drives a robot and records demonstrations of a task."""
 
+import queue
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -20,9 +21,12 @@ from splatrl.viewer.takes import Takes
 if TYPE_CHECKING:
     import viser
 
+WAITING = 8
+"""Maximum number of key presses that wait while the robot moves, as from a browser that renders slowly."""
+
 
 class Driving:
-    """Buttons and keys that drive one robot; while it moves, one key press is queued and further ones are dropped.
+    """Buttons and keys that drive one robot; while it moves, presses wait, and those beyond ``WAITING`` are dropped.
 
     Args:
         page: page to add the controls to.
@@ -40,7 +44,7 @@ class Driving:
         server, keys = page.server, keys_of(world.task.motion)
         self.driver = Driver(world, seed, self._keep)
         self.finished = threading.Event()
-        self._places, self._busy = threading.BoundedSemaphore(2), threading.Lock()
+        self._waiting, self._busy = queue.Queue[str](WAITING), threading.Lock()
         self.shown = RobotShown(server, "/robot", world.robot)
         driver, gui = self.driver, server.gui
         self.view = gui.add_image(enlarged(driver.pixels), label="what the robot sees")
@@ -61,16 +65,14 @@ class Driving:
         self._show()
 
     def press(self, key: str) -> bool:
-        """Execute a key's function unless another key press is already queued; return whether it was executed."""
-        if not self._places.acquire(blocking=False):
-            return False
+        """Execute a key's function when its turn comes; return False if too many presses are waiting already."""
         try:
-            with self._busy:
-                with self._turn:
-                    self.keys[key]()
-                self._show()
-        finally:
-            self._places.release()
+            self._waiting.put_nowait(key)
+        except queue.Full:
+            return False
+        with self._busy, self._turn:
+            self.keys[self._waiting.get_nowait()]()  # of the press that has waited longest, perhaps another thread's
+            self._show()
         return True
 
     def _offer(self, server: "viser.ViserServer", key: str, name: str, do: Callable[[], None]) -> None:

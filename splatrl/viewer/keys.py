@@ -28,8 +28,10 @@ SPEEDS = {
     (0, -1): ("L", "turn right"),
     (1, 1): ("U", "forward, left"),
     (1, -1): ("O", "forward, right"),
+    (-1, 1): ("", "back, turning left"),
+    (-1, -1): ("", "back, turning right"),
 }
-"""Keys and names of continuous actions, by the signs of their linear and angular velocity."""
+"""Keys and names of continuous actions, by the signs of their linear and angular velocity; no key means a digit."""
 AGAIN, OTHER, DISCARD = "R", "N", "X"
 
 
@@ -81,7 +83,8 @@ def input_script(motion: PlannedMotion) -> str:
     """Return JavaScript that maps arrow keys and gamepads to the keys: stick and D-pad drive, A is R, B is X.
 
     viser turns keys into messages itself, but arrow keys would move its camera, and while a clicked checkbox has the
-    focus, keys would count as text input. The script is run once in each page.
+    focus, keys would count as text input. A held key repeats at most ten times a second, as a gamepad does: otherwise
+    a browser that renders slowly would send all its repeats at once. The script is run once in each page.
     """
     used = [key.lower() for key in (*(key.key for key in keys_of(motion)), AGAIN, OTHER, DISCARD)]
     bends = "false" if motion.action_names else "true"
@@ -97,13 +100,18 @@ if (!window.splatrlInput) {
     new KeyboardEvent("keydown", {key: key, code: "Key" + key.toUpperCase(), bubbles: true}));
   const TEXT = "input:not([type=checkbox]), textarea, select, [contenteditable], [role=slider]";
   const within = (target, what) => target.closest && target.closest(what);
+  let last = 0;
   for (const kind of ["keydown", "keyup"]) window.addEventListener(kind, (event) => {
+    if (!event.isTrusted || event.ctrlKey || event.metaKey || event.altKey) return;  // the browser's, such as Ctrl+R
     const key = arrows[event.code] || event.key;
+    if (!used.includes(key) || within(event.target, TEXT)) return;
+    const early = event.repeat && performance.now() - last < 100;
     const taken = arrows[event.code] || within(event.target, "input");  // a box that was ticked would keep the key
-    if (!taken || !used.includes(key) || within(event.target, TEXT)) return;
+    if (kind === "keydown" && !early) last = performance.now();
+    if (!taken && !early) return;
     event.stopImmediatePropagation();
     event.preventDefault();
-    if (kind === "keydown") press(key);
+    if (kind === "keydown" && !early) press(key);
   }, true);
   const held = {};
   const once = (name, down, key) => { if (down && !held[name]) press(key); held[name] = down; };

@@ -68,12 +68,16 @@ class RobotShown:
 
     def __init__(self, server: "viser.ViserServer", name: str, robot: Robot):
         self.server, self.name, self.robot = server, name, robot
+        corners = wedge(robot)
         blank = np.zeros((robot.image_height, robot.image_width, 3), np.uint8)
         fov = 2 * math.atan(0.5 * robot.image_height / float(robot.K[1, 1]))
         aspect = robot.image_width / robot.image_height
         self.root = server.scene.add_frame(name, show_axes=False)
-        self.frustum = server.scene.add_camera_frustum(f"{name}/camera", fov, aspect, scale=0.25, image=blank)
-        self.body = server.scene.add_mesh_simple(f"{name}/body", wedge(robot), FACES, color=BLUE, side="double")
+        size = float(
+            corners.max()
+        )  # as large as the mark: the picture would hide a small room, and the panel has it too
+        self.frustum = server.scene.add_camera_frustum(f"{name}/camera", fov, aspect, scale=size, image=blank)
+        self.body = server.scene.add_mesh_simple(f"{name}/body", corners, FACES, color=BLUE, side="double")
         self.trail: list[tuple[float, float, float]] = []
         self._line: viser.LineSegmentsHandle | None = None
 

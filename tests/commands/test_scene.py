@@ -361,9 +361,10 @@ def test_the_printed_command_has_placeholders_for_what_was_not_found(
     gaussians = world()
     gaussians.opacities *= 0.05  # nothing is solid
     write_gaussians(tmp_path / "haze.ply", gaussians)
-    main([str(tmp_path / "haze.ply"), "--out", str(tmp_path / "haze")])
-    last = capsys.readouterr().out.splitlines()[-1]
-    assert last.endswith("haze/ robot.height=0.4 'landmarks.goal=[x,y,yaw]'")
+    for stated, height in ([], 0.4), (["--height", "1.05", "--force"], 1.05):
+        main([str(tmp_path / "haze.ply"), "--out", str(tmp_path / "haze"), *stated])
+        last = capsys.readouterr().out.splitlines()[-1]
+        assert last.endswith(f"haze/ robot.height={height} 'landmarks.goal=[x,y,yaw]'")
 
 
 def test_a_place_in_which_nothing_can_be_recognised_is_said_to_have_no_goal(

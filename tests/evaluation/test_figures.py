@@ -16,7 +16,7 @@ from torch import Tensor
 
 from splatrl.envs.tasks import Mark
 from splatrl.evaluation import start_maps, training_figures
-from splatrl.evaluation.figure_style import GOAL, MISSED, PARTLY, REACHED
+from splatrl.evaluation.figure_style import GOAL, MISSED, PARTLY, REACHED, legible
 from splatrl.evaluation.start_maps import start_map, success_map
 from splatrl.evaluation.topdown import MapView, TopDown
 from splatrl.evaluation.training_figures import learning_curve, scene_bars
@@ -127,6 +127,14 @@ def test_names_of_scenes_are_shown_as_they_are(drawn: list[Figure]) -> None:
     drawn[0].draw_without_rendering()
     labels = drawn[0].axes[0].get_yticklabels()
     assert [label.get_text() for label in labels] == names and not any(label.get_parse_math() for label in labels)
+
+
+def test_letters_are_drawn_in_a_font_that_has_them_or_as_escapes_without_warnings(tmp_path: Path) -> None:
+    names = ["Größe, сад", "\N{TOP SQUARE BRACKET}", "\U000f1234 a"]  # the second is in another font of matplotlib's
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scene_bars(names, [0.5, 0.3, 0.2], tmp_path / "bars.png")
+    assert [legible(name) for name in names] == [*names[:2], r"\U000f1234 a"]
 
 
 def test_the_suffix_sets_the_file_format(tmp_path: Path) -> None:

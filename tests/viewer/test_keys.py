@@ -28,6 +28,7 @@ def test_a_lattice_has_keys_for_its_axes_and_spins() -> None:
 
 def test_a_driving_robot_has_keys_for_full_speed_turns_and_arcs() -> None:
     motion = DriveMotion(0.4)
+    assert {"back, turning left", "back, turning right"} <= {key.name for key in keys_of(motion)}
     found = {key.key: key.action for key in keys_of(motion)}
     assert {"I", "J", "K", "L", "U", "O"} <= found.keys()
     ahead, left = motion.limits[1].tolist()
@@ -79,6 +80,11 @@ PAGE = """
   Object.defineProperty(globalThis, "navigator", {value: {getGamepads: () => pads}, configurable: true});
   const pad = (axes, down = [], mapping = "standard") =>
     ({axes, mapping, buttons: Array.from({length: 16}, (_, n) => ({pressed: down.includes(n)}))});
+  const type = (code, key, box, text, more) => { for (const [kind, do_] of listeners) if (kind === "keydown") do_({
+    code, key, target: {closest: (what) => (what === "input" ? box : text) ? {} : null}, isTrusted: true,
+    stopImmediatePropagation() { stopped += key; }, preventDefault() {}, ...more}); };
+  let stopped = "", time = 1000;
+  Object.defineProperty(globalThis, "performance", {value: {now: () => time}, configurable: true});
 """
 """A mock page with mock gamepads, in JavaScript."""
 
@@ -95,9 +101,6 @@ def keys_pressed(motion: PlannedMotion, acts: str) -> str:
 
 def test_arrows_and_gamepads_press_the_same_keys() -> None:
     acts = """
-      const type = (code, key, box, text) => { for (const [kind, do_] of listeners) if (kind === "keydown") do_({
-        code, key, target: {closest: (what) => (what === "input" ? box : text) ? {} : null},
-        stopImmediatePropagation() {}, preventDefault() {}}); };
       type("ArrowUp", "ArrowUp", false, false);
       type("ArrowLeft", "ArrowLeft", true, true);  // in a field for text
       type("KeyW", "w", false, false);  // the camera's
@@ -110,6 +113,28 @@ def test_arrows_and_gamepads_press_the_same_keys() -> None:
     """
     assert keys_pressed(ForwardMotion(0.4), acts) == "ikiirx"
     assert keys_pressed(DriveMotion(0.4), acts) == "ikiorx"
+
+
+def test_a_held_key_repeats_ten_times_a_second_and_every_press_counts() -> None:
+    acts = """
+      for (const [later, repeat] of [[0, false], [0, false], [30, true], [30, true], [50, true], [10, true]]) {
+        time += later;
+        type("ArrowUp", "ArrowUp", false, false, {repeat});
+      }
+      type("KeyK", "k", false, false, {repeat: true});  // kept from viser
+      type("KeyK", "k", false, false, {});
+      pressed.push(" ", stopped.slice(-2));
+    """
+    assert keys_pressed(ForwardMotion(0.4), acts) == "iii pk"
+
+
+def test_shortcuts_of_the_browser_do_not_drive() -> None:
+    acts = """
+      type("KeyR", "r", true, false, {ctrlKey: true});
+      type("ArrowLeft", "ArrowLeft", false, false, {altKey: true});
+      pressed.push(stopped);
+    """
+    assert keys_pressed(ForwardMotion(0.4), acts) == ""
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from splatrl.viewer.driving import Driving
 from splatrl.viewer.markdown import plain
 from splatrl.viewer.page import Page
 from splatrl.viewer.placing import Placing
-from splatrl.viewer.robot import BLUE, tone
+from splatrl.viewer.robot import BLUE, tone, wedge
 from splatrl.viewer.splats import BYTES, WIDER, Splats, parts_of
 from splatrl.viewer.takes import Takes
 from tests.tiny import tiny_gaussians
@@ -132,6 +133,7 @@ def test_a_key_moves_the_robot_and_shows_what_it_sees(page: Page, world: World, 
     assert (driving.driver.state - before)[0].abs().tolist()[:2] == [0, 0]
     assert not torch.equal(driving.driver.state, before)
     assert np.array_equal(driving.shown.frustum.image, driving.driver.pixels.numpy())
+    assert driving.shown.frustum.scale == wedge(world.robot).max()
     visitor.click("restart from the same start (R)")
     until(lambda: torch.equal(driving.driver.state, before), "the start")
 
@@ -147,15 +149,21 @@ def test_the_page_says_how_an_episode_ended(page: Page, world: World) -> None:
     assert driving.press("N") and "step 0" in driving.status.content
 
 
-def test_one_key_press_waits_for_the_robot_and_further_ones_are_dropped(page: Page, world: World) -> None:
-    driving = Driving(page, world)
-    with driving._busy, driving._places:  # as if the robot were moving
-        waiting = threading.Thread(target=driving.press, args=("U",))
-        waiting.start()
-        until(lambda: driving._places._value == 0, "the key that waits")
+def test_key_presses_wait_for_the_robot_in_order_and_only_those_beyond_the_queue_are_dropped(
+    page: Page, world: World
+) -> None:
+    driving, done = Driving(page, world), list[str]()
+    keys = "UOUUOOUO"
+    driving.keys = {key: partial(done.append, key) for key in keys}
+    with driving._busy:  # as if the robot were moving
+        waiting = [threading.Thread(target=driving.press, args=(key,)) for key in keys]
+        for number, thread in enumerate(waiting, 1):
+            thread.start()
+            until(lambda: driving._waiting.qsize() == number, "the key that waits")  # noqa: B023
         assert not driving.press("O")
-    waiting.join(timeout=20.0)
-    assert driving.driver.steps == 1
+    for thread in waiting:
+        thread.join(timeout=20.0)
+    assert "".join(done) == keys
 
 
 def test_driving_ends_once_enough_episodes_are_kept(page: Page, world: World, tmp_path: Path) -> None:
