@@ -28,6 +28,6 @@ def walk_to(robot: Tensor, mark: Tensor, limits: Tensor) -> Tensor:
     """
     off = wrapped(azimuths(mark - robot[:, :2]) - robot[:, 2])
     seen, high = off.abs() < SEEN, limits[1].to(robot)
-    speed = torch.where(seen, SPEED * high[0] * off.cos() ** 4, 0.0)
+    speed = torch.where(seen, SPEED * high[0] * off.cos().square().square(), 0.0)
     turn = torch.where(seen, (BEND * off).clamp(-high[1], high[1]), high[1])
     return torch.stack([speed, turn], 1).float()

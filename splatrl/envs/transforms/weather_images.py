@@ -86,7 +86,7 @@ def light(weather: Tensor, far: Tensor | None) -> Light:
     """
     fog, dusk, rain, snow = (weather[:, number] for number in (0, 1, 5, 6))
     sky, _, _, night = _colors(weather.device)
-    bright = ((1 - dusk) * (1 - GLOOM * rain)) ** (1 / GAMMA)
+    bright = (((1 - dusk) * (1 - GLOOM * rain)).log() / GAMMA).exp()  # unlike a power, with the same bytes in any batch
     tint = weather[:, 2:5] * bright[:, None] * (1 + dusk[:, None] * (night - 1))
     left = None
     if far is not None:

@@ -174,6 +174,12 @@ def test_each_image_has_its_own_weather() -> None:
         assert torch.equal(both[row], Weather(**off)(TensorDict(one, []))["pixels"])
 
 
+def test_light_has_the_same_bytes_in_any_batch() -> None:
+    weather = Weather()._draw(torch.Size([67]), None)
+    tint = torch.cat([weather_images.light(few, None).tint for few in weather.split(7)])
+    assert torch.equal(tint, weather_images.light(weather, None).tint)
+
+
 def test_drawn_weather_stays_in_its_ranges_and_never_has_rain_and_snow_together() -> None:
     drawn = Weather(fog=0.2, dusk=0.5, sun=0.1, often=0.5)._draw(torch.Size([5000]), None)
     fog, dusk, red, green, blue, rain, snow, wet, wind, down, along = drawn.unbind(-1)
