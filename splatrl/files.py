@@ -1,12 +1,14 @@
 """Atomic files and folders, damaged and untrusted files, and the cache folder."""
 
 import copy
+import errno
 import fcntl
 import os
 import re
 import secrets
 import shutil
 import tempfile
+import warnings
 import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -27,15 +29,17 @@ def expanded(path: str | os.PathLike[str]) -> Path:
 def replacing(path: Path) -> Iterator[BinaryIO]:
     """Open a binary file that replaces ``path`` atomically once the block succeeds.
 
-    Until then it has a temporary name in the same folder; if the block raises, ``path`` stays as it was.
+    Until then it has a temporary name in the same folder, and is locked; if the block raises, ``path`` stays as it was.
     """
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}.tmp")
     try:
         with temporary.open("xb") as stream:
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
-        os.replace(temporary, path)
+            os.replace(temporary, path)
     except OSError as error:  # the error for a full disk names no file
         raise OSError(error.errno, f"cannot write: {error.strerror or error}", str(path)) from error
     finally:
@@ -44,17 +48,38 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
 
 def remove_stale(folder: Path) -> None:
-    """Remove what a killed process left of ``replacing`` and ``new_folder``; no other process may be writing there."""
+    """Remove what killed processes left of ``replacing``, ``new_folder`` and ``discard`` in a folder."""
     for path in folder.iterdir():
-        if re.fullmatch(r".+\.[0-9a-f]{8}\.tmp", path.name) and path.is_file():
-            path.unlink()
-        elif re.fullmatch(r"\..+\.[0-9a-f]{8}\.tmp", path.name) and not path.is_symlink():
-            shutil.rmtree(path)
+        temporary = re.fullmatch(r".+\.[0-9a-f]{8}\.tmp", path.name)
+        if temporary and (path.is_file() or path.name.startswith(".")):
+            _remove_abandoned(path)
+
+
+def _remove_abandoned(path: Path) -> None:
+    """Remove a temporary file or folder unless a process is still writing it; links stay, too."""
+    with suppress(OSError):  # it is locked, or was renamed meanwhile, or its file system has no locks
+        is_file = path.is_file()
+        held = os.open(path, os.O_NOFOLLOW | (os.O_RDWR if is_file else os.O_RDONLY))  # NFS locks what can be written
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if is_file:
+                path.unlink()
+            else:
+                shutil.rmtree(path)
+        finally:
+            os.close(held)
+
+
+def discard(folder: Path) -> None:
+    """Remove a folder that could be taken for unfinished work if a killed process left half of it."""
+    aside = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}.tmp")
+    os.rename(folder, aside)
+    shutil.rmtree(aside)
 
 
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
-    """Lock a folder, so that only one process at a time can be in this block for it.
+    """Lock a folder, so that only one process of this machine at a time can be in this block for it.
 
     The system releases the lock when the process ends, however it ends.
 
@@ -63,12 +88,30 @@ def alone_in(folder: Path) -> Iterator[None]:
     """
     held = os.open(folder, os.O_RDONLY)
     try:
-        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock(held, folder)
         yield
-    except BlockingIOError as error:
-        raise ValueError(f"{folder}: expected an unused folder, got one that another process is using") from error
     finally:
         os.close(held)
+
+
+def lock(opened: int, folder: Path) -> None:
+    """Lock an open file or folder until it is closed; warn where the file system has no locks, as Lustre may have none.
+
+    Args:
+        opened: its file descriptor.
+        folder: the folder that the lock stands for, for the message.
+
+    Raises:
+        ValueError: if another process holds the lock.
+    """
+    try:
+        fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise ValueError(f"{folder}: expected an unused folder, got one that another process is using") from error
+    except OSError as error:
+        if error.errno not in (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK):
+            raise
+        warnings.warn(f"{folder}: its file system has no locks; let only one process at a time use it", stacklevel=3)
 
 
 @contextmanager
@@ -100,7 +143,9 @@ def in_place_of(path: Path, parent: Path) -> Iterator[Path]:
     try:
         temporary.mkdir()
         with alone_in(temporary):
-            _remove_abandoned(parent, name)
+            for left in parent.glob(".*.tmp"):
+                if re.fullmatch(rf"\.{re.escape(name)}\.[0-9a-f]{{8}}\.tmp", left.name):
+                    _remove_abandoned(left)
             yield temporary
     except OSError as error:  # the error for a full disk names no file
         if error.errno is None:
@@ -110,14 +155,6 @@ def in_place_of(path: Path, parent: Path) -> Iterator[Path]:
         raise OSError(error.errno, told, name) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-
-
-def _remove_abandoned(parent: Path, name: str) -> None:
-    """Remove the temporary folders for a path in which no process is writing any more."""
-    for left in parent.glob(".*.tmp"):
-        if re.fullmatch(rf"\.{re.escape(name)}\.[0-9a-f]{{8}}\.tmp", left.name) and not left.is_symlink():
-            with suppress(OSError, ValueError), alone_in(left):  # a ValueError where somebody is still writing
-                shutil.rmtree(left)
 
 
 def require_room(folder: Path, size: int = 1) -> None:

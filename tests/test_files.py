@@ -1,6 +1,9 @@
 """Paths as people type them, the folder for caches, and entries of untrusted ZIP archives."""
 
+import errno
+import fcntl
 import io
+import shutil
 import struct
 import tracemalloc
 import zipfile
@@ -9,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from splatrl.files import alone_in, cache_dir, expanded, new_folder, read_entry
+from splatrl.files import alone_in, cache_dir, discard, expanded, new_folder, read_entry, remove_stale, replacing
 from tests.scenes.samples import lying_zip, zip_bytes
 
 MIB = 1 << 20
@@ -49,6 +52,42 @@ def test_a_new_folder_removes_what_killed_processes_left_of_it_and_nothing_else(
     with alone_in(busy), new_folder(tmp_path / "demos"):
         assert not left.exists()
     assert {*tmp_path.rglob("*")} == before - {left, left / "inner"} | {tmp_path / "demos"}
+
+
+def test_what_killed_processes_left_is_removed_and_what_others_are_writing_is_not(tmp_path: Path) -> None:
+    (tmp_path / "film.mp4.0123abcd.tmp").touch()
+    (tmp_path / ".demos.0123abcd.tmp").mkdir()
+    (tmp_path / "mine.tmp").touch()
+    with new_folder(tmp_path / "others") as folder, replacing(tmp_path / "curve.png") as stream:
+        remove_stale(tmp_path)
+        assert {*tmp_path.iterdir()} == {folder, Path(stream.name), tmp_path / "mine.tmp"}
+    assert {path.name for path in tmp_path.iterdir()} == {"others", "curve.png", "mine.tmp"}
+
+
+def test_a_folder_is_discarded_as_a_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "run" / "checkpoints").mkdir(parents=True)
+    with monkeypatch.context() as patched:
+        patched.setattr(shutil, "rmtree", lambda _: pytest.fail("killed"))
+        with pytest.raises(pytest.fail.Exception):
+            discard(tmp_path / "run")
+    assert not (tmp_path / "run").exists() and any(tmp_path.iterdir())
+    remove_stale(tmp_path)
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_file_system_without_locks_can_be_used_by_one_process_at_a_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def flock(descriptor: int, how: int) -> None:
+        raise OSError(errno.ENOSYS, "Function not implemented")
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    (tmp_path / "film.mp4.0123abcd.tmp").touch()  # of another process, perhaps
+    with pytest.warns(UserWarning, match=rf"^{tmp_path}: its file system has no locks; let only"), alone_in(tmp_path):
+        with replacing(tmp_path / "curve.png") as stream:
+            stream.write(b"a curve")
+        remove_stale(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"curve.png", "film.mp4.0123abcd.tmp"}
 
 
 def _read(archive: bytes, most: int = MIB) -> bytes:

@@ -2,8 +2,6 @@
 
 import json
 import os
-import secrets
-import shutil
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -17,7 +15,7 @@ from torch import Tensor
 
 from splatrl.array_files import read_arrays
 from splatrl.capture.base import CaptureError
-from splatrl.files import digest_of, new_folder, replacing
+from splatrl.files import digest_of, discard, new_folder, replacing
 
 VERSION = 7
 """Version of what the stages keep: raise it when the same settings give another result."""
@@ -121,9 +119,7 @@ class Stages:
         for file in added:
             if not file.name.startswith("."):  # such as .DS_Store
                 raise CaptureError(_in_the_way(file))
-        aside = path.with_name(f".{name}.{secrets.token_hex(4)}.tmp")
-        os.rename(path, aside)  # at once, since half a folder could be taken for unfinished work
-        shutil.rmtree(aside)
+        discard(path)
 
     def _is_whole(self, path: Path, key: str) -> bool:
         stamp = _read_stamp(path)

@@ -3,14 +3,17 @@
 Only then is the command itself imported, with PyTorch, TorchRL and matplotlib, which takes seconds.
 """
 
+import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 from importlib import import_module
 
 from splatrl.commands import parsers
 from splatrl.commands.outputs import open_outputs
 from splatrl.commands.stopping import INTERRUPTED, tidy
+from splatrl.files import cache_dir, expanded
 
 USERS = (ImportError, OSError, ValueError)
 """Errors that a user can fix; commands end with one line for them."""
@@ -28,6 +31,7 @@ def start(name: str, arguments: Sequence[str] | None = None) -> None:
         arguments: the command's arguments; None takes them from the command line.
     """
     open_outputs()
+    keep_fonts()
     try:
         if "--version" in (sys.argv[1:] if arguments is None else arguments):
             print(f"splatrl {import_module('importlib.metadata').version('splatrl')}")
@@ -49,6 +53,13 @@ def _start(name: str, typed: Sequence[str]) -> None:
     TYPED[:] = typed
     sys.argv[1:] = command_line(name, typed)
     import_module(f"splatrl.commands.{name}").run()
+
+
+def keep_fonts() -> None:
+    """Let matplotlib keep its list of fonts in our cache where the home folder is read-only, as in many containers."""
+    if not os.access(expanded("~"), os.W_OK):
+        with suppress(ValueError):  # no folder for caches, either; matplotlib makes a temporary one
+            os.environ.setdefault("MPLCONFIGDIR", str(cache_dir().absolute() / "matplotlib"))
 
 
 capture = partial(start, "capture")

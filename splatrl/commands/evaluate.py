@@ -28,7 +28,7 @@ from splatrl.documents import read_yaml
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.episode_sets import MOST_EPISODES, require_episodes
 from splatrl.evaluation.evaluate import EvaluationSettings, evaluate, summary_lines
-from splatrl.files import replacing, require_room
+from splatrl.files import remove_stale, replacing, require_room
 from splatrl.runs import load_policy
 from splatrl.training import Actor
 
@@ -79,7 +79,10 @@ def run(cfg: DictConfig) -> None:
     words += [f"{key}={cfg[key]}" for key in SETTINGS if cfg[key] is not None]
     if cfg.episodes:
         words.append(f"episodes={Path(str(cfg.episodes)).absolute()}")
-    if words:
+    typed = words if cfg.out is None else [f"run={quoted(folder.absolute())}", *words]
+    if cfg.out is not None:
+        results = _chosen_folder(Path(str(cfg.out)), typed)
+    elif words:
         results = _results_folder(folder / "places", words)
     if cfg.episodes and cfg.starts is None:
         cfg.starts = MOST_EPISODES  # a file is evaluated whole
@@ -92,7 +95,10 @@ def run(cfg: DictConfig) -> None:
     own.logger.video = cfg.video
     own.device = cfg.device or own.device
     torch.set_num_threads(own.threads)
-    with nullcontext() if results is None else _made(results, words):
+    if cfg.out is None:
+        _require_room(folder)
+    with nullcontext() if results is None else _made(results, typed):
+        remove_stale(results or folder)
         evaluate_run(own, folder, results=results, place=words)
 
 
@@ -119,9 +125,34 @@ def _results_folder(places: Path, words: Sequence[str]) -> Path:
     return next(path for path in numbered if not (path / PLACE).exists() or read_yaml(path / PLACE) == list(words))
 
 
+def _chosen_folder(out: Path, typed: Sequence[str]) -> Path:
+    """Return the folder that was typed for results.
+
+    Raises:
+        ValueError: if it holds anything but an earlier evaluation of the same run with the same settings.
+    """
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"out: expected a folder, got {out}, a file")
+    known = read_yaml(out / PLACE) if (out / PLACE).exists() else None
+    if known != list(typed) and out.exists() and any(out.iterdir()):
+        raise ValueError(
+            f"out: expected a new folder, or that of the same evaluation, got {out}, which holds other files"
+        )
+    return out
+
+
+def _require_room(folder: Path) -> None:
+    """Check that a run folder can be written to, and if not, say how to write elsewhere."""
+    try:
+        require_room(folder)
+    except OSError as error:
+        raise OSError(f"{folder}: {error.strerror}; choose another folder with out=") from error
+
+
 @contextmanager
 def _made(folder: Path, words: Sequence[str]) -> Iterator[None]:
     """Create a results folder with a record of what was typed, and remove both if the block adds nothing."""
+    new = [path for path in (folder, folder.parent) if not path.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     with replacing(folder / PLACE) as stream:
         stream.write(OmegaConf.to_yaml(OmegaConf.create(list(words))).encode())
@@ -131,7 +162,7 @@ def _made(folder: Path, words: Sequence[str]) -> Iterator[None]:
         if [path.name for path in folder.iterdir()] == [PLACE]:
             (folder / PLACE).unlink()
         with suppress(OSError):  # rmdir fails on folders with content, which stay
-            for path in (folder, folder.parent):
+            for path in new:
                 path.rmdir()
 
 

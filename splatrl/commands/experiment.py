@@ -190,8 +190,8 @@ def _scenes(cfg: DictConfig, named: Collection[str]) -> dict[str, list[str]]:
 def _absent(overrides: Sequence[str]) -> str | None:
     """Return how to make a scene's missing folder; None if the folder exists or the scene has none."""
     paths = [override.removeprefix("scene=") for override in overrides if override.startswith("scene=")]
-    missing = any("/" in path and not Path(path).exists() for path in paths)
-    return "run splatrl-experiment name=loop first" if missing else None
+    missing = next((path for path in paths if "/" in path and not Path(path).exists()), None)
+    return f"make {missing} first (splatrl-experiment name=loop makes recaptured)" if missing else None
 
 
 def _compose(overrides: Sequence[str]) -> dict[str, Any]:

@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import QuotedString
+from hydra.core.override_parser.types import QuotedString, Sweep
 from hydra.errors import HydraException
 
 from splatrl.files import expanded
 
+NEW = ("out", "record", "folder", "hydra.run.dir", "hydra.sweep.dir")
+"""Keys of paths to which something is written, and which need not exist yet; none takes several."""
 HOME = re.compile(r"(?:(?<=[=\[,:'\"])|(?<=[\[,:] ))~(?=/|$)")
 """The tilde at the beginning of a path in an override."""
 
@@ -26,18 +28,20 @@ def readable(word: str) -> str:
     """Return an override in Hydra's grammar, with ``~`` at the beginning of paths replaced by the home directory.
 
     Text that the grammar does not know, such as a path with an umlaut or parentheses, is quoted if it exists as a path,
-    or if it contains none of the characters that have a meaning there. Options, such as ``--cfg``, stay as they are.
+    or if it contains none of the characters that have a meaning there. The path of an output is quoted even if it reads
+    as a list or as several values. Options, such as ``--cfg``, stay as they are.
     """
     if word.startswith("-"):
         return word
     word = HOME.sub(lambda _: str(expanded("~")), word)
     key, equals, value = word.partition("=")
+    path = key in NEW and not value.startswith(("'", '"'))
     try:
-        overrides_parser().parse_override(word)
+        several = isinstance(overrides_parser().parse_override(word).value(), Sweep | list | dict)
+        misread = path and several
     except HydraException:
-        if equals and (Path(value).exists() or not set("[]{}'\",").intersection(value)):
-            return f"{key}={quoted(value)}"
-    return word
+        misread = path or Path(value).exists() or not set("[]{}'\",").intersection(value)
+    return f"{key}={quoted(value)}" if equals and misread else word
 
 
 def quoted(value: object) -> str:

@@ -60,11 +60,12 @@ def _without_plus_of_choice(word: str) -> str:
 def _without_plus(arguments: Sequence[str]) -> list[str]:
     """Drop the ``+`` of words that would add a key, which the command would not read; unknown keys are then refused.
 
-    Choices for a place that they name (``+experiment@experiments.mine=mine``), arms of experiments and words about
-    Hydra itself stay.
+    Choices for a place that they name (``+experiment@experiments.mine=mine``), arms and scenes of experiments, and
+    words about Hydra itself stay.
     """
     plain = [word.lstrip("+") for word in arguments]
-    stay = [word.startswith(("hydra", "experiments.")) or "@" in word.partition("=")[0] for word in plain]
+    own = ("hydra", "experiments.", "scene_overrides.")
+    stay = [word.startswith(own) or "@" in word.partition("=")[0] for word in plain]
     return [old if stays else new for old, new, stays in zip(arguments, plain, stay, strict=True)]
 
 

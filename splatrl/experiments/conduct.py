@@ -1,6 +1,5 @@
 """Conducts experiments: trains, scores and reports, and resumes after an interruption."""
 
-import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from splatrl.experiments.folders import changes, finished, status
 from splatrl.experiments.machine import machine
 from splatrl.experiments.report import MACHINE, SCORES, write_joint_report, write_report
 from splatrl.experiments.running import train
-from splatrl.files import alone_in
+from splatrl.files import alone_in, discard, remove_stale
 
 Score = Callable[[Sequence[Run], Path], list[dict[str, Any]]]
 """Scoring function: maps finished runs and their experiment's folder to rows for ``scores.json``.
@@ -52,7 +51,7 @@ def check_settings(runs: Sequence[Run], fresh: bool, digest: Callable[[DictConfi
             raise ValueError(f"{run.folder} was trained with other settings or files: {told}")
         if changed:
             with alone_in(run.folder):
-                shutil.rmtree(run.folder)
+                discard(run.folder)
 
 
 def train_all(experiments: Sequence[Experiment], jobs: int, cores: int, program: Sequence[str]) -> list[Run]:
@@ -70,6 +69,7 @@ def train_all(experiments: Sequence[Experiment], jobs: int, cores: int, program:
     todo = [e for e in experiments if not all(map(finished, e.runs))]
     for experiment in todo:
         experiment.folder.mkdir(parents=True, exist_ok=True)
+        remove_stale(experiment.folder)
         write_json(experiment.folder / MACHINE, {"machine": machine(jobs)})
         (experiment.folder / SCORES).unlink(missing_ok=True)
     return train([run for experiment in experiments for run in experiment.runs], jobs, cores, program)

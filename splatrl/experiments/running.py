@@ -1,6 +1,5 @@
 """Runs trainings as subprocesses, a few at a time."""
 
-import fcntl
 import os
 import subprocess
 import time
@@ -13,7 +12,7 @@ from tqdm import tqdm
 from splatrl.configuration import quoted
 from splatrl.experiments.experiment import Run
 from splatrl.experiments.folders import finished, frames_done, status
-from splatrl.files import alone_in
+from splatrl.files import alone_in, lock
 from splatrl.native.threads import CORES
 
 LOG = "log.txt"
@@ -71,10 +70,10 @@ def _hold(run: Run, log: BinaryIO) -> None:
         BusyError: if another process holds it, or has locked the folder, as a training started by hand does.
     """
     try:
-        fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock(log.fileno(), run.folder)
         with alone_in(run.folder):
             pass
-    except (BlockingIOError, ValueError) as error:
+    except ValueError as error:
         raise BusyError(f"{run.folder}: another process is training in it") from error
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from splatrl.commands import clips, evaluate, experiment, export, record, replay, scene, train
+from splatrl.commands import clips, entries, evaluate, experiment, export, record, replay, scene, train
 from splatrl.export import onnx_file
 from splatrl.files import new_folder
 from splatrl.scenes import cache, write_gaussians
@@ -213,7 +213,7 @@ def test_an_evaluation_that_cannot_be_written_is_refused_before_its_episodes(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(evaluate, "evaluate", lambda *_: pytest.fail("episodes were evaluated"))
     break_disk(monkeypatch, "run", *READ_ONLY)
-    says_so(monkeypatch, "evaluate run=run", "run", READ_ONLY[1])
+    says_so(monkeypatch, "evaluate run=run", "run: ", f"{READ_ONLY[1]}; choose another folder with out=")
 
 
 @linux
@@ -236,3 +236,18 @@ def test_an_error_in_a_new_folder_names_it_by_its_final_name(tmp_path: Path) -> 
     with pytest.raises(OSError, match=r"demos/a/b\.bin'$"), new_folder(tmp_path / "demos") as made:
         raise OSError(28, "cannot write: No space left on device", str(made / "a" / "b.bin"))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("variables", "kept"), [({}, "mine/matplotlib"), ({"MPLCONFIGDIR": "theirs"}, "theirs")])
+def test_with_a_read_only_home_matplotlib_keeps_its_fonts_in_our_cache(
+    variables: dict[str, str], kept: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(os, "environ", {"HOME": str(tmp_path / "home"), "SPLATRL_CACHE": "mine", **variables})
+    writable = [True]
+    monkeypatch.setattr(os, "access", lambda path, mode: writable[0] and path == tmp_path / "home")
+    entries.keep_fonts()
+    assert os.environ.get("MPLCONFIGDIR") == variables.get("MPLCONFIGDIR")
+    writable[0] = False
+    entries.keep_fonts()
+    assert Path(os.environ["MPLCONFIGDIR"]) == (Path(kept) if variables else tmp_path / kept)

@@ -154,6 +154,10 @@ def test_a_training_is_run_reported_and_not_run_again(
         ),
         (["name=grid", "scenes=[kitchen]"], "found none; type kitchen=<path of its file>"),
         (["name=grid", "scenes=[]"], "scenes: expected at least one, got none"),
+        (
+            ["name=grid", "scenes=[cellar]", '+scene_overrides.cellar=["scene=a/cellar"]'],
+            "scenes=cellar: expected a scene that exists, found none; make a/cellar first",
+        ),
         (["name=grid", "seeds=[0,0]"], "seeds: expected different ones, got [0, 0]"),
         (["name=grid", "seeds=[true]"], "seeds: expected whole numbers in brackets such as [0,1], got [True]"),
         (["name=grid", "sedes=[0]"], "did you mean seeds"),

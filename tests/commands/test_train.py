@@ -247,6 +247,40 @@ def test_an_evaluation_in_another_scene_has_its_own_folder(
     assert words_of_place(["motion@task.motion=drive", "task.max_steps=9", "starts=6"])[1] == ["starts=6"]
 
 
+def test_the_results_of_an_evaluation_can_go_elsewhere_and_replace_nothing_else(
+    run: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = tmp_path / "run", tmp_path / "results, 1"
+    shutil.copytree(run[0], folder)
+    for where in (folder, out):
+        where.mkdir(exist_ok=True)
+        (where / "starts.png.0123abcd.tmp").touch()  # of a killed process
+    (out / "place.yaml").write_text(f"- run='{folder}'\n")
+
+    def evaluated(cfg: DictConfig, run: Path, results: Path | None, place: list[str]) -> None:
+        assert run == folder and place == [] and not list((results or run).glob("*.tmp"))
+        if results is not None:
+            (results / "evaluation.json").touch()
+
+    def evaluate_into(*words: str) -> str:
+        monkeypatch.setattr(sys, "argv", ["splatrl-evaluate", f"run={folder}", *words])
+        try:
+            evaluate.main()
+        except SystemExit as ended:
+            return str(ended.code)
+        return ""
+
+    monkeypatch.setattr(evaluate, "evaluate_run", evaluated)
+    assert evaluate_into() == ""
+    for _ in range(2):
+        assert evaluate_into(f"out={out}") == ""
+    assert sorted(path.name for path in out.iterdir()) == ["evaluation.json", "place.yaml"]
+    for taken in (out, folder):
+        refused = evaluate_into(f"out={taken}", "starts=5")
+        assert refused.startswith("splatrl-evaluate: out: expected a new folder, or that of the same evaluation, got")
+    assert "a file" in evaluate_into(f"out={folder}/config.yaml")
+
+
 def test_places_of_one_name_have_separate_folders_of_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("a", "b"):
         (tmp_path / name).mkdir()

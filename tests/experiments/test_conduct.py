@@ -1,6 +1,7 @@
 """An experiment from beginning to end, with made-up trainings."""
 
 import json
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -33,8 +34,11 @@ def test_a_folder_with_the_requested_settings_is_continued(tmp_path: Path) -> No
         assert not new.folder.exists() and begun.folder.exists() and finished.folder.exists()
 
 
-def test_a_folder_with_other_settings_is_refused_or_deleted_if_fresh_is_set(tmp_path: Path) -> None:
-    other, same = made_up(tmp_path).runs[:2]
+def test_a_folder_with_other_settings_is_refused_or_deleted_if_fresh_is_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment = made_up(tmp_path)
+    other, same = experiment.runs[:2]
     for run in (other, same):
         begin(run, 40)
         keep_config(run)
@@ -42,8 +46,13 @@ def test_a_folder_with_other_settings_is_refused_or_deleted_if_fresh_is_set(tmp_
     with pytest.raises(ValueError, match=rf"{other.folder} was .* other settings or files: seed: .*; .*fresh=true"):
         check_settings([same, other], fresh=False)
     assert other.folder.exists()
-    check_settings([same, other], fresh=True)
-    assert same.folder.exists() and not other.folder.exists()
+    with monkeypatch.context() as patched, pytest.raises(pytest.fail.Exception):
+        patched.setattr(shutil, "rmtree", lambda _: pytest.fail("killed"))
+        check_settings([same, other], fresh=True)
+    assert same.folder.exists() and not other.folder.exists(), "or what is left of it could be taken for a run"
+    monkeypatch.setattr(conduct, "train", lambda *_: [])
+    train_all([experiment], 1, 1, PROGRAM)
+    assert not [*experiment.folder.glob(".*")]
 
 
 def test_a_folder_trained_in_a_scene_that_has_changed_is_refused_or_deleted_if_fresh_is_set(tmp_path: Path) -> None:
