@@ -176,7 +176,7 @@ class PhysicsMotion(TwinMotion):
             found = survey_terrain(site.scene, site.occupancy, lower, upper, reach, self.top, site.antialiased)
             self.stand_on(found.terrain)
         self._compare_looks()
-        return narrowed(fits, lambda poses: self.clear(self.nearest(planar_of(poses @ self._first_to_carrier()))))
+        return narrowed(fits, lambda poses: self.clear(self.nearest(self.planar_of(poses))))
 
     def stand_on(self, terrain: Terrain) -> None:
         """Put the robot and its things on a terrain."""
@@ -309,11 +309,11 @@ class PhysicsMotion(TwinMotion):
         place, turn = self.kinematics(state)
         return self.kinematics.as_poses(place[:, :1], turn[:, :1]).squeeze(1)
 
-    def _first_to_carrier(self) -> Tensor:
-        """Return where the first body is in the frame of the one that carries the camera, at home: [4, 4] float32."""
+    def planar_of(self, body_to_world: Tensor) -> Tensor:
+        """Return x, y and yaw of the first body of robots at rest in poses: [N, 4, 4] -> [N, 3]; see ``Motion``."""
         home = self.home.unsqueeze(0)
         first = self.kinematics.as_poses(home[:, self.layout.position], home[:, self.layout.orientation])
-        return (invert_rigid(self.body_to_world(home)) @ first).squeeze(0)
+        return planar_of(body_to_world @ (invert_rigid(self.body_to_world(home)) @ first))
 
     def placed(self, planar: Tensor) -> Tensor:
         """Return states in which robots stand at rest on the ground, and things on it where their files place them.

@@ -265,8 +265,8 @@ class GoalTask(ChoosingTask, Protocol):
         """Return a copy of the task that knows further goals, and its memory at the start of episodes with them.
 
         Args:
-            state: [N, 3] float32 start states, x and y in metres and yaw in radians.
-            goal: [N, 3] float32 goals, likewise.
+            state: [N, ...] start states.
+            goal: [N, 3] float32 goals, x and y in metres and yaw in radians.
             scene: [N] int64, index of each episode's scene.
 
         Raises:

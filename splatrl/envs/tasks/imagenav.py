@@ -59,8 +59,8 @@ class ImageNav(NavigationTask):
         room = self.geodesics.room(self._place(state), memory["goal_row"].squeeze(1))
         free = torch.full_like(near, self.geodesics.round) | (room > ROOM)
         aside, lost = self._aside(state, memory), free & (memory["unseen"].squeeze(1) >= LOST)
-        turn = torch.where(lost, self.motion.angle_between, torch.where(near & free, aside, turn))
-        return self.motion.toward(turn, near & ~lost & (self._alike(aside) | ~free))
+        turn = torch.where(lost, self.steering.angle_between, torch.where(near & free, aside, turn))
+        return self.steering.toward(turn, near & ~lost & (self._alike(aside) | ~free))
 
     def _unseen(self, state: Tensor, memory: Memory, before: Tensor) -> Tensor:
         """Update the steps since robots last faced in the direction of the goal image: [B, 1] int64."""
@@ -72,4 +72,4 @@ class ImageNav(NavigationTask):
 
     def _alike(self, aside: Tensor) -> Tensor:
         """Return whether the angle to the goal's yaw is as small as discrete turns allow: [B] -> [B] bool."""
-        return aside.abs() <= 0.5 * self.motion.angle_between + ROUNDING
+        return aside.abs() <= 0.5 * self.steering.angle_between + ROUNDING
