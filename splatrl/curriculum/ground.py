@@ -49,7 +49,7 @@ class Ground:
     cell: float
     open: NDArray[np.bool_]
     ways: NDArray[np.uint16]
-    motion: PlannedMotion
+    motion: Any  # a PlannedMotion that is a module
     checker: Checker
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "Ground":

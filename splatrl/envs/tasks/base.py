@@ -185,6 +185,10 @@ class Task(Protocol):
         """
         ...
 
+    def goals_reached(self, state: Tensor, memory: Memory) -> Tensor:
+        """Return how many goals have been reached where episodes begin with a given memory, [B, 1] int64."""
+        ...
+
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
         """Judge one step.
 

@@ -264,7 +264,10 @@ class NavigationTask(TaskModule):
         lost = (move.failed | self.motion.outside(move.state, self.leeway)).unsqueeze(1)
         place, before = self._place(move.state), self._place(step.before)
         far = self.geodesics.distance(place, memory["goal_row"].squeeze(1)).unsqueeze(1)
-        blocked = ((move.free_fraction < 1) | ~move.inside).unsqueeze(1)
+        blocked = move.free_fraction < 1
+        if not self.motion.leaves:
+            blocked |= ~move.inside
+        blocked = blocked.unsqueeze(1)
         success = stops & ~lost & (far < self.success_distance)
         rewards = self.rewards
         reward = rewards.slack + rewards.progress * (memory["distance_to_goal"] - far) + rewards.success * success
@@ -286,8 +289,14 @@ class NavigationTask(TaskModule):
         """Return the angle from the heading to the shortest path, radians, and whether to stop here: [B] each."""
         row, steering = memory["goal_row"].squeeze(1), self.steering
         robot = self.motion.planar(state).float()
-        turn, arrived = lead(self.geodesics, robot, row, steering.reach, steering.angle_between)
-        far = self.geodesics.distance(self._place(state), row)
+        place, yaw = robot.split((2, 1), 1)
+        aside = torch.zeros_like(yaw)
+        if not steering.action_names:  # which turns by any angle: the directions to choose from stay as it turns
+            aside = (yaw / steering.angle_between).round() * steering.angle_between - yaw
+        faced = torch.cat([place, yaw + aside], 1)
+        turn, arrived = lead(self.geodesics, faced, row, steering.reach, steering.angle_between)
+        turn = wrapped(turn + aside.squeeze(1))
+        far = self.geodesics.distance(place, row)
         return turn, (far < self.success_distance) & (arrived | (far < 0.5 * self.success_distance))
 
     def beeline(self, state: Tensor, memory: Memory) -> Tensor:
