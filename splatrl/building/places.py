@@ -111,7 +111,8 @@ def _build_place(cfg: DictConfig, device: torch.device, repeats: int) -> Place:
     warn_of_uncaptured(scene, task, solid)
     with under_key("task"):
         fits = task.settle(
-            Site(scene, occupancy, planner, robot.body, antialiased), partial(_fits, scene.bounds, solid)
+            Site(scene, occupancy, planner, robot.body, antialiased, repeats=repeats),
+            partial(_fits, scene.bounds, solid),
         )
     try:
         costs, limit = remembering(cfg, obstacles), task.max_steps if task.goals_for_success is None else None

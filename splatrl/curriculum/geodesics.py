@@ -161,7 +161,8 @@ class Geodesics(nn.Module):
     def distance(self, place: Tensor, goal: Tensor) -> Tensor:
         """Return the length of the shortest path from places to goals, interpolated between nodes.
 
-        Paths lead over nodes, so those past obstacles are longer than the true ones, by up to about two cells.
+        Paths lead over nodes, so those past obstacles are longer than the true ones, by up to about two cells. A place
+        beyond the grid is as far as the nearest one on its edge, plus the straight distance to that.
 
         Args:
             place: [B, 2] float32, metres.
@@ -171,7 +172,9 @@ class Geodesics(nn.Module):
             [B] float32, metres.
         """
         straight = (place - self.goals[goal]).norm(dim=1)
-        found = self._between_nodes(self.metres, self.first, place, goal)
+        corner = self.corner[goal]
+        edge = torch.minimum(torch.maximum(place, corner), corner + self.cell * (self.shape[goal] - 1))
+        found = self._between_nodes(self.metres, self.first, place, goal) + (place - edge).norm(dim=1)
         return torch.where(straight < NEAR * self.cell, straight, torch.maximum(found, straight))
 
     def room(self, place: Tensor, goal: Tensor) -> Tensor:
@@ -201,7 +204,7 @@ class Geodesics(nn.Module):
         """
         scene = (torch.searchsorted(self.begins, goal, right=True) - 1).repeat_interleave(start.shape[1])
         motion = rows_of(self.motion, scene)
-        begins, ends = start.flatten(0, 1), end.flatten(0, 1)
+        begins, ends = (motion.nearest(each.flatten(0, 1).double()) for each in (start, end))
         touched = self._checkers.at(scene).sweeps(motion.body_to_world(begins), motion.body_to_world(ends))
         return (motion.inside(ends) & ~touched).view(start.shape[:2])
 

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from splatrl.bodies import Box
 from splatrl.collision.base import Checker
-from splatrl.motions.planar import PlanarMotion
+from splatrl.motions.base import PlannedMotion
 from splatrl.native import _core
 from splatrl.native.threads import threads_of
 
@@ -26,6 +26,8 @@ WAYS = np.array(
 )
 """Half of the 32 directions in which nodes are connected: a path across open ground is at most 1.3 % too long."""
 MOST_NODES = 4_000_000
+AT_ONCE = 2**16
+"""Most states that are made at once: those of robots with physics are long."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +49,7 @@ class Ground:
     cell: float
     open: NDArray[np.bool_]
     ways: NDArray[np.uint16]
-    motion: PlanarMotion
+    motion: Any  # a PlannedMotion that is a module
     checker: Checker
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "Ground":
@@ -87,14 +89,14 @@ class Ground:
 
 
 def ground(
-    motion: PlanarMotion, checker: Checker, cell: float, fits: Callable[[Tensor], Tensor] | None = None
+    motion: PlannedMotion, checker: Checker, cell: float, fits: Callable[[Tensor], Tensor] | None = None
 ) -> Ground:
     """Find where a body fits at every heading, and between which of these places when it faces the way it goes.
 
     A robot can then turn wherever a path leads it.
 
     Args:
-        motion: defines where robots may be, and converts states to poses.
+        motion: defines where robots may be, and their poses there.
         checker: tells which poses and moves are free.
         cell: distance between neighbouring nodes, metres.
         fits: body_to_world [N, 4, 4] -> [N] bool, a further condition on where robots may be; None sets no condition.
@@ -102,7 +104,7 @@ def ground(
     Raises:
         ValueError: if no place is free, or for a grid below 2 × 2 or above ``MOST_NODES`` nodes.
     """
-    lower, upper = (bound.double().cpu().numpy() for bound in (motion.lower, motion.upper))
+    lower, upper = motion.region()[:, :2].double().cpu().numpy()
     x, y = (int(np.floor((high - low) / cell + 1e-6)) + 1 for low, high in zip(lower, upper, strict=True))
     if x < 2 or y < 2 or x * y > MOST_NODES:
         raise ValueError(f"task.cell: expected a cell size that gives 2 × 2 to {MOST_NODES:,} nodes, got {x} × {y}")
@@ -110,8 +112,8 @@ def ground(
     index = np.stack(np.meshgrid(np.arange(x), np.arange(y), indexing="ij"), -1).reshape(-1, 2)
 
     def poses(index: NDArray[np.int64], yaw: float) -> Tensor:
-        places = torch.from_numpy(lower + cell * index).float()
-        return motion.body_to_world(torch.cat([places, torch.full((len(places), 1), yaw)], 1))
+        places = torch.from_numpy(np.insert(lower + cell * index, 2, yaw, 1))
+        return torch.cat([motion.body_to_world(motion.nearest(some)) for some in places.split(AT_ONCE)])
 
     stand = poses(index, 0.0)
     free = ~checker.collides(stand)

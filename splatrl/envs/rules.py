@@ -106,7 +106,7 @@ class Rules(NamedTuple):
             "step_count": count,
             "episode_return": torch.zeros_like(level, dtype=torch.float32),
             "outcome": count.clone(),
-            "goals": count.clone(),
+            "goals": task.goals_reached(state, memory),
             "success": flag,
             "free_fraction": free_fraction.unsqueeze(1),
             **{key: flag.clone() for key in ("done", "terminated", "truncated")},

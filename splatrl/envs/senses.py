@@ -129,6 +129,7 @@ class Senses(NamedTuple):
             motion,
         )
 
-    def _look(self, robots: Standing, only: Tensor | None, body_to_world: Tensor) -> Tensor:
-        """Draw what robots would see from other poses."""
-        return self.view(robots._replace(body_to_world=body_to_world), None, only).pixels
+    def _look(self, robots: Standing, only: Tensor | None, state: Tensor) -> Tensor:
+        """Draw what robots would see in other states."""
+        there = robots._replace(state=state, body_to_world=robots.task.motion.body_to_world(state))
+        return self.view(there, None, only).pixels

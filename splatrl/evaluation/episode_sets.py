@@ -41,7 +41,7 @@ def from_habitat(places: Tensor) -> Tensor:
 
 def write_episodes(
     path: Path,
-    state: Tensor,
+    start: Tensor,
     memory: Mapping[str, Tensor],
     scenes: Sequence[str],
     heights: Tensor,
@@ -54,16 +54,16 @@ def write_episodes(
 
     Args:
         path: file to write.
-        state: [N, 3] starts, x and y in metres and yaw in radians.
+        start: [N, 3] starts, x and y in metres and yaw in radians.
         memory: ``goal`` [N, 3], likewise, and ``start_distance`` [N, 1], the geodesic distance to it, metres.
         scenes: name of the scene of each of the N episodes.
-        heights: [N] float32, z of each start and its goal, metres.
+        heights: [N] float32, z of each start, at which its goal is written too, metres.
         radius: distance from the goal within which a stop is a success, metres.
     """
     z = heights.double().unsqueeze(1)
     goal = memory["goal"].double()
-    starts, goals = (to_habitat(torch.cat([each[:, :2].double(), z], 1)).tolist() for each in (state, goal))
-    yaws, far = state[:, 2].double().tolist(), memory["start_distance"].double().flatten().tolist()
+    starts, goals = (to_habitat(torch.cat([each[:, :2].double(), z], 1)).tolist() for each in (start, goal))
+    yaws, far = start[:, 2].double().tolist(), memory["start_distance"].double().flatten().tolist()
     episodes = [
         {
             "episode_id": str(number),
@@ -73,7 +73,7 @@ def write_episodes(
             "info": {"geodesic_distance": far[number], "goal_yaw": float(goal[number, 2])},
             "goals": [{"position": goals[number], "radius": radius}],
         }
-        for number in range(len(state))
+        for number in range(len(start))
     ]
     text = json.dumps({"episodes": episodes})
     with replacing(path) as stream, gzip.GzipFile("", "wb", 9, stream, mtime=0) as packed:  # reproducible bytes

@@ -60,13 +60,13 @@ class Episodes:
         """Compute the fractions of episodes with a collision, that left the bounds, and that ended by timeout.
 
         Where collisions do not end episodes but are counted, as in navigation tasks, ``collision_rate`` is the fraction
-        of episodes with at least one. Robots cannot leave the bounds there, so there is no ``out_of_bounds_rate``.
+        of episodes with at least one.
         """
-        timeout = {"timeout_rate": self.rate(Outcome.TIMEOUT)}
-        if "collisions" in self.measures:
-            return {"collision_rate": (self.measures["collisions"] > 0).double().mean().item(), **timeout}
         ended = {"collision_rate": Outcome.COLLISION, "out_of_bounds_rate": Outcome.OUT_OF_BOUNDS}
-        return {**{key: self.rate(outcome) for key, outcome in ended.items()}, **timeout}
+        rates = {key: self.rate(outcome) for key, outcome in ended.items()}
+        if "collisions" in self.measures:
+            rates["collision_rate"] = (self.measures["collisions"] > 0).double().mean().item()
+        return {**rates, "timeout_rate": self.rate(Outcome.TIMEOUT)}
 
     def navigation(self) -> dict[str, float]:
         """Compute navigation measures under Habitat's names, averaged over the episodes; empty for other tasks.

@@ -62,16 +62,20 @@ def given_episodes(world: World | Worlds, path: Path, most: int = MOST_EPISODES)
         raise ValueError(
             f"evaluation.episodes: expected a navigation task, such as task=pointnav, got {type(world.task).__name__}"
         )
-    state, goal, scene = (values[:most] for values in read_episodes(path, world.names))
+    start, goal, scene = (values[:most] for values in read_episodes(path, world.names))
+    rows, states = [], []
     for number, (name, one) in enumerate(zip(world.names, world.worlds, strict=True)):
-        mine = (scene == number).nonzero().squeeze(1)
-        blocked = one.plan.checker.collides(one.task.motion.body_to_world(state[mine]))
-        wrong = mine[blocked | ~one.task.motion.inside(state[mine])].tolist()
+        mine, motion = (scene == number).nonzero().squeeze(1), one.task.motion
+        state = varied(motion, motion.nearest(start[mine].double()), number)
+        wrong = mine[one.plan.checker.collides(motion.body_to_world(state)) | ~motion.inside(state)].tolist()
+        rows.append(mine)
+        states.append(state)
         if wrong:
-            place = [round(value, 3) for value in state[wrong[0], :2].tolist()]
+            place = [round(value, 3) for value in start[wrong[0], :2].tolist()]
             raise ValueError(
                 f"{path}: episode {wrong[0]}: expected a start where the robot fits, got {place} in scene {name}"
             )
+    state = torch.cat(states)[torch.cat(rows).argsort()]
     with under_key(str(path)):
         task, memory = cast(GoalTask, world.task).with_goals(state, goal, scene)
     chosen = Chosen(state, scene if len(world.worlds) > 1 else None, torch.zeros(len(state), dtype=torch.int64), memory)
@@ -106,9 +110,14 @@ def save_episodes(path: Path, world: World | Worlds, chosen: Chosen, radius: flo
         chosen: starts of the episodes, with the task's memory at each.
         radius: distance from the goal within which a stop is a success, metres.
     """
-    numbers = [0] * len(chosen.state) if chosen.scene is None else chosen.scene.tolist()
-    heights = torch.tensor([world.worlds[number].robot.height for number in numbers])
-    write_episodes(path, chosen.state, chosen.memory, [world.names[number] for number in numbers], heights, radius)
+    count = len(chosen.state)
+    scene = torch.zeros(count, dtype=torch.int64) if chosen.scene is None else chosen.scene
+    start, heights = torch.empty(count, 3, dtype=torch.float64), torch.empty(count)
+    for number, one in enumerate(world.worlds):
+        mine, motion = scene == number, one.task.motion
+        start[mine] = motion.planar(chosen.state[mine])
+        heights[mine] = motion.body_to_world(chosen.state[mine])[:, 2, 3]
+    write_episodes(path, start, chosen.memory, [world.names[number] for number in scene.tolist()], heights, radius)
 
 
 def spread_starts(world: World | Worlds, most: int) -> Chosen:

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import torch
 from torch import Tensor, nn
@@ -10,10 +10,14 @@ from torchrl.data import TensorSpec
 
 from splatrl.collision.base import Checker
 from splatrl.collision.occupancy import Occupancy
+from splatrl.geometry import planar_of
 from splatrl.motions.site import Fits, Site
 from splatrl.renderers.parts import Parts
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
+
+if TYPE_CHECKING:
+    from splatrl.motions.planar import StoppingMotion
 
 
 class Move(NamedTuple):
@@ -66,6 +70,7 @@ class Motion(Protocol):
         angle_step: largest angle that an action turns the robot, radians.
         steps_on_host: whether ``move`` leaves the device, so that a step cannot be captured in a CUDA graph.
         stacks: whether the robots of a batch may stand in different scenes; see ``splatrl.per_scene``.
+        leaves: whether a move may end beyond the bounds, instead of being reverted.
     """
 
     action_names: tuple[str, ...]
@@ -73,6 +78,7 @@ class Motion(Protocol):
     angle_step: float
     steps_on_host: bool
     stacks: bool
+    leaves: bool
 
     @property
     def height(self) -> float | None:
@@ -110,6 +116,10 @@ class Motion(Protocol):
 
     def body_to_world(self, state: Tensor) -> Tensor:
         """Return the poses of states: [B, ...] -> [B, 4, 4] float32."""
+        ...
+
+    def planar_of(self, body_to_world: Tensor) -> Tensor:
+        """Return position and heading of robots at rest in poses: [N, 4, 4] -> [N, 3] float64; see ``planar``."""
         ...
 
     def obstacles(self, scene: Scene, occupancy: Occupancy, antialiased: bool) -> Occupancy:
@@ -191,6 +201,10 @@ class PlannedMotion(Motion, Protocol):
         """Return whether states are within the bounds, which are inclusive: [B, ...] -> [B] bool."""
         ...
 
+    def outside(self, state: Tensor, leeway: float) -> Tensor:
+        """Return whether robots have left the bounds by more than ``leeway``, metres: [B, ...] -> [B] bool."""
+        ...
+
     def nodes(self) -> Tensor:
         """Return the states at which costs are stored: [C, ...]."""
         ...
@@ -203,13 +217,24 @@ class PlannedMotion(Motion, Protocol):
         """Return the states nearest to positions and headings: [N, 3] float64 x, y and yaw -> [N, ...]."""
         ...
 
+    @property
+    def steering(self) -> "StoppingMotion | None":
+        """The motion that takes the same actions and knows which of them stop or lead in a direction; None without."""
+        ...
+
 
 class MotionModule(nn.Module):
     """A motion that by default is a single move of a robot without a visible body, the same in all scenes."""
 
     steps_on_host = False
     stacks = True
+    leaves = False
     models: Sequence[Gaussians] = ()
+
+    @property
+    def steering(self) -> "StoppingMotion | None":
+        """None: no action stops."""
+        return None
 
     @property
     def seconds_per_step(self) -> float | None:
@@ -221,6 +246,10 @@ class MotionModule(nn.Module):
         places = self.body_to_world(self.states())[:, :3, 3]
         return torch.stack([places.amin(0), places.amax(0)])
 
+    def planar_of(self, body_to_world: Tensor) -> Tensor:
+        """Return position and heading of the body."""
+        return planar_of(body_to_world)
+
     def obstacles(self, scene: Scene, occupancy: Occupancy, antialiased: bool) -> Occupancy:
         """Return all solid voxels."""
         return occupancy
@@ -228,6 +257,10 @@ class MotionModule(nn.Module):
     def settle(self, site: Site, fits: Fits) -> Fits:
         """Return where episodes may begin, unchanged."""
         return fits
+
+    def outside(self, state: Tensor, leeway: float) -> Tensor:
+        """Return False for all robots: a move that would leave the bounds is not made."""
+        return torch.zeros(len(state), dtype=torch.bool, device=state.device)
 
     def varied(self, state: Tensor, generator: torch.Generator) -> Tensor:
         """Return the states unchanged: nothing differs between episodes."""

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from splatrl.collision.occupancy import Occupancy
-from splatrl.geometry import planar_of
 from splatrl.motions.drive import DriveMotion
 from splatrl.motions.servos import driven, twin_speeds
 from splatrl.motions.simulated import SimulatedMotion
@@ -149,8 +148,7 @@ class PhysicsMotion(SimulatedMotion):
             found = survey_terrain(site.scene, site.occupancy, lower, upper, reach, self.top, site.antialiased)
             self.stand_on(found.terrain)
         compare_looks(self.world, self.things.looks, list(map(BodyGaussians, self._shown, self.models)))
-        first_to_carrier = self.bodies.first_to_carrier(self.home.unsqueeze(0))
-        return narrowed(fits, lambda poses: self.clear(self.nearest(planar_of(poses @ first_to_carrier))))
+        return narrowed(fits, lambda poses: self.clear(self.nearest(self.planar_of(poses))))
 
     def stand_on(self, terrain: Terrain) -> None:
         """Put the robot and its things on a terrain."""

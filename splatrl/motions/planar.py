@@ -144,6 +144,11 @@ class StoppingMotion(PlanarMotion):
     reach: float
     angle_between: float
 
+    @property
+    def steering(self) -> "StoppingMotion":
+        """The motion itself."""
+        return self
+
     @abstractmethod
     def stops(self, action: Tensor) -> Tensor:
         """Return whether actions declare arrival: [B, ...] -> [B] bool."""

@@ -7,7 +7,7 @@ from torch import Tensor
 from torchrl.data import Bounded
 
 from splatrl.collision.base import Checker
-from splatrl.geometry import quat_yaws
+from splatrl.geometry import planar_of, quat_yaws
 from splatrl.motions.base import Move
 from splatrl.motions.twin import TwinMotion
 from splatrl.physics import Physics, StateLayout, Stepped, Terrain
@@ -108,6 +108,10 @@ class SimulatedMotion(TwinMotion):
         """
         x, y, _ = state[:, self.layout.position].unbind(1)
         return torch.stack([x, y, quat_yaws(state[:, self.layout.orientation]) % math.tau], 1)
+
+    def planar_of(self, body_to_world: Tensor) -> Tensor:
+        """Return x, y and yaw of the first body of robots at rest in poses: [N, 4, 4] -> [N, 3]; see ``Motion``."""
+        return planar_of(body_to_world @ self.bodies.first_to_carrier(self.home.unsqueeze(0)))
 
     def body_to_world(self, state: Tensor) -> Tensor:
         """Return the poses of the body that carries the camera: [B, n] -> [B, 4, 4] float32."""

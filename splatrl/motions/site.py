@@ -25,6 +25,7 @@ class Site(NamedTuple):
         antialiased: whether the scene is rendered with antialiasing.
         leeway: how far beyond the motion's bounds robots may go before they count as outside, metres.
         varies: whether episodes draw from what the motion varies, such as models of the physics.
+        repeats: number of times that a robot carries out each action.
     """
 
     scene: Scene
@@ -34,6 +35,7 @@ class Site(NamedTuple):
     antialiased: bool
     leeway: float = 0.0
     varies: bool = True
+    repeats: int = 1
 
 
 def narrowed(fits: Fits, further: Fits) -> Fits:

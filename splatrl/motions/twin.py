@@ -13,9 +13,17 @@ class TwinMotion(MotionModule, ABC):
 
     Attributes:
         twin: the ``DriveMotion``, with the robot's speeds and bounds.
+        driven: whether the robot takes the twin's actions.
     """
 
+    leaves = True
     twin: DriveMotion
+    driven: bool
+
+    @property
+    def steering(self) -> DriveMotion | None:
+        """The twin, if the robot takes its actions."""
+        return self.twin if self.driven else None
 
     @abstractmethod
     def planar(self, state: Tensor) -> Tensor:
@@ -40,6 +48,11 @@ class TwinMotion(MotionModule, ABC):
     def inside(self, state: Tensor) -> Tensor:
         """Return whether robots are within the bounds, which are inclusive: [B, n] -> [B] bool."""
         return self.twin.inside(self.planar(state).float())
+
+    def outside(self, state: Tensor, leeway: float) -> Tensor:
+        """Return whether robots have left the bounds by more than ``leeway``, metres: [B, n] -> [B] bool."""
+        place = self.planar(state)[:, :2]
+        return ((place < self.twin.lower - leeway) | (place > self.twin.upper + leeway)).any(1)
 
     def nodes(self) -> Tensor:
         """Return the twin's nodes, with the robot at rest: [C, n]."""

@@ -9,7 +9,7 @@ from torchrl.data import TensorSpec
 from splatrl.collision.base import Checker
 from splatrl.envs.robot import Robot
 from splatrl.envs.tasks.base import Task
-from splatrl.motions.base import Motion
+from splatrl.motions.base import PlannedMotion
 from splatrl.values import under_key
 
 
@@ -24,8 +24,8 @@ class Moment(NamedTuple):
         depth: [B, H, W] float32, metres along the optical axis, infinite where nothing is seen; None if no sensor needs
             it.
         checker: collision checker of the scene.
-        look: draws the robots' views from other body poses [B, 4, 4]: [B, H, W, 3] uint8. In a reset only the rows that
-            begin an episode are drawn.
+        look: draws the robots' views in other states [B, ...]: [B, H, W, 3] uint8. In a reset only the rows that begin
+            an episode are drawn.
         state: [B, ...] states of the motion.
         motion: how the robots move.
         sensed: [B, S, s] float64, MuJoCo's sensor data in each substep of the last move; None where episodes begin, and
@@ -40,7 +40,7 @@ class Moment(NamedTuple):
     checker: Checker
     look: Callable[[Tensor], Tensor]
     state: Tensor
-    motion: Motion
+    motion: PlannedMotion
     sensed: Tensor | None = None
 
 

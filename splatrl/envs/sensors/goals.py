@@ -9,7 +9,7 @@ from torchrl.data import Bounded, TensorSpec, Unbounded
 from splatrl.envs.robot import Robot
 from splatrl.envs.sensors.base import Moment, PlainSensor
 from splatrl.envs.tasks.base import Task
-from splatrl.geometry import axis_rotations, azimuths, rigid, wrapped
+from splatrl.geometry import azimuths, wrapped
 
 
 class GoalSensor(PlainSensor):
@@ -62,9 +62,7 @@ class ImageGoal(GoalSensor):
 
     def begin(self, moment: Moment) -> Mapping[str, Tensor]:
         """Render the view at the goal: [B, H, W, 3] uint8."""
-        goal = self.goal(moment).float()
-        place = torch.cat([goal[:, :2], moment.body_to_world[:, 2:3, 3]], 1)
-        return {self.KEY: moment.look(rigid(axis_rotations(2, goal[:, 2]), place))}
+        return {self.KEY: moment.look(moment.motion.nearest(self.goal(moment)))}
 
     def read(self, moment: Moment) -> Tensor:
         """Return the episode's goal image: [B, H, W, 3] uint8."""

@@ -185,6 +185,10 @@ class Task(Protocol):
         """
         ...
 
+    def goals_reached(self, state: Tensor, memory: Memory) -> Tensor:
+        """Return how many goals have been reached where episodes begin with a given memory, [B, 1] int64."""
+        ...
+
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
         """Judge one step.
 
@@ -267,8 +271,8 @@ class GoalTask(ChoosingTask, Protocol):
         """Return a copy of the task that knows further goals, and its memory at the start of episodes with them.
 
         Args:
-            state: [N, 3] float32 start states, x and y in metres and yaw in radians.
-            goal: [N, 3] float32 goals, likewise.
+            state: [N, ...] start states.
+            goal: [N, 3] float32 goals, x and y in metres and yaw in radians.
             scene: [N] int64, index of each episode's scene.
 
         Raises:

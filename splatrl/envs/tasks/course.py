@@ -137,6 +137,10 @@ class Course(TaskModule):
         """Return a memory in which no place has been passed; see ``Task.begin``."""
         return self._memory(state, torch.zeros(len(state), dtype=torch.int64, device=state.device))
 
+    def goals_reached(self, state: Tensor, memory: Memory) -> Tensor:
+        """Return the number of places passed; see ``Task.goals_reached``."""
+        return memory["passed"].clone()
+
     def episodes(self, starts: Tensor, count: int, seed: int) -> dict[str, Tensor]:
         """Return starts that cycle through the test courses; see ``ChoosingTask``."""
         generator = torch.Generator().manual_seed(seed)

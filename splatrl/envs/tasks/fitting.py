@@ -15,5 +15,10 @@ def require_part(group: str, part: object, kind: type, expected: str, *options: 
         ValueError: names the key, what was expected, what was given and what to type.
     """
     if not isinstance(part, kind):
-        words = " or ".join(f"{group}@task.{group}={option}" for option in options)
-        raise ValueError(f"task.{group}: expected {expected}, got {type(part).__name__}; type {words}")
+        raise misfit(group, part, expected, *options)
+
+
+def misfit(group: str, part: object, expected: str, *options: str) -> ValueError:
+    """Return the error that refuses a part; see ``require_part``."""
+    words = " or ".join(f"{group}@task.{group}={option}" for option in options)
+    return ValueError(f"task.{group}: expected {expected}, got {type(part).__name__}; type {words}")

@@ -12,7 +12,8 @@ from splatrl.envs.teachers.pathfinder import ROOM
 from splatrl.geometry import wrapped
 
 LOST = 16
-"""Steps after which the teacher considers its last look in the direction of the goal image outdated."""
+"""Moves over the motion's ``reach`` after which the teacher considers its last look in the direction of the goal image
+outdated; each takes one step of ``NavigateMotion``, and several of a motion by velocities."""
 ROUNDING = 1e-3
 """Tolerance for the rounding of headings, radians."""
 
@@ -40,7 +41,12 @@ class ImageNav(NavigationTask):
     def episode(self, state: Tensor, row: Tensor, yaw: Tensor) -> dict[str, Tensor]:
         """Return what is remembered at the start of episodes with given goals; see ``NavigationTask.episode``."""
         begun = super().episode(state, row, yaw)
-        return begun | {"unseen": self._unseen(state, begun, torch.full_like(begun["goal_row"], LOST))}
+        return begun | {"unseen": self._unseen(state, begun, torch.full_like(begun["goal_row"], self.lost_after))}
+
+    @property
+    def lost_after(self) -> int:
+        """Steps after which the teacher considers its last look in the direction of the goal image outdated."""
+        return round(LOST * self.steering.reach / self.steering.step)
 
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
         """Judge a step; see ``Task.judge``."""
@@ -51,16 +57,16 @@ class ImageNav(NavigationTask):
     def teach(self, state: Tensor, memory: Memory) -> Tensor:
         """Return the actions of a teacher that has to look for the goal, so that a policy can imitate it from images.
 
-        A robot that has not faced in the direction of the goal image for ``LOST`` steps turns left until it does, since
-        only then can it compare the two views. It then takes the shortest path, and faces that way again before it
-        stops. Where it may not fit at every heading, it does not look around.
+        A robot that has not faced in the direction of the goal image for ``lost_after`` steps turns left until it does,
+        since only then can it compare the two views. It then takes the shortest path, and faces that way again before
+        it stops. Where it may not fit at every heading, it does not look around.
         """
         turn, near = self.led(state, memory)
         room = self.geodesics.room(self._place(state), memory["goal_row"].squeeze(1))
         free = torch.full_like(near, self.geodesics.round) | (room > ROOM)
-        aside, lost = self._aside(state, memory), free & (memory["unseen"].squeeze(1) >= LOST)
-        turn = torch.where(lost, self.motion.angle_between, torch.where(near & free, aside, turn))
-        return self.motion.toward(turn, near & ~lost & (self._alike(aside) | ~free))
+        aside, lost = self._aside(state, memory), free & (memory["unseen"].squeeze(1) >= self.lost_after)
+        turn = torch.where(lost, self.steering.angle_between, torch.where(near & free, aside, turn))
+        return self.steering.toward(turn, near & ~lost & (self._alike(aside) | ~free))
 
     def _unseen(self, state: Tensor, memory: Memory, before: Tensor) -> Tensor:
         """Update the steps since robots last faced in the direction of the goal image: [B, 1] int64."""
@@ -72,4 +78,4 @@ class ImageNav(NavigationTask):
 
     def _alike(self, aside: Tensor) -> Tensor:
         """Return whether the angle to the goal's yaw is as small as discrete turns allow: [B] -> [B] bool."""
-        return aside.abs() <= 0.5 * self.motion.angle_between + ROUNDING
+        return aside.abs() <= 0.5 * self.steering.angle_between + ROUNDING

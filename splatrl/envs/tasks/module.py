@@ -95,6 +95,10 @@ class TaskModule(torch.nn.Module):
         """Return an empty memory."""
         return NOTHING
 
+    def goals_reached(self, state: Tensor, memory: Memory) -> Tensor:
+        """Return 0: the memory tells of no goals that have been reached."""
+        return torch.zeros(len(state), 1, dtype=torch.int64, device=state.device)
+
     def reached(self, state: Tensor) -> Tensor | None:
         """Return None: there are no goal states."""
         return None

@@ -14,15 +14,17 @@ from splatrl.collision.base import Checker
 from splatrl.curriculum.geodesics import Geodesics
 from splatrl.curriculum.ground import ground
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdict
-from splatrl.envs.tasks.fitting import require_part
+from splatrl.envs.tasks.fitting import misfit, require_part
 from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.tasks.rewards import FiniteRewards
 from splatrl.envs.teachers.pathfinder import lead
 from splatrl.geometry import azimuths, wrapped
+from splatrl.motions.base import PlannedMotion
 from splatrl.motions.planar import StoppingMotion
 from splatrl.motions.site import Fits, Site, narrowed
 from splatrl.values import require_number
 
+WHO_STOPS = "a robot with physics can by two <velocity> servos, forward and turn"
 TRIES = 50
 """Rounds in which ``episodes`` looks for pairs of a start and a goal."""
 
@@ -48,17 +50,19 @@ class NavigationRewards(FiniteRewards):
 class NavigationTask(TaskModule):
     """Go to a goal that is drawn with each start, and stop there.
 
-    Action: the motion's, some of which mean stop: the first action of ``NavigateMotion``; with ``DriveMotion``, both
-        velocities within a tenth of their limits, as in Habitat's ``VelocityAction``.
+    Action: the motion's, some of which mean stop: the first action of ``NavigateMotion``; with ``DriveMotion`` and
+        robots with physics that take its actions, both velocities within a tenth of their limits, as in Habitat's
+        ``VelocityAction``.
     Reward: [B, 1] float32; the decrease in geodesic distance to the goal, metres, minus a slack penalty, plus a bonus
         for stopping at the goal (``NavigationRewards``).
-    Termination: at a stop, which is a success if the geodesic distance to the goal is below ``success_distance``. A
-        robot that touches something, or would leave the bounds, stays or slides as its motion defines, and the episode
-        continues.
+    Termination: at a stop, which is a success if the geodesic distance to the goal after it is below
+        ``success_distance``. A robot that touches something, or would leave the bounds, stays, slides or is pushed back
+        as its motion defines, and the episode continues. It ends where a robot with physics leaves the bounds by more
+        than ``leeway``, or its physics fails.
     Truncation: after ``max_steps`` steps.
-    State: [B, 3] float32, x and y in metres and yaw in radians. Memory: ``goal`` [B, 3] float32, likewise; ``goal_row``
-        [B, 1] int64, the goal's number; ``distance_to_goal``, ``start_distance`` and ``path_length`` [B, 1] float32,
-        metres; ``collisions`` [B, 1] int64.
+    State: the motion's. Memory: ``goal`` [B, 3] float32, x and y in metres and yaw in radians; ``goal_row`` [B, 1]
+        int64, the goal's number; ``distance_to_goal``, ``start_distance`` and ``path_length`` [B, 1] float32, metres;
+        ``collisions`` [B, 1] int64.
 
     Distances are geodesic: lengths of the shortest path on which the body fits (``Geodesics``). The goals of a scene
     are a seeded set of mutually connected places, some for training and others for tests; any start may be paired with
@@ -74,21 +78,20 @@ class NavigationTask(TaskModule):
         test_goals: number of test goals in each scene.
         cell: cell size of the grid on which paths are found, metres.
         seed: seed of the goals.
+        leeway: distance beyond the bounds at which a robot whose moves are not reverted counts as outside, metres.
         max_steps: an episode is truncated after this many steps.
 
     Raises:
-        ValueError: for a motion without a stop action or off the plane, rewards of another kind, or a number out of
-            range.
+        ValueError: for a motion without ``steering``, rewards of another kind, or a number out of range.
     """
 
     chooses_episodes = True
     ways_out = "try other values of task.nearest, task.farthest and robot.height, or a smaller robot.body"
     given_together = ("goal", "goal_row", "start_distance", "distance_to_goal")
-    motion: StoppingMotion
 
     def __init__(
         self,
-        motion: StoppingMotion,
+        motion: PlannedMotion,
         rewards: NavigationRewards | None = None,
         success_distance: float = 0.2,
         nearest: float = 1.0,
@@ -97,9 +100,11 @@ class NavigationTask(TaskModule):
         test_goals: int = 32,
         cell: float = 0.05,
         seed: int = 0,
+        leeway: float = 0.3,
         max_steps: int = 500,
     ):
-        require_part("motion", motion, StoppingMotion, "a motion that can stop", "navigate", "drive")
+        if motion.steering is None:
+            raise misfit("motion", motion, f"a motion that can stop ({WHO_STOPS})", "navigate", "drive")
         super().__init__(motion, max_steps)
         require_number("task.success_distance", success_distance, high=1e6, above=0.0)
         require_number("task.nearest", nearest, 0.0, 1e6)
@@ -107,12 +112,21 @@ class NavigationTask(TaskModule):
         require_number("task.goals", goals, 1, 10**5, whole=True)
         require_number("task.test_goals", test_goals, 1, 10**5, whole=True)
         require_number("task.cell", cell, 1e-3, 1e3)
+        require_number("task.leeway", leeway, 0.0, 1e3)
         require_number("task.seed", seed, 0, 2**63 - 1, whole=True)
         self.rewards = rewards or NavigationRewards()
         require_part("rewards", self.rewards, NavigationRewards, "the rewards of navigation", "navigation")
         self.success_distance, self.nearest, self.farthest = success_distance, nearest, farthest
         self.goal_counts, self.cell, self.seed = (goals, test_goals), cell, seed
+        self.leeway = leeway if motion.leaves else 0.0
         self.geodesics: Geodesics
+
+    @property
+    def steering(self) -> StoppingMotion:
+        """Knows which actions stop or lead in a direction."""
+        steering = self.motion.steering
+        assert steering is not None
+        return steering
 
     @property
     def goal_radius(self) -> float:
@@ -122,17 +136,18 @@ class NavigationTask(TaskModule):
     def settle(self, site: Site, fits: Fits) -> Fits:
         """Choose the goals of a scene; episodes begin where one of them is in range. See ``Task.settle``."""
         fits = super().settle(site, fits)
-        if self.motion.action_names and self.motion.step >= 2 * self.success_distance:
+        if self.motion.action_names and site.repeats * self.motion.step >= 2 * self.success_distance:
+            times = f"{site.repeats} × " if site.repeats > 1 else ""
             warnings.warn(
-                f"task.motion.step: robots may step over a goal unless it is below twice task.success_distance="
-                f"{self.success_distance:g}, got {self.motion.step:g}",
+                f"task.motion.step: robots may step over a goal unless an action moves them less than twice "
+                f"task.success_distance={self.success_distance:g}, got {times}{self.motion.step:g}",
                 stacklevel=2,
             )
         self.choose_goals(site.checker, fits)
         connected, within = self.geodesics.grounds[0].connected, self.geodesics.within
 
         def suit(poses: Tensor) -> Tensor:
-            place = poses[:, :2, 3]
+            place = self.motion.planar_of(poses)[:, :2].float()
             return connected(place) & within(place, self.nearest, self.farthest)
 
         return narrowed(fits, suit)
@@ -176,7 +191,7 @@ class NavigationTask(TaskModule):
         """Return what is remembered at the start of episodes with given goals.
 
         Args:
-            state: [B, 3] start states.
+            state: [B, ...] start states.
             row: [B] int64, rows of the goals in ``geodesics``.
             yaw: [B, 1] float32, yaw of the goals, radians.
         """
@@ -194,12 +209,12 @@ class NavigationTask(TaskModule):
         """Draw test starts and goals in one scene from a seed; with several scenes, select one with ``at``.
 
         Args:
-            starts: [S, 3] states in which episodes may begin.
+            starts: [S, ...] states in which episodes may begin.
             count: number of episodes, N.
             seed: seed of everything that is drawn.
 
         Returns:
-            ``state`` [N, 3], and the result of ``episode`` for each.
+            ``state`` [N, ...], and the result of ``episode`` for each.
 
         Raises:
             ValueError: if too few starts and goals are found whose distance is in the requested range.
@@ -209,6 +224,7 @@ class NavigationTask(TaskModule):
         left = count
         for _ in range(TRIES):
             state = starts[torch.randint(len(starts), (count,), generator=generator)]
+            state = self.motion.varied(state, generator)
             row = self.geodesics.draw(self._place(state), self.nearest, self.farthest, generator, tests=True)
             yaw = math.tau * torch.rand(count, 1, generator=generator)
             one = {"state": state, **self.episode(state, row, yaw)}
@@ -244,38 +260,50 @@ class NavigationTask(TaskModule):
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
         """Judge a step; see ``Task.judge``."""
         memory, move = step.memory, step.move
-        stops = self.motion.stops(step.action).unsqueeze(1)
+        stops = self.steering.stops(step.action).unsqueeze(1)
+        lost = (move.failed | self.motion.outside(move.state, self.leeway)).unsqueeze(1)
         place, before = self._place(move.state), self._place(step.before)
         far = self.geodesics.distance(place, memory["goal_row"].squeeze(1)).unsqueeze(1)
-        blocked = ((move.free_fraction < 1) | ~move.inside).unsqueeze(1)
-        success = stops & (far < self.success_distance)
+        blocked = move.free_fraction < 1
+        if not self.motion.leaves:
+            blocked |= ~move.inside
+        blocked = blocked.unsqueeze(1)
+        success = stops & ~lost & (far < self.success_distance)
         rewards = self.rewards
         reward = rewards.slack + rewards.progress * (memory["distance_to_goal"] - far) + rewards.success * success
         outcome = torch.where(blocked, Outcome.COLLISION, torch.full_like(memory["goal_row"], Outcome.RUNNING))
         outcome = torch.where(stops, torch.where(success, Outcome.GOAL, Outcome.STOPPED), outcome)
+        outcome = torch.where(lost, Outcome.OUT_OF_BOUNDS, outcome)
         measured = {
             "distance_to_goal": far,
             "path_length": memory["path_length"] + (place - before).norm(dim=1, keepdim=True),
             "collisions": memory["collisions"] + blocked,
         }
-        return Verdict(reward, stops, outcome, {**memory, **measured})
+        return Verdict(reward, stops | lost, outcome, {**memory, **measured})
 
     def teach(self, state: Tensor, memory: Memory) -> Tensor:
         """Return the actions of a teacher that knows the shortest path; see ``lead``."""
-        return self.motion.toward(*self.led(state, memory))
+        return self.steering.toward(*self.led(state, memory))
 
     def led(self, state: Tensor, memory: Memory) -> tuple[Tensor, Tensor]:
         """Return the angle from the heading to the shortest path, radians, and whether to stop here: [B] each."""
-        row, motion = memory["goal_row"].squeeze(1), self.motion
-        turn, arrived = lead(self.geodesics, motion.planar(state).float(), row, motion.reach, motion.angle_between)
-        far = self.geodesics.distance(self._place(state), row)
+        row, steering = memory["goal_row"].squeeze(1), self.steering
+        robot = self.motion.planar(state).float()
+        place, yaw = robot.split((2, 1), 1)
+        aside = torch.zeros_like(yaw)
+        if not steering.action_names:  # which turns by any angle: the directions to choose from stay as it turns
+            aside = (yaw / steering.angle_between).round() * steering.angle_between - yaw
+        faced = torch.cat([place, yaw + aside], 1)
+        turn, arrived = lead(self.geodesics, faced, row, steering.reach, steering.angle_between)
+        turn = wrapped(turn + aside.squeeze(1))
+        far = self.geodesics.distance(place, row)
         return turn, (far < self.success_distance) & (arrived | (far < 0.5 * self.success_distance))
 
     def beeline(self, state: Tensor, memory: Memory) -> Tensor:
         """Return the actions [B, ...] of an agent that knows the goal's distance and direction alone; see ``teach``."""
         away = memory["goal"][:, :2] - self._place(state)
         turn = wrapped(azimuths(away) - self.motion.planar(state)[:, 2].float())
-        return self.motion.toward(turn, away.norm(dim=1) < self.success_distance)
+        return self.steering.toward(turn, away.norm(dim=1) < self.success_distance)
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:
         """Return a mark at the episode's goal; see ``Task.marks``."""

@@ -14,7 +14,7 @@ from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.tasks.push_places import PushPlaces, Ranges
 from splatrl.envs.tasks.rewards import FiniteRewards
 from splatrl.envs.teachers.pusher import pushing
-from splatrl.geometry import planar_of, rigid
+from splatrl.geometry import rigid
 from splatrl.motions.physics import PhysicsMotion
 from splatrl.motions.site import Fits, Site, narrowed
 from splatrl.physics.gaussians import Models
@@ -154,7 +154,7 @@ class Push(TaskModule):
         """Find the possible places of balls and marks; episodes begin where both fit ahead. See ``Task.settle``."""
         fits = super().settle(site, fits)
         self.places.find(self.motion.terrain)
-        return narrowed(fits, lambda poses: self.places.suit(planar_of(poses)))
+        return narrowed(fits, lambda poses: self.places.suit(self.motion.planar_of(poses)))
 
     @property
     def models(self) -> list[Gaussians]:

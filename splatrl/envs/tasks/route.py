@@ -119,9 +119,7 @@ class Route(Course):
         )
 
     def _outside(self, state: Tensor) -> Tensor:
-        lower, upper = self.motion.twin.lower - self.leeway, self.motion.twin.upper + self.leeway
-        place = self._position(state)
-        return ((place < lower) | (place > upper)).any(1)
+        return self.motion.outside(state, self.leeway)
 
     def _position(self, state: Tensor) -> Tensor:
         return self.motion.planar(state)[:, :2]

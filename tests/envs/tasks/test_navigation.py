@@ -307,6 +307,7 @@ def test_episodes_begin_only_where_a_training_goal_is_in_range(tmp_path: Path) -
         (["task.motion.step=0.39"], False),
         (["task.motion.step=0.4"], True),
         (["task.success_distance=0.1"], True),
+        (["transforms/skip=four"], True),
         (["task.success_distance=0.02", "motion@task.motion=drive"], False),  # which can take shorter steps
     ],
 )
@@ -372,11 +373,21 @@ def test_the_image_goal_teacher_looks_around_before_it_goes_and_before_it_stops(
     found = walked(task, who)
     assert found.success.all() and found.navigation()["spl"] > 0.7
     aside, unseen, stops, action = (torch.cat(column) for column in zip(*seen, strict=True))
-    lost = unseen >= LOST
+    assert task.lost_after == (40 if motion == "drive" else LOST)
+    lost = unseen >= task.lost_after
     assert lost.any() and (unseen[stops] == 0).all()
     assert (aside[stops] <= 0.5 * task.motion.angle_between + 1e-3).all()
     if motion == "steps":
         assert (action[lost] == LEFT).all() and (action[~lost] == FORWARD).any()
+
+
+def test_a_teacher_of_robots_that_turn_by_any_angle_chooses_directions_that_do_not_depend_on_their_heading() -> None:
+    task = PointNav(DriveMotion(HEIGHT, **BOUNDS), REWARDS, **FEW)
+    task.choose_goals(checker())
+    yaw = torch.tensor([0.93, 0.95, 0.99, 1.03])
+    state = torch.cat([torch.tensor([[-0.75, 1.25]]).expand(4, 2), yaw.unsqueeze(1)], 1)
+    turn, _ = task.led(state, task.episode(state, torch.zeros(4, dtype=torch.int64), torch.zeros(4, 1)))
+    torch.testing.assert_close(turn + yaw, (turn + yaw)[:1].expand(4), atol=1e-5, rtol=0)
 
 
 def test_the_teacher_of_several_scenes_heads_for_each_scenes_own_goal() -> None:

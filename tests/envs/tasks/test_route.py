@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from splatrl.building import build_one_world
 from splatrl.building.misfits import check_height
@@ -159,6 +160,18 @@ class TestRoute(ConfiguredContract, CourseContract):
 
     def course(self, courses: int = 2, test_courses: int = 3) -> Route:
         return route(courses, test_courses)
+
+    def test_an_episode_that_begins_with_places_passed_succeeds_at_the_last(self) -> None:
+        env, task = self.make((1,)), self.world.task
+        state = at(task, 0, 1, 0.22)
+        now = env.reset(TensorDict({"state": state, "passed": torch.tensor([[1]])}, [1]), set_state=True)
+        assert now["goals"].item() == 1 and not now["success"].item()
+        for _ in range(4):
+            after = env.step(now.set("action", torch.tensor([[1.0, 0.0]])))["next"]
+            now = after.clone()
+            if after["terminated"]:
+                break
+        assert after["outcome"].item() == Outcome.GOAL and after["goals"].item() == 2 and after["success"].item()
 
 
 def test_a_robot_that_turns_on_the_spot_is_taught_turn_rates() -> None:
