@@ -161,7 +161,8 @@ class Trainer:
                 f"the curriculum ended at level {level} of {self.levels}: learning from reward began no episode more "
                 f"than {starts.limits[level - 1]} steps from the goal, where {1 - starts.share(level - 1):.0%} of the "
                 f"starts are; to go on: splatrl-train resume={self.folder} "
-                f"collector.total_frames={2 * self.ppo.total_frames}",
+                f"collector.total_frames={2 * self.ppo.total_frames}; if the level had stopped rising, begin anew with "
+                "demos=100 dagger.rounds=4 curriculum=none instead",
                 file=sys.stderr,
             )
 

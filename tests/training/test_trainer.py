@@ -66,7 +66,8 @@ def test_a_training_that_ends_below_the_highest_level_says_which_starts_it_never
     share = 1 - env.curriculum.starts.share(0)
     expected = (
         f"the curriculum ended at level 1 of 5: learning from reward began no episode more than 5 steps from the goal, "
-        f"where {share:.0%} of the starts are; to go on: splatrl-train resume={tmp_path} collector.total_frames=512"
+        f"where {share:.0%} of the starts are; to go on: splatrl-train resume={tmp_path} collector.total_frames=512; "
+        "if the level had stopped rising, begin anew with demos=100 dagger.rounds=4 curriculum=none instead"
     )
     assert (expected in capsys.readouterr().err) == told and 0 < share < 1
     assert told or loop.level == loop.levels == 2
