@@ -23,6 +23,9 @@ class Starts(nn.Module):
         plan: states and distances of one scene or of several.
         first: longest path at level 0, steps; None makes the whole set, whatever is in reach, the only level.
         stride: steps that each level adds.
+
+    Attributes:
+        limits: the longest path at each level, steps.
     """
 
     ordered: Tensor  # [N, D] states, ordered by scene, then by distance
@@ -41,7 +44,8 @@ class Starts(nn.Module):
         ends = torch.tensor([len(states) for states in ordered], device=self.ordered.device).cumsum(0)
         self.register_buffer("begins", ends - ends.diff(prepend=ends.new_zeros(1)), persistent=False)
         farthest = max(int(distance[-1]) for _, distance, _ in sets)
-        limits = torch.tensor(self._limits(farthest, first, stride), device=ends.device)
+        self.limits = self._limits(farthest, first, stride)
+        limits = torch.tensor(self.limits, device=ends.device)
         counts = [
             torch.searchsorted(distance, limits.clamp_min(int(distance[0])), right=True) for _, distance, _ in sets
         ]
@@ -62,6 +66,10 @@ class Starts(nn.Module):
     def scenes(self) -> int:
         """Number of scenes."""
         return len(self.counts)
+
+    def share(self, level: int) -> float:
+        """Return the fraction of all starts from which a level draws."""
+        return int(self.counts[:, level].sum()) / int(self.counts[:, -1].sum())
 
     def sample(self, level: Tensor, count: int, generator: torch.Generator, scene: Tensor | None = None) -> Tensor:
         """Draw start states, which consumes ``count`` numbers of the generator.

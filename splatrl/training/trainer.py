@@ -131,8 +131,9 @@ class Trainer:
             self._prepare()
         shutil.rmtree(self.folder / KEPT, ignore_errors=True)
         self._test_prepared()
-        total = self.ppo.frames + (self.ppo.total_frames - self.ppo.frames) // batch * batch
-        bars = {"total": total, "initial": self.ppo.frames, "unit": "frame", "desc": "train", "dynamic_ncols": True}
+        begun = self.ppo.frames
+        total = begun + (self.ppo.total_frames - self.ppo.frames) // batch * batch
+        bars = {"total": total, "initial": begun, "unit": "frame", "desc": "train", "dynamic_ncols": True}
         with interrupts() as interrupted, tqdm(**bars) as bar:
             while not self.ppo.finished:
                 before = self.ppo.frames
@@ -150,6 +151,21 @@ class Trainer:
                 if interrupted:
                     self.save()
                     raise KeyboardInterrupt
+        if self.ppo.frames > begun:
+            self._tell_of_untried()
+
+    def _tell_of_untried(self) -> None:
+        """Say which starts were never used, if the frames were used up below the curriculum's highest level."""
+        starts, level = self.ppo.env.curriculum.starts, self.level
+        if level < self.levels:
+            print(
+                f"the curriculum ended at level {level} of {self.levels}: learning from reward began no episode more "
+                f"than {starts.limits[level - 1]} steps from the goal, where {1 - starts.share(level - 1):.0%} of the "
+                f"starts are; to go on: splatrl-train resume={self.folder} "
+                f"collector.total_frames={2 * self.ppo.total_frames}; if the level had stopped rising, begin anew with "
+                "demos=100 dagger.rounds=4 curriculum=none instead",
+                file=sys.stderr,
+            )
 
     def _prepare(self) -> None:
         """Run the stages of ``prepare``, and save after each."""

@@ -24,7 +24,8 @@ def distances(states: torch.Tensor) -> torch.Tensor:
 @pytest.mark.parametrize(("first", "stride", "limits"), [(2, 1, range(2, 10)), (3, 4, [3, 7, 11]), (1, 8, [1, 9])])
 def test_a_level_starts_within_its_number_of_steps_from_the_goal(first: int, stride: int, limits: list[int]) -> None:
     starts = Starts(tiny_plan(), first, stride)
-    assert starts.levels == len(limits)
+    assert list(starts.limits) == list(limits) and starts.levels == len(limits)
+    assert starts.share(0) < starts.share(len(limits) - 1) == 1
     for level, limit in enumerate(limits):
         steps = distances(draw(starts, level, 2000))
         assert set(steps.tolist()) == set(range(1, min(limit, 9) + 1))

@@ -56,6 +56,25 @@ def test_the_history_has_a_row_per_batch_and_is_saved_as_a_table(tmp_path: Path)
     assert [float(row["seconds"]) for row in rows] == sorted(row["seconds"] for row in loop.history)
 
 
+@pytest.mark.parametrize(("threshold", "told"), [(1.0, True), (0.001, False)])
+def test_a_training_that_ends_below_the_highest_level_says_which_starts_it_never_used(
+    threshold: float, told: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    env = tiny_env([4], max_steps=10, first=5 if told else 8, threshold=threshold, window=100 if told else 1)
+    loop = Trainer(learner(env, total_frames=256), tmp_path, lambda: {"success": 0.0}, 1000, 1000)
+    loop.fit()
+    share = 1 - env.curriculum.starts.share(0)
+    expected = (
+        f"the curriculum ended at level 1 of 5: learning from reward began no episode more than 5 steps from the goal, "
+        f"where {share:.0%} of the starts are; to go on: splatrl-train resume={tmp_path} collector.total_frames=512; "
+        "if the level had stopped rising, begin anew with demos=100 dagger.rounds=4 curriculum=none instead"
+    )
+    assert (expected in capsys.readouterr().err) == told and 0 < share < 1
+    assert told or loop.level == loop.levels == 2
+    loop.fit()  # nothing is left to learn, and nothing to say
+    assert "curriculum" not in capsys.readouterr().err
+
+
 def test_resuming_keeps_history_best_result_and_weights(tmp_path: Path) -> None:
     first = trainer(tmp_path, [0.4, 0.3], frames=64 * 3)
     first.fit()
