@@ -41,7 +41,7 @@ def remembering(cfg: DictConfig, occupancy: Occupancy) -> Callable[[Moves], Fiel
     def found(moves: Moves) -> Field:
         recipe = json.dumps([plain, files, moves.repeats, occupancy.digest, _code()], sort_keys=True)
         name = f"costs-{blake2b(recipe.encode(), digest_size=16).hexdigest()}"
-        kept = cached_arrays(name, lambda: {"costs": cost_field(moves).cost_to_go.numpy()})
+        kept = cached_arrays(name, lambda: {"costs": cost_field(moves).cost_to_go.numpy()}, what="costs")
         costs = kept.get("costs")
         if costs is None or costs.shape != (len(moves.motion.nodes()),) or costs.dtype != np.float32:
             return cost_field(moves)

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 from splatrl.collision.base import Checker
 from splatrl.motions.base import PlannedMotion, Taps
+from splatrl.waits import late_bar
 
 FAR = 1e6
 """Cost-to-go of states without a path to the goal."""
@@ -19,8 +19,6 @@ Reached = Callable[[Tensor], Tensor | None]
 """Function that returns whether states [N, ...] are at a goal, [N] bool, or None if there are no goal states."""
 SETTLED = 1e-3
 """Value iteration stops when no node's cost changes by more than this many steps."""
-PATIENCE = 2.0
-"""Seconds after which value iteration shows its progress."""
 
 
 class Reach(NamedTuple):
@@ -179,7 +177,7 @@ def _settle(costs: Tensor, rows: Tensor, ways: list[tuple[Taps, Tensor]], allowe
         allowed: [C] bool, the nodes among which costs are interpolated.
     """
     slim = [_onward(rows, _among(taps, allowed), steps) for taps, steps in ways]
-    with tqdm(desc="shortest paths", unit="sweep", delay=PATIENCE, leave=False, dynamic_ncols=True) as bar:
+    with late_bar("shortest paths", None, "sweep") as bar:
         while True:
             best = torch.stack([_mean(costs, taps) + steps for taps, steps in slim]).amin(0).clamp_max(FAR)
             settled = bool(((costs[rows] - best).abs() <= SETTLED).all())

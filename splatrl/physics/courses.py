@@ -13,6 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from splatrl.array_files import Arrays
 from splatrl.files import digest_of
 from splatrl.physics.room import Floats, Room
 from splatrl.physics.terrain import Terrain
@@ -117,4 +118,8 @@ def draw_courses(
     for part in (terrain.plane, terrain.boxes):
         digest.update(part.numpy().tobytes())
     name = f"{settings.places}-{digest.hexdigest()}"
-    return cached_arrays(name, lambda: {"courses": np.stack([each(number) for number in range(count)])})["courses"]
+
+    def build() -> Arrays:
+        return {"courses": np.stack([each(number) for number in range(count)])}
+
+    return cached_arrays(name, build, what="courses")["courses"]

@@ -7,7 +7,7 @@ import shutil
 import time
 import warnings
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ DAY = 24 * 3600.0
 """Seconds for which a file is kept after its last use, even if the cache exceeds its limit."""
 
 
-def cached_arrays(name: str, build: Callable[[], Arrays], most: int | None = None) -> Arrays:
+def cached_arrays(name: str, build: Callable[[], Arrays], most: int | None = None, what: str | None = None) -> Arrays:
     """Load the arrays cached under a name, or build them and cache them.
 
     A damaged file is rebuilt, with a warning. If the folder is not writable, one warning is given and nothing is
@@ -41,6 +41,7 @@ def cached_arrays(name: str, build: Callable[[], Arrays], most: int | None = Non
         build: callback that builds the arrays.
         most: maximum total size of the arrays in bytes, for a file that is compressed on disk; None for an uncompressed
             file.
+        what: what people are told is being computed if that takes long; None where something else shows it.
 
     Raises:
         ValueError: if $SPLATRL_CACHE_GB is not a number of at least 0.
@@ -54,8 +55,8 @@ def cached_arrays(name: str, build: Callable[[], Arrays], most: int | None = Non
         pass
     except (OSError, ValueError, MemoryError) as error:
         warnings.warn(f"{error}; rebuilding this cache file", stacklevel=2)
-    kind = name.partition("-")[0]
-    with announced(f"computing {kind}, which takes long only once: the result is kept in {path.parent}"):
+    told = f"computing {what}, which takes long only once: the result is kept in {path.parent}"
+    with announced(told) if what is not None else nullcontext():
         arrays = build()
     named: dict[str, Any] = dict(arrays)
     try:

@@ -114,7 +114,7 @@ class Scene:
         assert kind.isidentifier(), kind
         recipe = [CACHE_VERSION, dict(settings), self.digest]
         key = blake2b(json.dumps(recipe, sort_keys=True, default=list).encode(), digest_size=16)
-        return cached_arrays(f"{kind}-{key.hexdigest()}", build, most)
+        return cached_arrays(f"{kind}-{key.hexdigest()}", build, most, kind)
 
     @cached_property
     def digest(self) -> str:

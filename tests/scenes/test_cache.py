@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from splatrl import waits
+from splatrl.scenes import cache
 from splatrl.scenes.cache import DAY, _warn_unwritable, cache_dir, cached_arrays
 
 ARRAYS = {"a": np.arange(6).reshape(2, 3), "b": np.array(0.5)}
@@ -56,8 +57,15 @@ def test_arrays_that_take_long_to_build_are_announced(
             told.append(capsys.readouterr().err)
         return ARRAYS
 
-    cached_arrays("levels-1", build)
+    cached_arrays("levels-1", build, what="levels")
     assert told[-1] == f"computing levels, which takes long only once: the result is kept in {folder}\n"
+
+
+def test_arrays_whose_progress_is_shown_elsewhere_are_not_announced(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cache, "announced", pytest.fail)
+    cached_arrays("packed-1", Build())
 
 
 @pytest.mark.parametrize("size", [0, 10, 150, -20])
