@@ -109,7 +109,7 @@ def test_contact_is_counted_and_does_not_end_an_episode(world: World) -> None:
 def test_the_goal_image_is_the_view_of_the_robot_that_stands_there_with_its_own_body(world: World) -> None:
     env = world.env(6)
     td = env.reset()
-    there = env.task.motion.with_model(env.task.motion.nearest(td["goal"].double()), td["state"][:, 0])
+    there = env.task.motion.layout.with_model(env.task.motion.nearest(td["goal"].double()), td["state"][:, 0])
     arrived = env.reset(td.clone().set("state", there), set_state=True)
     assert torch.equal(td["imagegoal"], arrived["pixels"]) and not torch.equal(td["imagegoal"], td["pixels"])
 
