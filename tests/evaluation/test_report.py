@@ -38,7 +38,7 @@ def test_where_collisions_are_counted_their_rate_is_the_share_of_episodes_with_a
     metres = {key: torch.ones(4) for key in ("distance_to_goal", "start_distance", "path_length")}
     sampled, argmax = (
         replace(
-            episodes([Outcome.GOAL, Outcome.GOAL, Outcome.TIMEOUT, Outcome.STOPPED], [2, 9, 6, 1]),
+            episodes([Outcome.GOAL, Outcome.OUT_OF_BOUNDS, Outcome.TIMEOUT, Outcome.STOPPED], [2, 9, 6, 1]),
             measures={**metres, "collisions": count},
             scene=torch.tensor([0, 0, 0, 1]),
         )
@@ -47,7 +47,7 @@ def test_where_collisions_are_counted_their_rate_is_the_share_of_episodes_with_a
     summary = summarise(sampled, argmax, None)
     assert (summary["collision_rate"], summary["collision_rate_argmax"], summary["collisions"]) == (0.5, 0.25, 1.0)
     assert summary["timeout_rate"] == 0.25
-    assert not any(key.startswith("out_of_bounds_rate") for key in summary)  # robots cannot leave
+    assert summary["out_of_bounds_rate"] == 0.25 and summary["timeout_rate_argmax"] == 0.25
     assert [row["collision_rate"] for row in by_scene(["one", "other"], sampled, argmax)] == [2 / 3, 0.0]
 
 
