@@ -3,7 +3,7 @@
 import itertools
 import json
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -15,6 +15,7 @@ from PIL import Image
 from splatrl.capture import photo_files, videos
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.cuts import coarse, cuts, pattern
+from splatrl.capture.pauses import STEP, small, views, without_pauses
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.stages import Stages, fingerprint
 from splatrl.images import PHOTO_SUFFIXES
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from av import VideoFrame
 
 INDEX = "index.json"
-PER_SECOND = 4.0
+PER_SECOND = 1.0 / STEP
 """Frames to take per second of video, unless the wanted minimum is more, or the maximum less."""
 SHARPNESS_WIDTH = 480
 SMALLEST = 32
@@ -47,16 +48,19 @@ class _Taken:
 
 @dataclass(frozen=True)
 class _Told:
-    """What is known of a source once all of its images were taken, as in ``Photos``."""
+    """What is known of a source once its images were taken, as in ``Photos``, and when each view of it begins."""
 
     remarks: list[str] = field(default_factory=list)
     cuts: list[float] = field(default_factory=list)
+    views: list[float] = field(default_factory=list)
 
 
 def read_photos(
     source: Path, folder: Path, count: tuple[int, int] = (120, 200), longest: int = 960, progress: Progress = silent
 ) -> Photos:
     """Select the sharpest frames of a video, except black ones, or the photos of a folder, and keep them.
+
+    Pauses, in which the camera stands still, take hardly any of a video's frames: see ``pauses``.
 
     A second call with the same source and settings reads what the first one kept. Landscape photos among portrait ones,
     or vice versa, are turned to the size that most photos have.
@@ -85,8 +89,11 @@ def read_photos(
         raise CaptureError(f"{source}: expected a video or a folder of photos, got a single photo; name its folder")
 
     def write(made: Path) -> None:
-        told, read = _Told(), _from_folder if source.is_dir() else _from_video
-        _write(made, read(source, count, longest, progress, told), source, told)
+        if source.is_dir():
+            told = _Told()
+            _write(made, _from_folder(source, count, longest, progress, told), source, told)
+        else:
+            _write_film(made, source, count, longest, progress)
 
     films = photo_files.films_beside(source) if source.is_dir() else []
     files = photo_files.photos_of(source) if source.is_dir() else [source]
@@ -106,22 +113,18 @@ def shows_something(grey: np.ndarray) -> bool:
     return bool(grey.mean() >= DARK or (grey.mean() >= BLACK and coarse(grey).std() >= EVEN))
 
 
-def buckets(times: np.ndarray, count: tuple[int, int]) -> np.ndarray:
-    """Split a video into stretches of equal duration.
-
-    From one frame to the next, at most 1 / ``PER_SECOND`` counts: a longer time is a pause of the recorder.
+def buckets(times: np.ndarray, count: tuple[int, int], begun: Sequence[float] = ()) -> np.ndarray:
+    """Split a video into stretches of equal duration, for which pauses do not count.
 
     Args:
         times: [N] timestamps of its frames, seconds, ascending.
         count: minimum and maximum number of stretches.
+        begun: times at which another view begins, as ``views`` returns them; empty where they are unknown.
 
     Returns:
         [M - 1] end times of all stretches but the last; M is at most the number of frames.
     """
-    steps, longest = np.diff(times), 1.0 / PER_SECOND
-    clock = times
-    if (steps > longest).any():
-        clock = times[0] + np.append(0.0, np.cumsum(np.minimum(steps, longest)))
+    clock = without_pauses(times, begun)
     length = clock[-1] - clock[0]
     most = min(max(count[0], math.ceil(PER_SECOND * length)), count[1], len(times))
     ends: np.ndarray = clock[0] + length * np.arange(1, most) / most
@@ -143,14 +146,27 @@ def sharpest(graded: Iterable[tuple[int, Thing, float]]) -> Iterator[Thing]:
             yield best
 
 
+def _write_film(made: Path, source: Path, count: tuple[int, int], longest: int, progress: Progress) -> None:
+    """Write the images of a film; once more where the camera stood still, which is known only at its end."""
+    times, told = videos.packet_times(source), _Told()
+    evenly = buckets(times, count)
+    _write(made, _from_video(source, times, evenly, longest, progress, told), source, told)
+    moving = buckets(times, count, told.views)
+    if not np.array_equal(moving, evenly):
+        for path in made.iterdir():
+            path.unlink()
+        told = _Told()
+        _write(made, _from_video(source, times, moving, longest, progress, told), source, told)
+
+
 def _from_video(
-    source: Path, count: tuple[int, int], longest: int, progress: Progress, told: _Told
+    source: Path, times: np.ndarray, ends: np.ndarray, longest: int, progress: Progress, told: _Told
 ) -> Iterator[_Taken]:
-    times = videos.packet_times(source)
-    ends, start, found = buckets(times, count), float(times[0]), False
-    aspect = videos.aspect_of(source)
+    aspect, start, found = videos.aspect_of(source), float(times[0]), False
     shown: list[float] = []
     patterns: list[np.ndarray] = []
+    seen: list[float] = []
+    smalls: list[np.ndarray] = []
 
     def graded() -> Iterator[tuple[int, tuple[float, "VideoFrame"], float]]:
         for number, (seconds, frame) in enumerate(videos.frames(source, told.remarks.append)):
@@ -159,6 +175,8 @@ def _from_video(
             shown.append(seconds - start)
             patterns.append(pattern(grey))
             if shows_something(grey):
+                seen.append(seconds)
+                smalls.append(small(grey))
                 yield int(np.searchsorted(ends, seconds, side="right")), (seconds, frame), sharpness(grey)
 
     for seconds, frame in sharpest(graded()):
@@ -167,6 +185,7 @@ def _from_video(
     if not found:
         raise CaptureError(f"{source}: expected decodable frames that are not black, found none")
     told.cuts.extend(cuts(shown, patterns))
+    told.views.extend(views(seen, smalls))
     progress("frames", len(times), len(times))
 
 
