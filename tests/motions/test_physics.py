@@ -84,6 +84,10 @@ TURNED = CART.format(wheels="", motors='<general site="s" ctrlrange="-1 1"/>').r
     'pos="0 0 0.06"', 'pos="1 2 0.06" euler="{} {} {}"'
 )
 KEYED = TURNED.format(0, 0, 0).replace("</mujoco>", '<keyframe><key qpos="3 4 0.06 0.6 0 0 0.8"/></keyframe></mujoco>')
+HEADED = TURNED.format(0, 0, 90).replace(
+    '<camera name="eye"/>',
+    '<body pos="0.05 0.02 0.1" euler="0 20 30"><geom size="0.01" mass="0.01"/><camera name="eye"/></body>',
+)
 SPEEDS: dict[str, Any] = {"linear": (-0.4, 0.4), "angular_deg": 900.0, "threads": 1, "headings": 4, "spacing": 0.5}
 SPEEDS |= {"lower": (-0.5, -0.5), "upper": (0.5, 0.5)}
 
@@ -100,6 +104,7 @@ SPEEDS |= {"lower": (-0.5, -0.5), "upper": (0.5, 0.5)}
         lambda folder: cart(folder, TURNED.format(0, 0, 90)),
         lambda folder: cart(folder, TURNED.format(20, -35, 200)),
         lambda folder: cart(folder, KEYED),
+        lambda folder: cart(folder, HEADED),
     ],
 )
 def test_a_placed_robot_has_the_asked_position_and_heading(make: Callable[[Path], TwinMotion], tmp_path: Path) -> None:
@@ -108,6 +113,8 @@ def test_a_placed_robot_has_the_asked_position_and_heading(make: Callable[[Path]
     found = motion.planar(motion.placed(planar))
     torch.testing.assert_close(found[:, :2], planar[:, :2])
     torch.testing.assert_close(wrapped(found - planar)[:, 2], torch.zeros(3).double(), atol=1e-12, rtol=0)
+    found = motion.planar_of(motion.body_to_world(motion.placed(planar)))  # of the body that carries the camera
+    torch.testing.assert_close(wrapped(found - planar), torch.zeros(3, 3).double(), atol=1e-5, rtol=0)
 
 
 def test_the_same_robot_turned_in_its_file_has_the_same_plan(tmp_path: Path) -> None:
