@@ -82,7 +82,6 @@ ERRORS = [
     ("train -seed=3", "-seed=3: expected seed=3, without -"),
     ("train -frob=3", "-frob=3: expected key=value, or an option that --hydra-help lists"),
     ("train landmarks.goal=[0.4,0.4", "landmarks.goal=[0.4,0.4: expected landmarks.goal=value with balanced brackets"),
-    ("train 'hydra.run.dir=a = [b'", "hydra.run.dir=a = [b: expected hydra.run.dir=value with balanced brackets"),
     ("train landmarks.goal=0.4,0.4,0", "landmarks.goal: expected one value, got 0.4,0.4,0; type landmarks.goal=[0.4"),
     ("train -m seed=0,x", "seed: expected a number such as 0, got 'x'"),
     # Values of the wrong type or out of range.
@@ -191,14 +190,14 @@ ERRORS = [
     ("train resume=run ~loss.gamma", "resume=run: expected values for keys of the run, got ~loss.gamma"),
     ("evaluate run=run ~video", "~video: expected a key within a node, such as ~task.goal; all others are needed"),
     ("evaluate run=run ~checkpont", "checkpont: no such key, did you mean checkpoint?"),
-    ("evaluate run=run ~evaluation", "evaluation: no such key. Valid keys at the top level: run, place,"),
+    ("evaluate run=run ~evaluation", "evaluation: no such key. Valid keys at the top level: run, out, place,"),
     # The other commands.
     ("evaluate", "run: expected a value, got none; type run=<run folder>"),
     ("evaluate nowhere", "nowhere: expected key=value; did you mean run=nowhere?"),
-    ("evaluate run=empty +foo=3", "foo: no such key. Valid keys at the top level: run, place,"),
+    ("evaluate run=empty +foo=3", "foo: no such key. Valid keys at the top level: run, out, place,"),
     ("clips run=empty ++checkpont=best", "checkpont: no such key, did you mean checkpoint?"),
     ("experiment name=grid +foo=3", "foo: no such key"),
-    ("evaluate run=empty +memory=none", "memory: no such key. Valid keys at the top level: run, place,"),
+    ("evaluate run=empty +memory=none", "memory: no such key. Valid keys at the top level: run, out, place,"),
     ("train motion=drive", "motion: expected motion@task.motion as the key, got motion"),
     (
         "evaluate run=empty place=[scene=kitchen,transforms/latency=none]",

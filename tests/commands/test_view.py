@@ -352,5 +352,5 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_page_opens(
 
 def test_an_invalid_value_of_by_is_refused_with_the_choices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["splatrl-record", "by=me", f"out={tmp_path / 'new'}"])
-    with pytest.raises(SystemExit, match="by: expected planner or keys, got me"):
+    with pytest.raises(SystemExit, match="by: expected planner, teacher or keys, got me"):
         record.main()

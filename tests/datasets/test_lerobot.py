@@ -67,7 +67,7 @@ def test_tables_hold_the_bytes_of_states_and_actions(shown: Demonstrations, fold
         values = np.array(found[key].to_pylist(), expected.numpy().dtype)
         assert values.tobytes() == expected.contiguous().numpy().tobytes(), key
     assert found["index"].to_pylist() == list(range(len(shown)))
-    assert np.allclose(found["timestamp"].to_numpy(), shown.frames["frame"] / 10)
+    assert np.allclose(found["timestamp"].to_numpy(), shown.frames["frame"] / shown.fps)
     success = np.array(found["next.success"].to_pylist())
     assert success.sum() == 9 and np.array_equal(success, found["next.done"].to_numpy())
 
@@ -134,16 +134,16 @@ def test_each_episode_is_found_in_tables_and_video(shown: Demonstrations, folder
     path = folder / facts["video_path"].format(video_key=KEY, chunk_index=0, file_index=0)
     with open_video(path) as video:
         stream = video.streams.video[0]
-        assert stream.average_rate == facts["fps"] == 10
+        assert stream.average_rate == facts["fps"] == shown.fps
         views = [(float(image.time), image.to_ndarray(format="rgb24")) for image in video.decode(stream)]
     assert len(views) == len(shown)
     for number, episode in enumerate(episodes):
         begin, end = episode["dataset_from_index"], episode["dataset_to_index"]
         assert episode["episode_index"] == number and episode["length"] == end - begin == int(shown.lengths[number])
         assert episode["tasks"] == ["Grid in room"] and begin == int(shown.starts[number])
-        assert episode[f"videos/{KEY}/to_timestamp"] == pytest.approx(end / 10)
+        assert episode[f"videos/{KEY}/to_timestamp"] == pytest.approx(end / shown.fps)
         for row in range(begin, end):
-            at = episode[f"videos/{KEY}/from_timestamp"] + float(shown.frames["frame"][row]) / 10
+            at = episode[f"videos/{KEY}/from_timestamp"] + float(shown.frames["frame"][row]) / shown.fps
             time, view = min(views, key=lambda each: abs(each[0] - at))
             assert time == pytest.approx(at, abs=1e-4)
             error = np.square(view - shown.frames["pixels"][row].numpy().astype(float)).mean()

@@ -18,6 +18,7 @@ from splatrl.experiments.tables import transfer_sentences, transfer_table
 from splatrl.experiments.transfer import score_everywhere
 from tests.experiments.made_up import NODE, SCENES, compose, finish
 from tests.experiments.trained import save_run
+from tests.test_waits import terminal_of
 from tests.tiny import LONG_STEPS, tiny_overrides
 
 
@@ -51,9 +52,10 @@ def test_every_policy_is_tested_in_every_scene(tmp_path: Path) -> None:
 
 
 def test_a_policy_that_repeats_actions_is_measured_by_the_steps_of_shortest_paths(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(waits, "LONG", 0.0)
+    monkeypatch.setattr(waits, "LONG", 1e-9)
+    terminal = terminal_of(monkeypatch)
     cfg = load_config([*tiny_overrides(tmp_path), "transforms/skip=four"])
     world = build_one_world(cfg)
 
@@ -63,7 +65,7 @@ def test_a_policy_that_repeats_actions_is_measured_by_the_steps_of_shortest_path
     monkeypatch.setattr(transfer, "load_policy", lambda *given, **more: SimpleNamespace(policy=planner))
     rates = transfer.tested(tmp_path, cfg, world)
     assert rates["success_rate"] == rates["step_spl"] == 1.0
-    assert f"{tmp_path.name}:" in capsys.readouterr().err  # on the bar of a test that takes long
+    assert f"{tmp_path.name}:" in terminal.getvalue()  # on the bar of a test that takes long
 
 
 def test_a_policy_keeps_its_network_and_takes_the_robot_and_goal_of_the_test_place(tmp_path: Path) -> None:
