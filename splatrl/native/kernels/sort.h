@@ -86,8 +86,20 @@ static uint32_t bring_near(const Scratch& scratch, uint64_t* keys, uint32_t coun
     uint32_t bits;
     std::memcpy(&bits, &border, sizeof(bits));
     const uint64_t bound = uint64_t(bits) << 32;
-    uint32_t near = 0, far = 0;
-    for (uint32_t i = 0; i < count; ++i) {
+    uint32_t near = 0, far = 0, i = 0;
+#if defined(SPLATRL_AVX512)
+    constexpr uint32_t KEYS = 8;  // whole vectors are stored, but never beyond what has been read
+    const __m512i bounds = _mm512_set1_epi64(int64_t(bound));
+    for (; i + KEYS <= count; i += KEYS) {
+        const __m512i some = _mm512_loadu_si512(keys + i);
+        const __mmask8 nearer = _mm512_cmplt_epu64_mask(some, bounds);
+        _mm512_storeu_si512(keys + near, _mm512_maskz_compress_epi64(nearer, some));
+        _mm512_storeu_si512(scratch.sorted + far, _mm512_maskz_compress_epi64(__mmask8(~nearer), some));
+        const uint32_t these = uint32_t(__builtin_popcount(nearer));
+        near += these, far += KEYS - these;
+    }
+#endif
+    for (; i < count; ++i) {
         const uint64_t key = keys[i];
         keys[near] = scratch.sorted[far] = key;
         near += key < bound;

@@ -3,6 +3,7 @@
 
 #include "kernel.h"
 #include "lanes.h"
+#include "quads.h"
 
 namespace splatrl {
 namespace SPLATRL_ISA {
@@ -12,12 +13,13 @@ struct Veil {
     float sums[ACROSS + 1][ACROSS + 1];
 };
 
+// The mean of the squares of all lanes, added in the same order with every instruction set.
 LANE_INLINE float mean_square(const Lanes& a) {
-    alignas(64) float values[LANES];
-    store(values, a * a);
-    for (int half = LANES / 2; half > 0; half /= 2)
-        for (int i = 0; i < half; ++i) values[i] += values[i + half];
-    return values[0] * (1.0f / LANES);
+    const Lanes squares = a * a;
+    Quad quads[4];
+    std::memcpy(quads, &squares, sizeof(quads));
+    const Quad sums = (quads[0] + quads[2]) + (quads[1] + quads[3]);
+    return ((sums[0] + sums[2]) + (sums[1] + sums[3])) * (1.0f / LANES);
 }
 
 // Compute the veil of what has been blended into these pixels; finished blocks count as opaque.
