@@ -139,7 +139,7 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--blocks", type=int, default=10, help="blocks along each side of the town")
-    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--rounds", type=int, default=41)
     parser.add_argument("--budget", type=float, default=6e8, help="budget for measuring memory, bytes")
     parser.add_argument("--memory", action="store_true", help="only measure memory, in this process")
     options = parser.parse_args()
