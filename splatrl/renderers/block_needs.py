@@ -38,11 +38,7 @@ class Stack(NamedTuple):
     kept: list[KeptBlock]
     bounds: NDArray[np.float32]  # [N, 6]
     errors: NDArray[np.float32]  # [N]
-
-    @property
-    def sizes(self) -> NDArray[np.int64]:
-        """Bytes of each block, [N]."""
-        return np.array([kept.bytes for kept in self.kept])
+    sizes: NDArray[np.int64]  # [N], bytes
 
 
 class View(NamedTuple):
@@ -56,12 +52,12 @@ class View(NamedTuple):
 
     def slots(self, count: int) -> Tensor:
         """Return the slots that each of ``count`` rows draws, in the order of the blocks: [count, most] int64."""
-        shown, whole = torch.from_numpy(self.needs > 0), torch.from_numpy(self.needs == WHOLE)
-        order = (~shown).to(torch.uint8).sort(dim=1, stable=True).indices[:, : int(shown.sum(1).max())]
-        own = self.stack.first + 2 * torch.arange(len(self.stack.kept)) + whole
-        slots = torch.full((count, order.shape[1]), ABSENT)
-        slots[self.rows] = torch.where(shown, own, ABSENT).gather(1, order)
-        return slots
+        row, block = np.nonzero(self.needs)
+        shown = np.bincount(row, minlength=len(self.needs))
+        place = np.arange(len(row)) - np.repeat(shown.cumsum() - shown, shown)
+        slots = np.full((count, shown.max(initial=0)), ABSENT)
+        slots[self.rows.numpy()[row], place] = self.stack.first + 2 * block + (self.needs[row, block] == WHOLE)
+        return torch.from_numpy(slots)
 
 
 def spare(views: Sequence[View], rows: int, room: int, merge: bool) -> None:

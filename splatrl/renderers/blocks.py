@@ -110,7 +110,7 @@ class BlockRenderer(NativeRenderer):
             self._whole[slot + 1] = kept
         every = [self._whole[self._slots + 2 * number + 1] for number in range(len(files))]
         bounds, errors = np.stack([kept.bounds for kept in every]), np.array([kept.error for kept in every], np.float32)
-        self._models_at.append(Stack(self._slots, every, bounds, errors))
+        self._models_at.append(Stack(self._slots, every, bounds, errors, np.array([kept.bytes for kept in every])))
         self._slots += 2 * len(files)
 
     def _top_file(self, block: Block) -> str:
