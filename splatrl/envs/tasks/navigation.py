@@ -19,8 +19,7 @@ from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.tasks.rewards import FiniteRewards
 from splatrl.envs.teachers.pathfinder import lead
 from splatrl.geometry import azimuths, wrapped
-from splatrl.motions.base import PlannedMotion
-from splatrl.motions.planar import StoppingMotion
+from splatrl.motions.base import PlannedMotion, Steering
 from splatrl.motions.site import Fits, Site, narrowed
 from splatrl.values import require_number
 
@@ -122,7 +121,7 @@ class NavigationTask(TaskModule):
         self.geodesics: Geodesics
 
     @property
-    def steering(self) -> StoppingMotion:
+    def steering(self) -> Steering:
         """Knows which actions stop or lead in a direction."""
         steering = self.motion.steering
         assert steering is not None
