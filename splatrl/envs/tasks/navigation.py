@@ -286,16 +286,9 @@ class NavigationTask(TaskModule):
 
     def led(self, state: Tensor, memory: Memory) -> tuple[Tensor, Tensor]:
         """Return the angle from the heading to the shortest path, radians, and whether to stop here: [B] each."""
-        row, steering = memory["goal_row"].squeeze(1), self.steering
-        robot = self.motion.planar(state).float()
-        place, yaw = robot.split((2, 1), 1)
-        aside = torch.zeros_like(yaw)
-        if not steering.action_names:  # which turns by any angle: the directions to choose from stay as it turns
-            aside = (yaw / steering.angle_between).round() * steering.angle_between - yaw
-        faced = torch.cat([place, yaw + aside], 1)
-        turn, arrived = lead(self.geodesics, faced, row, steering.reach, steering.angle_between)
-        turn = wrapped(turn + aside.squeeze(1))
-        far = self.geodesics.distance(place, row)
+        robot, row = self.motion.planar(state).float(), memory["goal_row"].squeeze(1)
+        turn, arrived = lead(self.geodesics, self.steering, robot, row)
+        far = self.geodesics.distance(robot[:, :2], row)
         return turn, (far < self.success_distance) & (arrived | (far < 0.5 * self.success_distance))
 
     def beeline(self, state: Tensor, memory: Memory) -> Tensor:
