@@ -1,6 +1,7 @@
 """The training loop around PPO: progress, history, tests and checkpoints in a run folder."""
 
 import math
+import shlex
 import shutil
 import sys
 import time
@@ -161,7 +162,7 @@ class Trainer:
             print(
                 f"the curriculum ended at level {level} of {self.levels}: learning from reward began no episode more "
                 f"than {starts.limits[level - 1]} steps from the goal, where {1 - starts.share(level - 1):.0%} of the "
-                f"starts are; to go on: splatrl-train resume={self.folder} "
+                f"starts are; to go on: splatrl-train {shlex.quote(f'resume={self.folder}')} "
                 f"collector.total_frames={2 * self.ppo.total_frames}; if the level had stopped rising, begin anew with "
                 "demos=100 dagger.rounds=4 curriculum=none instead",
                 file=sys.stderr,
