@@ -18,7 +18,6 @@ from splatrl.envs.tasks.fitting import misfit, require_part
 from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.tasks.rewards import FiniteRewards
 from splatrl.envs.teachers.pathfinder import lead
-from splatrl.geometry import azimuths, wrapped
 from splatrl.motions.base import PlannedMotion, Steering
 from splatrl.motions.site import Fits, Site, narrowed
 from splatrl.values import require_number
@@ -290,12 +289,6 @@ class NavigationTask(TaskModule):
         turn, arrived = lead(self.geodesics, self.steering, robot, row)
         far = self.geodesics.distance(robot[:, :2], row)
         return turn, (far < self.success_distance) & (arrived | (far < 0.5 * self.success_distance))
-
-    def beeline(self, state: Tensor, memory: Memory) -> Tensor:
-        """Return the actions [B, ...] of an agent that knows the goal's distance and direction alone; see ``teach``."""
-        away = memory["goal"][:, :2] - self._place(state)
-        turn = wrapped(azimuths(away) - self.motion.planar(state)[:, 2].float())
-        return self.steering.toward(turn, away.norm(dim=1) < self.success_distance)
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:
         """Return a mark at the episode's goal; see ``Task.marks``."""
