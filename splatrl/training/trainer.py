@@ -242,8 +242,9 @@ class Trainer:
             self.best = tested
             save_checkpoint(self.checkpoints.best, self.state_dict())
 
-    def _recent(self, key: str, rows: int = 5) -> float:
-        values = [row[key] for row in self.history[-rows:] if not math.isnan(row.get(key, math.nan))]
+    def _recent(self, key: str) -> float:
+        """Return the mean of a column over the last five batches, as far as they have it."""
+        values = [row[key] for row in self.history[-5:] if not math.isnan(row.get(key, math.nan))]
         return sum(values) / len(values) if values else math.nan
 
     def save(self) -> None:
