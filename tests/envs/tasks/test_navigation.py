@@ -2,6 +2,7 @@
 
 import math
 import warnings
+from collections.abc import Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
+from torchrl.envs import EnvBase
 from torchrl.envs.utils import check_env_specs
 
 import splatrl
@@ -76,7 +78,7 @@ def begin(env: SplatEnv, state: list[float], goal: list[float]) -> TensorDict:
     return env.reset(TensorDict({"state": start, **memory}, [1]), set_state=True)
 
 
-def walk(env: SplatEnv, td: TensorDict, actions: list[int]) -> list[TensorDict]:
+def walk(env: EnvBase, td: TensorDict, actions: Sequence[Any]) -> list[TensorDict]:
     """Take a sequence of actions and return the result of each."""
     after = []
     for action in actions:
