@@ -15,9 +15,9 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from statistics import quantiles
 
 from record import print_markdown
+from timing import quartiles
 from tqdm import tqdm
 
 TURNS = Path(__file__).with_name("turns.py")
@@ -71,8 +71,8 @@ def main() -> None:
         if not ratios:
             rows.append([str(name), "", "", "not in both checkouts", ""])
             continue
-        low, middle, high = quantiles(ratios, n=4)
-        milliseconds = [f"{1e3 * quantiles(times, n=4)[1]:,.3g}" for times in (theirs, mine)]
+        low, middle, high = quartiles(ratios)
+        milliseconds = [f"{1e3 * quartiles(times)[1]:,.3g}" for times in (theirs, mine)]
         rows.append([str(name), *milliseconds, f"{middle:.2f}", f"{low:.2f} to {high:.2f}"])
     assert there.answer() is None  # wait until it has finished, so that it is not cut off
     print_markdown(["measurement", "other, ms", "this, ms", "times as fast", "middle half of rounds"], rows)

@@ -135,6 +135,17 @@ def place_of(options: argparse.Namespace) -> Scene:
     return splatrl.backyard() if options.yard is None else splatrl.yard(options.yard)
 
 
+def add_film_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that ``filmed`` reads, but for ``yard``."""
+    parser.add_argument("--seconds", type=float, default=60.0, help="length of the film, seconds")
+    parser.add_argument("--size", type=int, nargs=2, default=(1920, 1080), help="width and height of the film, pixels")
+    parser.add_argument("--height", type=float, default=ABOVE, help="height of the camera in the film, metres")
+    parser.add_argument("--turn", type=float, default=Stroll.turn, help="seconds per full turn of the view")
+    parser.add_argument("--people", type=int, default=0, help="number of people who walk through the film")
+    parser.add_argument("--along", type=int, default=0, help="number of people who walk ahead of the camera")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the walk and of all random sampling")
+
+
 def filmed(path: Path, options: argparse.Namespace) -> Path:
     """Film a walk through a yard with a simulated phone, unless the film exists already."""
     if path.is_file() and path.with_suffix(".npz").is_file():
@@ -199,19 +210,13 @@ def parsed() -> argparse.Namespace:
     """Parse the options."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("video", type=Path, nargs="?", help="with its truth in a .npz beside it; default: film a yard")
-    parser.add_argument("--seconds", type=float, default=60.0, help="length of the film, seconds")
-    parser.add_argument("--size", type=int, nargs=2, default=(1920, 1080), help="width and height of the film, pixels")
+    add_film_options(parser)
     parser.add_argument("--yard", type=int, help="seed of a generated yard to film; by default the backyard")
-    parser.add_argument("--height", type=float, default=ABOVE, help="height of the camera in the film, metres")
-    parser.add_argument("--turn", type=float, default=Stroll.turn, help="seconds per full turn of the view")
-    parser.add_argument("--people", type=int, default=0, help="number of people who walk through the film")
-    parser.add_argument("--along", type=int, default=0, help="number of people who walk ahead of the camera")
     parser.add_argument("--still", action="store_true", help="assume a static scene: do not look for moving things")
     parser.add_argument("--floor", type=float, default=0.0, help="height of the floor in the truth, metres")
     parser.add_argument("--width", type=int, default=FitSettings.width)
     parser.add_argument("--gaussians", type=int, default=FitSettings.cap)
     parser.add_argument("--views", type=int, default=FitSettings.views)
-    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--keep", type=Path, help="folder in which to keep film and scene; by default they are deleted")
     parser.add_argument("--json", action="store_true", help="write benchmarks/results/<date>-cpu-capture.json")
     parser.add_argument("--png", type=Path, default=RESULTS / f"{today()}-cpu-capture.png")

@@ -11,14 +11,14 @@ import argparse
 import os
 from collections.abc import Callable
 from itertools import product
-from statistics import median, quantiles
+from statistics import median
 from time import process_time
 
 os.environ["SPLATRL_CORES"] = "1"
 
 import torch
 from record import print_markdown
-from timing import take_turns
+from timing import quartiles, take_turns
 from torch import Tensor, nn
 
 from splatrl.training import memory
@@ -69,7 +69,7 @@ def main() -> None:
     for name, lengths in SHAPES.items():
         theirs, mine = seconds[name, False], seconds[name, True]
         each = [f"{1e6 * median(times) / (REPEATS * sum(lengths)):.1f}" for times in (theirs, mine)]
-        low, middle, high = quantiles([a / b for a, b in zip(theirs, mine, strict=True)], n=4)
+        low, middle, high = quartiles([a / b for a, b in zip(theirs, mine, strict=True)])
         rows.append([name, *each, f"{middle:.1f}", f"{low:.1f} to {high:.1f}"])
     print_markdown(["shape", "PyTorch, µs a frame", "compiled, µs a frame", "times as fast", "middle half"], rows)
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 import torch
-from capture import filmed
+from capture import add_film_options, filmed
 from machine import measured_machine
 from record import print_markdown, write_json
 
@@ -60,12 +60,8 @@ def parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--yards", type=int, nargs="*", default=[*range(40, 48)], help="seeds of the yards")
     parser.add_argument("--films", type=Path, nargs="*", help="videos instead of yards, each with its truth beside it")
-    parser.add_argument("--seconds", type=float, default=45.0, help="length of a yard's film, seconds")
-    parser.add_argument("--size", type=int, nargs=2, default=(960, 540), help="size of a yard's film, pixels")
-    parser.add_argument("--height", type=float, default=1.5, help="height of the camera in a yard, metres")
-    parser.add_argument("--turn", type=float, default=24.0, help="seconds per full turn of the view")
-    parser.add_argument("--people", type=int, default=0, help="number of people who walk through the film")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the walk and of all random sampling")
+    add_film_options(parser)
+    parser.set_defaults(seconds=45.0, size=(960, 540), height=1.5, turn=24.0)
     parser.add_argument("--keep", type=Path, help="folder in which to keep films and matches")
     parser.add_argument("--json", action="store_true", help="write benchmarks/results/<date>-cpu-mappers.json")
     return parser.parse_args()

@@ -14,12 +14,12 @@ round; their median and quartiles are printed. All rows take turns, round by rou
 import argparse
 import time
 from collections.abc import Callable
-from statistics import median, quantiles
+from statistics import median
 
 import torch
 from record import print_markdown
 from tensordict import TensorDictBase
-from timing import take_turns
+from timing import quartiles, take_turns
 from torchrl.envs import EnvBase
 
 import splatrl
@@ -124,7 +124,7 @@ def main() -> None:
         row = [str(batch), name, f"{1e6 * median(times) / CALLS:,.0f}", f"{1e6 * min(times) / CALLS:,.0f}", ""]
         if name in ALONE:
             ratios = [mine / base for mine, base in zip(times, seconds[batch, ALONE[name]], strict=True)]
-            low, middle, high = quantiles(ratios, n=4)
+            low, middle, high = quartiles(ratios)
             row[-1] = f"{middle:.2f} ({low:.2f} to {high:.2f})"
         rows.append(row)
     print_markdown(["robots", "call", "µs, median", "fastest round", "× renderer and checker alone"], rows)

@@ -1,7 +1,8 @@
 """Fair timing on a machine that drifts: all calls take turns, round by round."""
 
 import time
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
+from statistics import quantiles
 from typing import TypeVar
 
 from tqdm import tqdm
@@ -27,3 +28,9 @@ def take_turns(
                 bar.update()
             bar.set_description(f"round {min(number + 1, rounds)} of {rounds}")
     return seconds
+
+
+def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
+    """Return the lower quartile, the median and the upper quartile of measurements; a single one is all three."""
+    low, middle, high = quantiles(values, n=4) if len(values) > 1 else 3 * list(values)
+    return low, middle, high

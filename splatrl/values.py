@@ -48,10 +48,10 @@ def require_number(
     raise ValueError(f"{name}: expected a {kind}{limit}, got {value!r:.80}")
 
 
-def checked_seed(seed: object, name: str = "seed") -> int:
+def checked_seed(seed: object) -> int:
     """Return a seed as a Python integer, after refusing anything but a whole number of 64 bits with a ValueError."""
     value = int(seed) if isinstance(seed, Integral) and not isinstance(seed, bool) else seed  # NumPy's integers, too
-    require_number(name, value, 0, MOST_SEED, whole=True)
+    require_number("seed", value, 0, MOST_SEED, whole=True)
     assert isinstance(value, int)
     return value
 

@@ -40,7 +40,6 @@ def write_scene(
     gaussians: Gaussians,
     placed: Placed,
     held_out: Sequence[int] = (),
-    name: str | None = None,
     notes: Sequence[str] = (),
     force: bool = False,
     known: Tensor | None = None,
@@ -56,7 +55,6 @@ def write_scene(
         gaussians: the fitted Gaussians, world frame.
         placed: cameras and points in the world.
         held_out: indices of the images that were never fitted.
-        name: name of the scene; None takes the folder's.
         notes: remarks of earlier stages for the report, one sentence each.
         force: whether to replace an existing ``scene.yaml``.
         known: [N, h, w] depths of the photos' pixels, metres, 0 where unknown; None where no depth is known.
@@ -70,7 +68,7 @@ def write_scene(
         CaptureError: for a held-out image that cannot be read.
         FileExistsError: for an existing ``scene.yaml``, without ``force``.
     """
-    name = name or folder.resolve().name
+    name = folder.resolve().name
     check_absent(folder / SCENE_FILE, force)
     progress("check", 0, len(held_out))
     work = work or folder.parent

@@ -106,13 +106,12 @@ def matches(a: Features, b: Features) -> np.ndarray:
     return np.stack([rows[chosen], forth[chosen]], 1).astype(np.uint32)
 
 
-def related(a: Features, b: Features, seed: int = 0) -> Pair:
+def related(a: Features, b: Features) -> Pair:
     """Find out how two images are related, without knowing the camera.
 
     Args:
         a: features of one image.
         b: features of the other, of the same size.
-        seed: seed of the random samples.
     """
     pycolmap = require("pycolmap", "capture")
     found = matches(a, b)
@@ -122,7 +121,7 @@ def related(a: Features, b: Features, seed: int = 0) -> Pair:
     focal = GUESSED_FOCAL * max(a.size)
     camera = pycolmap.Camera(model="SIMPLE_PINHOLE", width=width, height=height, params=[focal, width / 2, height / 2])
     options = pycolmap.TwoViewGeometryOptions(compute_relative_pose=True)
-    options.ransac.random_seed = seed
+    options.ransac.random_seed = 0
     options.ransac.max_num_trials = 2000
     geometry = pycolmap.estimate_two_view_geometry(camera, a.points, camera, b.points, found, options)
     inliers = np.asarray(geometry.inlier_matches)

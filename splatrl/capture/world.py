@@ -113,11 +113,7 @@ def place(
     for name, value in (("camera_height", camera_height), ("marker", marker)):
         if value is not None:
             require_number(name, value, above=0.0, unit="metres")
-    poses, points = reconstruction.camera_to_world.numpy(), reconstruction.points.numpy()
-    if len(poses) < 2 or len(points) < FEWEST:
-        raise CaptureError(
-            f"expected at least 2 cameras and {FEWEST} points to find the floor, got {len(poses)} and {len(points)}"
-        )
+    poses, points = _enough(reconstruction)
     turned = quarters(reconstruction)
     held = turned.undone(poses)
     lowest = find_ground(held, points, None if up is None else up.double().numpy())
@@ -135,11 +131,7 @@ def place(
     floor = ground.up_from != "cameras" and ground.inliers >= MIN_INLIERS and not deep and sure
     if scale_from == "camera_height" and not floor:
         error = None
-    torn = not metric and (
-        jerks(camera_leaps(reconstruction)) >= TORN
-        or weakest(reconstruction) is not None
-        or bool(sunk(poses[:, :3, 3], points, ground.up, ground.height, above).any())
-    )
+    torn = not metric and _torn(reconstruction, ground, above)
     if torn:  # parts may have any scale, and contradict each other in what is up
         error = None
     compared = camera_height if floor else None  # otherwise the height above what may be no floor
@@ -157,6 +149,26 @@ def place(
         contradicted,
         doubt,
         _remarks(lowest, footing, scale, above, deep),
+    )
+
+
+def _enough(reconstruction: Reconstruction) -> tuple[Floats, Floats]:
+    """Return poses [N, 4, 4] and points [M, 3], after refusing too few of either with a ``CaptureError``."""
+    poses, points = reconstruction.camera_to_world.numpy(), reconstruction.points.numpy()
+    if len(poses) < 2 or len(points) < FEWEST:
+        raise CaptureError(
+            f"expected at least 2 cameras and {FEWEST} points to find the floor, got {len(poses)} and {len(points)}"
+        )
+    return poses, points
+
+
+def _torn(reconstruction: Reconstruction, ground: Ground, above: float) -> bool:
+    """Return whether parts of the film may be joined wrongly: the camera leaps, or goes below the floor."""
+    places, points = reconstruction.camera_to_world[:, :3, 3].numpy(), reconstruction.points.numpy()
+    return (
+        jerks(camera_leaps(reconstruction)) >= TORN
+        or weakest(reconstruction) is not None
+        or bool(sunk(places, points, ground.up, ground.height, above).any())
     )
 
 

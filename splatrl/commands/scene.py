@@ -4,7 +4,7 @@ import argparse
 import shlex
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from splatrl.capture import inspection
@@ -24,7 +24,7 @@ from splatrl.scenes.scene import Scene, captured_bounds
 from splatrl.scenes.sources import read_scene, splat_file, splat_name
 from splatrl.scenes.stated import StatedFrame, described_upright, typed_frame
 from splatrl.scenes.survey import survey
-from splatrl.scenes.upright import GIVEN, GUESS, UNKNOWN
+from splatrl.scenes.upright import GIVEN, GUESS, UNKNOWN, Upright
 from splatrl.values import require_number
 
 ROBOT_HEIGHT = 0.4
@@ -113,13 +113,21 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
     still_to_type = {"robot_height": f"robot.height={height:g}", "goal": "'landmarks.goal=[x,y,yaw]'"}
     words = [word for key, word in still_to_type.items() if proposals.get(key) is None]
     train = " ".join(["train in it: splatrl-train", shlex.quote(f"scene={target.path}/"), *words])
+    checks = _checks(upright, scene, proposals, pictures)
+    print("; ".join([*checks, f"otherwise {train}" if checks else train]))
+
+
+def _checks(
+    upright: Upright, scene: Scene, proposals: Mapping[str, object], pictures: inspection.ScenePictures
+) -> list[str]:
+    """Return what to look at before one trains in a scene of which something was only guessed, one clause each."""
     checks = list[str]()
     if GUESS in (upright.axis_guess.confidence, upright.sign_guess.confidence):
         checks.append(f"look at {pictures.view(scene)}: if the place lies on its side there, or upside down, pass --up")
     if proposals.get("metric") is False:
         size = " × ".join(f"{high - low:.3g}" for low, high in zip(*scene.bounds, strict=True))
         checks.append(f"if the place is not {size} m, pass --distance or --scale")
-    print("; ".join([*checks, f"otherwise {train}" if checks else train]))
+    return checks
 
 
 def look_again(options: argparse.Namespace, folder: Path, target: SceneFolder) -> None:

@@ -51,7 +51,7 @@ def continuation(job: HydraConf, folder: Path) -> str:
         folder: the run folder.
     """
     if job.mode != RunMode.MULTIRUN or not TYPED:
-        return f"continue with: splatrl-train {quoted(f'resume={folder}')}"
+        return f"continue with: splatrl-train {shlex.quote(f'resume={folder}')}"
     return f"continue with: {_same_sweep(job)}"
 
 

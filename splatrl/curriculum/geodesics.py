@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from splatrl.bodies import Box
 from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum.ground import Ground
+from splatrl.motions.base import PlannedMotion
 from splatrl.per_scene import rows_of, stacked
 
 MOST_DISTANCES = 2**29
@@ -32,6 +33,7 @@ class Geodesics(nn.Module):
         motion: how robots move in each scene, ``stacked``.
     """
 
+    motion: PlannedMotion
     metres: Tensor  # [sum of X · Y] float32, the distance fields of all goals, one after the other
     first: Tensor  # [G] int64, where each goal's field begins in ``metres``
     shape: Tensor  # [G, 2] int64
@@ -41,17 +43,26 @@ class Geodesics(nn.Module):
     open: Tensor  # [sum of X · Y] bool, whether a node is open, one scene after the other
     first_open: Tensor  # [G] int64, where the nodes of each goal's scene begin in ``open``
 
-    def __init__(self, grounds: Sequence[Ground], goals: Sequence[NDArray[np.int64]], for_training: int):
-        """Compute the distances to the goal nodes of each ground."""
+    def __init__(
+        self,
+        grounds: Sequence[Ground],
+        goals: Sequence[NDArray[np.int64]],
+        for_training: int,
+        metres: Tensor | None = None,
+    ):
+        """Compute the distances to the goal nodes of each ground, unless ``metres`` holds them."""
         super().__init__()
         self.grounds, self.for_training, self.cell = tuple(grounds), for_training, grounds[0].cell
-        self.motion, self._scene = stacked([each.motion for each in grounds]), None
+        self.motion = cast(PlannedMotion, stacked([cast(nn.Module, each.motion) for each in grounds]))
+        self._scene: Tensor | None = None
         self._nodes = [np.asarray(nodes, np.int64) for nodes in goals]
         counts = np.array([len(nodes) for nodes in goals])
         sizes = np.repeat([each.shape[0] * each.shape[1] for each in grounds], counts)
-        fields = [each.distances(nodes).reshape(-1) for each, nodes in zip(grounds, goals, strict=True)]
         places = [each.place(nodes) for each, nodes in zip(grounds, self._nodes, strict=True)]
-        self._keep("metres", np.concatenate(fields))
+        if metres is None:
+            fields = [each.distances(nodes).reshape(-1) for each, nodes in zip(grounds, self._nodes, strict=True)]
+            metres = torch.from_numpy(np.concatenate(fields))
+        self.register_buffer("metres", metres, persistent=False)
         self._keep("first", np.cumsum(sizes) - sizes)
         self._keep("shape", np.repeat([each.shape for each in grounds], counts, 0))
         self._keep("corner", np.repeat([each.corner for each in grounds], counts, 0).astype(np.float32))
@@ -97,28 +108,9 @@ class Geodesics(nn.Module):
     @classmethod
     def joined(cls, scenes: "Sequence[Geodesics]") -> "Geodesics":
         """Join the geodesics of several scenes, each given by its own."""
-        result = cls.__new__(cls)
-        nn.Module.__init__(result)
-        first = scenes[0]
-        result.grounds = tuple(each.grounds[0] for each in scenes)
-        result.for_training, result.cell, result._scene = first.for_training, first.cell, None
-        result.for_tests = min(each.for_tests for each in scenes)
-        result.motion = stacked([each.motion for each in result.grounds])
-        result._nodes = [each._nodes[0] for each in scenes]
-        sizes = torch.tensor([len(each.metres) for each in scenes])
-        shifts = sizes.cumsum(0) - sizes
-        counts = torch.tensor([len(each.goals) for each in scenes])
-        moved = [each.first + shift for each, shift in zip(scenes, shifts, strict=True)]
-        result.register_buffer("metres", torch.cat([each.metres for each in scenes]), persistent=False)
-        result.register_buffer("first", torch.cat(moved), persistent=False)
-        nodes_of = torch.tensor([len(each.open) for each in scenes])
-        result.register_buffer(
-            "first_open", (nodes_of.cumsum(0) - nodes_of).repeat_interleave(counts), persistent=False
-        )
-        for name in ("shape", "corner", "goals", "open"):
-            result.register_buffer(name, torch.cat([getattr(each, name) for each in scenes]), persistent=False)
-        result.register_buffer("begins", counts.cumsum(0) - counts, persistent=False)
-        return result
+        metres = torch.cat([each.metres for each in scenes])
+        grounds, nodes = [each.grounds[0] for each in scenes], [each._nodes[0] for each in scenes]
+        return cls(grounds, nodes, scenes[0].for_training, metres).to(metres.device)
 
     def at(self, scene: Tensor) -> "Geodesics":
         """Return a view for rows in given scenes, [B] int64: ``draw`` then takes each row's goal from its scene."""
@@ -203,7 +195,7 @@ class Geodesics(nn.Module):
             [B, N] bool.
         """
         scene = (torch.searchsorted(self.begins, goal, right=True) - 1).repeat_interleave(start.shape[1])
-        motion = rows_of(self.motion, scene)
+        motion = cast(PlannedMotion, rows_of(cast(nn.Module, self.motion), scene))
         begins, ends = (motion.nearest(each.flatten(0, 1).double()) for each in (start, end))
         touched = self._checkers.at(scene).sweeps(motion.body_to_world(begins), motion.body_to_world(ends))
         return (motion.inside(ends) & ~touched).view(start.shape[:2])

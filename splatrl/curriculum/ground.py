@@ -40,7 +40,7 @@ class Ground:
         cell: distance between neighbouring nodes, metres.
         open: [X · Y] bool, True for nodes of the largest connected component.
         ways: [X, Y] uint16, bit k tells whether the body fits all the way from a node to the one at ``WAYS[k]``.
-        motion: the robot's motion.
+        motion: the robot's motion, a module.
         checker: tells what the body touches.
     """
 
@@ -49,7 +49,7 @@ class Ground:
     cell: float
     open: NDArray[np.bool_]
     ways: NDArray[np.uint16]
-    motion: Any  # a PlannedMotion that is a module
+    motion: PlannedMotion
     checker: Checker
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "Ground":

@@ -13,8 +13,8 @@ from splatrl.curriculum import Curriculum
 from splatrl.envs.rules import COUNTED
 from splatrl.envs.tasks.base import NOTHING, Anywhere, Step, Task
 from splatrl.envs.tasks.rewards import OutcomeTask
-from splatrl.motions.base import SweptMotion
 from splatrl.motions.finite import FiniteMotion
+from splatrl.motions.module import SweptMotion
 from splatrl.native import _core
 
 MOST = 2**17

@@ -55,18 +55,16 @@ def record_episodes(
     env: EnvBase,
     policy: Callable[[TensorDictBase], TensorDictBase],
     starts: Tensor,
-    sampled: bool = True,
     seed: int = 0,
     memory: Memory | None = None,
     progress: Callable[[int], object] = lambda steps: None,
 ) -> list[Recording]:
-    """Record one episode from each start, in one batch; PyTorch's global generator is left as it was.
+    """Record one episode from each start, in one batch, with sampled actions; PyTorch's generator is left as it was.
 
     Args:
         env: env with as many robots as there are starts.
         policy: reads ``pixels``, writes ``action``.
         starts: [N, D] states.
-        sampled: whether to sample from the policy's distribution or take its mode.
         seed: seed of the action sampling.
         memory: the task's memory at each start, [N, ...] by key, such as goals; None draws it.
         progress: called with the number of steps that the batch has just taken.
@@ -77,7 +75,7 @@ def record_episodes(
     if env.numel() != len(starts):
         raise ValueError(f"env: expected one robot per start ({len(starts)}), got {env.numel()}")
     steps: list[TensorDictBase] = []
-    with acting(sampled, seed, env.device):
+    with acting(sampled=True, seed=seed, device=env.device):
         given = TensorDict({"state": starts, **(memory or {})}, batch_size=env.batch_size, device=env.device)
         now = env.reset(given, set_state=True)
         running = torch.ones(len(starts), dtype=torch.bool)

@@ -17,6 +17,14 @@ from splatrl.envs.tasks.base import Memory
 
 MEASURES = ("distance_to_goal", "start_distance", "path_length", "collisions")
 """Observations of navigation tasks from which their measures are computed."""
+RESULTS = {
+    "outcome": torch.int64,
+    "step_count": torch.int64,
+    "episode_return": torch.float32,
+    "goals": torch.int64,
+    "success": torch.bool,
+}
+"""What every env says at the end of an episode, in the order of the attributes of ``Episodes``."""
 
 
 @dataclass(frozen=True)
@@ -154,17 +162,7 @@ def run_episodes(
         memory: the task's memory at each start, [N, ...] by key, such as goals; None draws it.
     """
     count, rows = len(starts), env.numel()
-    kept = {
-        "outcome": torch.int64,
-        "step_count": torch.int64,
-        "episode_return": torch.float32,
-        "goals": torch.int64,
-        "success": torch.bool,
-    }
-    specs = env.observation_spec
-    measured = [key for key in MEASURES if key in specs.keys()]  # noqa: SIM118, a spec is not a dict
-    kept |= {key: specs[key].dtype for key in measured}
-    columns = {key: torch.zeros(count, dtype=dtype) for key, dtype in kept.items()}
+    columns = {key: torch.zeros(count, dtype=dtype) for key, dtype in _results(env).items()}
     episode = torch.arange(rows)  # the episode of each robot; an index of count or more means idle
     waiting, over, counted, limit = rows, 0, 0, layers(env)[0].task.max_steps
     with acting(sampled, seed, env.device):
@@ -196,9 +194,14 @@ def run_episodes(
             if len(begins):
                 anew = {key: value[episode[begins]].to(env.device) for key, value in given.items()}
                 td = restart_from(env, td, begins.to(env.device), anew)
-    measures = {key: columns.pop(key) for key in measured}
-    outcome, length, episode_return, goals, success = columns.values()
-    return Episodes(starts, outcome, length, episode_return, goals, success, scene, measures)
+    outcome, length, episode_return, goals, success = (columns.pop(key) for key in RESULTS)
+    return Episodes(starts, outcome, length, episode_return, goals, success, scene, measures=columns)
+
+
+def _results(env: EnvBase) -> dict[str, torch.dtype]:
+    """Return what is kept of the end of an episode, by key: ``RESULTS``, and those of ``MEASURES`` that the env has."""
+    specs = env.observation_spec
+    return RESULTS | {key: specs[key].dtype for key in MEASURES if key in specs.keys()}  # noqa: SIM118, no dict
 
 
 def _begun(env: EnvBase, given: Mapping[str, Tensor], count: int) -> dict[str, Tensor]:

@@ -1,15 +1,19 @@
 """Tests of policies in places that their training never saw."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import torch
 from omegaconf import DictConfig
+from torch import Tensor
 
 from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.documents import read_json, write_json
 from splatrl.envs.tasks import NavigationTask
+from splatrl.envs.tasks.base import Memory
 from splatrl.evaluation.report import summarise
 from splatrl.evaluation.rollouts import knowing, run_episodes
 from splatrl.evaluation.starts import spread_starts
@@ -17,6 +21,7 @@ from splatrl.experiments.experiment import Run
 from splatrl.experiments.report import SCORES
 from splatrl.experiments.transfer import kept, score_in
 from splatrl.files import digest_of, expanded
+from splatrl.geometry import azimuths, wrapped
 from splatrl.made_with import files_of
 from splatrl.scenes.blocks import scene_place
 
@@ -82,8 +87,15 @@ def unlearned(name: str, place: DictConfig) -> list[dict[str, Any]]:
     starts = spread_starts(world, place.evaluation.starts)
     env = world.env(min(place.evaluation.batch_size, len(starts.state)))
     rows = []
-    for label, act in (("straight to the goal", task.beeline), ("shortest-path teacher", task.teach)):
+    for label, act in (("straight to the goal", partial(beeline, task)), ("shortest-path teacher", task.teach)):
         episodes = run_episodes(env, knowing(env, act), starts.state, scene=starts.scene, memory=starts.memory)
         rates = summarise(episodes, episodes, None)
         rows.append({"label": label, "place": name, "starts": len(starts.state), **kept(rates)})
     return rows
+
+
+def beeline(task: NavigationTask, state: Tensor, memory: Memory) -> Tensor:
+    """Return the actions [B, ...] of an agent that knows the goal's distance and direction alone; see ``teach``."""
+    x, y, yaw = task.motion.planar(state).float().unbind(1)
+    away = memory["goal"][:, :2] - torch.stack([x, y], 1)
+    return task.steering.toward(wrapped(azimuths(away) - yaw), away.norm(dim=1) < task.success_distance)

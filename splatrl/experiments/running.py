@@ -104,47 +104,72 @@ def train(
     Raises:
         KeyboardInterrupt: on Ctrl-C, once all trainings have ended.
     """
-    waiting = deque(run for run in runs if not finished(run))
-    running: dict[Run, subprocess.Popen[bytes] | None] = {}  # None stands for another process
-    told: set[Run] = set()
-    failed: list[Run] = []
-    todo = set(waiting)
-    frames = {run: frames_done(run.folder) if run in todo else run.frames for run in runs}
-    total, initial = sum(run.frames for run in runs), sum(frames.values())
+    trainings = _Trainings(runs)
+    total, initial = sum(run.frames for run in runs), sum(trainings.frames.values())
     with tqdm(total=total, initial=initial, unit="frame", unit_scale=True, smoothing=0, dynamic_ncols=True) as bar:
         try:
-            while waiting or running:
-                while waiting and len(running) < jobs:
-                    run = waiting.popleft()
-                    if finished(run):  # in the meantime, by another process
-                        frames[run] = run.frames
-                        continue
-                    try:
-                        running[run] = begin(run, cores, program)
-                    except BusyError as error:
-                        running[run] = None
-                        if run not in told:
-                            bar.write(f"waiting: {error}")
-                        told.add(run)
-                for run, process in list(running.items()):
-                    code = process.poll() if process else None
-                    if process is None:
-                        waiting.appendleft(run)
-                    if process is None or code is not None:
-                        del running[run]
-                    if code:
-                        failed.append(run)
-                        bar.write(f"failed: {run.folder.name}, see {run.folder / LOG}")
-                    frames[run] = run.frames if code == 0 else frames_done(run.folder)
-                done = len(runs) - len(waiting) - len(running) - len(failed)
-                bar.set_description(f"{done} of {len(runs)} trained", refresh=False)
-                bar.update(max(sum(frames.values()) - bar.n, 0))
+            while trainings.left:
+                trainings.begin(jobs, lambda run: begin(run, cores, program), bar.write)
+                trainings.look(bar.write)
+                bar.set_description(f"{trainings.done} of {len(runs)} trained", refresh=False)
+                bar.update(max(sum(trainings.frames.values()) - bar.n, 0))
                 bar.refresh()
-                if running or waiting:
+                if trainings.left:
                     time.sleep(poll)
         finally:
-            stop(process for process in running.values() if process)
-    return failed
+            stop(process for process in trainings.running.values() if process)
+    return trainings.failed
+
+
+class _Trainings:
+    """What has become of the trainings: those that wait, that run, and that failed; and the frames of each."""
+
+    def __init__(self, runs: Sequence[Run]):
+        self.runs = runs
+        self.waiting = deque(run for run in runs if not finished(run))
+        self.running: dict[Run, subprocess.Popen[bytes] | None] = {}  # None stands for another process
+        self.failed: list[Run] = []
+        todo = set(self.waiting)
+        self.frames = {run: frames_done(run.folder) if run in todo else run.frames for run in runs}
+        self._told: set[Run] = set()
+
+    @property
+    def left(self) -> bool:
+        """Whether any waits or runs."""
+        return bool(self.waiting or self.running)
+
+    @property
+    def done(self) -> int:
+        """Number of trainings that are finished."""
+        return len(self.runs) - len(self.waiting) - len(self.running) - len(self.failed)
+
+    def begin(self, jobs: int, begin: Callable[[Run], subprocess.Popen[bytes]], say: Callable[[str], object]) -> None:
+        """Begin waiting trainings until ``jobs`` run."""
+        while self.waiting and len(self.running) < jobs:
+            run = self.waiting.popleft()
+            if finished(run):  # in the meantime, by another process
+                self.frames[run] = run.frames
+                continue
+            try:
+                self.running[run] = begin(run)
+            except BusyError as error:
+                self.running[run] = None
+                if run not in self._told:
+                    say(f"waiting: {error}")
+                self._told.add(run)
+
+    def look(self, say: Callable[[str], object]) -> None:
+        """Look which trainings have ended and how far the others are; one that another process does waits again."""
+        for run, process in list(self.running.items()):
+            code = process.poll() if process else None
+            if process is None:
+                self.waiting.appendleft(run)
+            if process is None or code is not None:
+                del self.running[run]
+            if code:
+                self.failed.append(run)
+                say(f"failed: {run.folder.name}, see {run.folder / LOG}")
+            self.frames[run] = run.frames if code == 0 else frames_done(run.folder)
 
 
 def stop(processes: Iterable[subprocess.Popen[bytes]]) -> None:

@@ -1,11 +1,12 @@
 """Motions, which define how actions move a robot."""
 
-from splatrl.motions.base import Motion, MotionModule, Move, PlannedMotion, SweptMotion, Taps
+from splatrl.motions.base import Motion, Move, PlannedMotion, Steering, Taps
 from splatrl.motions.drive import DriveMotion
 from splatrl.motions.finite import FiniteMotion
 from splatrl.motions.forward import ForwardMotion
 from splatrl.motions.lattice import LatticeMotion
 from splatrl.motions.legs import LegsMotion, StridesMotion, WalkMotion
+from splatrl.motions.module import MotionModule, SweptMotion
 from splatrl.motions.navigate import NavigateMotion
 from splatrl.motions.orbit import OrbitMotion
 from splatrl.motions.physics import PhysicsMotion
@@ -29,6 +30,7 @@ __all__ = [
     "PlanarMotion",
     "PlannedMotion",
     "Site",
+    "Steering",
     "StepMotion",
     "StoppingMotion",
     "StridesMotion",

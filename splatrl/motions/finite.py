@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 from torchrl.data import Bounded, Categorical
 
-from splatrl.motions.base import SweptMotion, Taps
+from splatrl.motions.base import Taps
+from splatrl.motions.module import SweptMotion
 from splatrl.motions.size import require_few
 
 PAIRS = 2**22

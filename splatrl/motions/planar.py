@@ -9,7 +9,8 @@ from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
 from splatrl.geometry import axis_rotations, rigid
-from splatrl.motions.base import SweptMotion, Taps
+from splatrl.motions.base import Taps
+from splatrl.motions.module import SweptMotion
 from splatrl.motions.pose_grid import PoseGrid
 from splatrl.motions.size import require_area, require_few, values_within
 
@@ -134,12 +135,7 @@ class PlanarMotion(SweptMotion):
 
 
 class StoppingMotion(PlanarMotion):
-    """A motion in which some action declares that the robot has arrived.
-
-    Attributes:
-        reach: look-ahead distance for choosing a direction, metres.
-        angle_between: angle between the directions from which to choose, radians; must divide a full turn.
-    """
+    """A planar motion in which some action declares that the robot has arrived; see ``Steering``."""
 
     reach: float
     angle_between: float
@@ -151,19 +147,11 @@ class StoppingMotion(PlanarMotion):
 
     @abstractmethod
     def stops(self, action: Tensor) -> Tensor:
-        """Return whether actions declare arrival: [B, ...] -> [B] bool."""
+        """Return whether actions declare arrival; see ``Steering``."""
 
     @abstractmethod
     def toward(self, turn: Tensor, stop: Tensor) -> Tensor:
-        """Return actions that lead in a direction, or that stop.
-
-        Args:
-            turn: [B] float32, angle from the heading to the direction, radians in [-π, π].
-            stop: [B] bool, whether to stop instead.
-
-        Returns:
-            [B, ...] actions that match ``action_spec``.
-        """
+        """Return actions that lead in a direction, or that stop; see ``Steering``."""
 
 
 def along(state: Tensor, distance: Tensor, turn: Tensor, bend: Tensor) -> Tensor:

@@ -4,8 +4,9 @@ from abc import ABC, abstractmethod
 
 from torch import Tensor
 
-from splatrl.motions.base import MotionModule, Taps
+from splatrl.motions.base import Taps
 from splatrl.motions.drive import DriveMotion
+from splatrl.motions.module import MotionModule
 
 
 class TwinMotion(MotionModule, ABC):

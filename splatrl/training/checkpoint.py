@@ -36,8 +36,8 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
         stream.write(memory.getbuffer())
 
 
-def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:
-    """Read a checkpoint as data: tensors and plain values, but no code.
+def load_checkpoint(path: Path) -> dict[str, Any]:
+    """Read a checkpoint as data: tensors, on the CPU, and plain values, but no code.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -51,7 +51,7 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> dict[str,
             damaged = archive.testzip()
         if damaged is not None:
             raise ValueError(f"{damaged} does not match its checksum")
-        state = torch.load(path, map_location=device, weights_only=True)
+        state = torch.load(path, map_location="cpu", weights_only=True)
     if not isinstance(state, dict):
         raise ValueError(f"{path}: expected a checkpoint, got a {type(state).__name__}")
     return state

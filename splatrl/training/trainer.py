@@ -1,6 +1,7 @@
 """The training loop around PPO: progress, history, tests and checkpoints in a run folder."""
 
 import math
+import shlex
 import shutil
 import sys
 import time
@@ -161,7 +162,7 @@ class Trainer:
             print(
                 f"the curriculum ended at level {level} of {self.levels}: learning from reward began no episode more "
                 f"than {starts.limits[level - 1]} steps from the goal, where {1 - starts.share(level - 1):.0%} of the "
-                f"starts are; to go on: splatrl-train resume={self.folder} "
+                f"starts are; to go on: splatrl-train {shlex.quote(f'resume={self.folder}')} "
                 f"collector.total_frames={2 * self.ppo.total_frames}; if the level had stopped rising, begin anew with "
                 "demos=100 dagger.rounds=4 curriculum=none instead",
                 file=sys.stderr,
@@ -241,8 +242,9 @@ class Trainer:
             self.best = tested
             save_checkpoint(self.checkpoints.best, self.state_dict())
 
-    def _recent(self, key: str, rows: int = 5) -> float:
-        values = [row[key] for row in self.history[-rows:] if not math.isnan(row.get(key, math.nan))]
+    def _recent(self, key: str) -> float:
+        """Return the mean of a column over the last five batches, as far as they have it."""
+        values = [row[key] for row in self.history[-5:] if not math.isnan(row.get(key, math.nan))]
         return sum(values) / len(values) if values else math.nan
 
     def save(self) -> None:

@@ -33,9 +33,9 @@ def wedge(robot: Robot) -> NDArray[np.float32]:
     return WEDGE * max(reach, SMALLEST)
 
 
-def enlarged(pixels: Tensor, side: int = SEEN) -> NDArray[np.uint8]:
-    """Enlarge an image [H, W, 3] by an integer factor, so that its shorter side is about ``side`` pixels."""
-    times = max(1, round(side / min(pixels.shape[:2])))
+def enlarged(pixels: Tensor) -> NDArray[np.uint8]:
+    """Enlarge an image [H, W, 3] by an integer factor, so that its shorter side is about ``SEEN`` pixels."""
+    times = max(1, round(SEEN / min(pixels.shape[:2])))
     return pixels.cpu().numpy().repeat(times, 0).repeat(times, 1)
 
 

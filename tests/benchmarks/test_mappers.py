@@ -43,7 +43,7 @@ def test_a_row_gives_the_number_of_images_the_jerks_and_the_errors_of_a_map(
     monkeypatch.setattr(mappers, "match_images", lambda *_: None)
     monkeypatch.setattr(mappers, "read_photos", lambda *_: None)
     monkeypatch.setattr(mappers, "job_of", lambda *_: job)
-    monkeypatch.setattr(mappers, "filmed", lambda path, options: path)
+    monkeypatch.setattr(mappers, "filmed", lambda path, options: [path][options.along])
     monkeypatch.setattr(mappers, "read_truth", lambda _: Truth(poses, torch.from_numpy(SECONDS), torch.eye(3)))
     monkeypatch.setattr(mappers, "measured_machine", lambda: None)
     monkeypatch.setattr(sys, "argv", ["mappers.py", "--yards", "7", "--keep", str(tmp_path)])

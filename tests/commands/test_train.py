@@ -153,7 +153,7 @@ def test_ctrl_c_saves_and_says_how_to_continue(run: tuple[Path, str], scene: lis
     process.send_signal(signal.SIGINT)
     output, _ = process.communicate(timeout=120)
     assert process.returncode == 130, said + output
-    assert f"continue with: splatrl-train 'resume={tmp_path}'" in output
+    assert f"continue with: splatrl-train resume={tmp_path}" in output
     assert load_checkpoint(tmp_path / "checkpoints" / "last.pt")["ppo"]["frames"] > 0
     (tmp_path / "rollouts.mp4").touch()  # as if somebody had evaluated the interrupted training
     finish(command("train", f"resume={tmp_path}"))

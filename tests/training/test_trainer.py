@@ -2,6 +2,7 @@
 
 import csv
 import os
+import shlex
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -61,12 +62,14 @@ def test_a_training_that_ends_below_the_highest_level_says_which_starts_it_never
     threshold: float, told: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     env = tiny_env([4], max_steps=10, first=5 if told else 8, threshold=threshold, window=100 if told else 1)
-    loop = Trainer(learner(env, total_frames=256), tmp_path, lambda: {"success": 0.0}, 1000, 1000)
+    folder = tmp_path / "Bob's run"
+    loop = Trainer(learner(env, total_frames=256), folder, lambda: {"success": 0.0}, 1000, 1000)
     loop.fit()
     share = 1 - env.curriculum.starts.share(0)
     expected = (
         f"the curriculum ended at level 1 of 5: learning from reward began no episode more than 5 steps from the goal, "
-        f"where {share:.0%} of the starts are; to go on: splatrl-train resume={tmp_path} collector.total_frames=512; "
+        f"where {share:.0%} of the starts are; to go on: splatrl-train {shlex.quote(f'resume={folder}')} "
+        "collector.total_frames=512; "
         "if the level had stopped rising, begin anew with demos=100 dagger.rounds=4 curriculum=none instead"
     )
     assert (expected in capsys.readouterr().err) == told and 0 < share < 1

@@ -18,9 +18,7 @@ from splatrl.envs.tasks.fitting import misfit, require_part
 from splatrl.envs.tasks.module import TaskModule
 from splatrl.envs.tasks.rewards import FiniteRewards
 from splatrl.envs.teachers.pathfinder import lead
-from splatrl.geometry import azimuths, wrapped
-from splatrl.motions.base import PlannedMotion
-from splatrl.motions.planar import StoppingMotion
+from splatrl.motions.base import PlannedMotion, Steering
 from splatrl.motions.site import Fits, Site, narrowed
 from splatrl.values import require_number
 
@@ -122,7 +120,7 @@ class NavigationTask(TaskModule):
         self.geodesics: Geodesics
 
     @property
-    def steering(self) -> StoppingMotion:
+    def steering(self) -> Steering:
         """Knows which actions stop or lead in a direction."""
         steering = self.motion.steering
         assert steering is not None
@@ -287,23 +285,10 @@ class NavigationTask(TaskModule):
 
     def led(self, state: Tensor, memory: Memory) -> tuple[Tensor, Tensor]:
         """Return the angle from the heading to the shortest path, radians, and whether to stop here: [B] each."""
-        row, steering = memory["goal_row"].squeeze(1), self.steering
-        robot = self.motion.planar(state).float()
-        place, yaw = robot.split((2, 1), 1)
-        aside = torch.zeros_like(yaw)
-        if not steering.action_names:  # which turns by any angle: the directions to choose from stay as it turns
-            aside = (yaw / steering.angle_between).round() * steering.angle_between - yaw
-        faced = torch.cat([place, yaw + aside], 1)
-        turn, arrived = lead(self.geodesics, faced, row, steering.reach, steering.angle_between)
-        turn = wrapped(turn + aside.squeeze(1))
-        far = self.geodesics.distance(place, row)
+        robot, row = self.motion.planar(state).float(), memory["goal_row"].squeeze(1)
+        turn, arrived = lead(self.geodesics, self.steering, robot, row)
+        far = self.geodesics.distance(robot[:, :2], row)
         return turn, (far < self.success_distance) & (arrived | (far < 0.5 * self.success_distance))
-
-    def beeline(self, state: Tensor, memory: Memory) -> Tensor:
-        """Return the actions [B, ...] of an agent that knows the goal's distance and direction alone; see ``teach``."""
-        away = memory["goal"][:, :2] - self._place(state)
-        turn = wrapped(azimuths(away) - self.motion.planar(state)[:, 2].float())
-        return self.steering.toward(turn, away.norm(dim=1) < self.success_distance)
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:
         """Return a mark at the episode's goal; see ``Task.marks``."""

@@ -11,6 +11,8 @@ import torch
 from torch import Tensor
 
 from splatrl.curriculum.geodesics import Geodesics
+from splatrl.geometry import wrapped
+from splatrl.motions.base import Steering
 
 TURNING = 0.05
 """Cost of turning by 1 rad, metres. For comparison, a 0.25 m step taken 30° off course gains 0.03 m less."""
@@ -28,29 +30,34 @@ BEAM = 4
 """Paths that a search extends at each depth."""
 
 
-def lead(geodesics: Geodesics, robot: Tensor, goal: Tensor, reach: float, between: float) -> tuple[Tensor, Tensor]:
+def lead(geodesics: Geodesics, steering: Steering, robot: Tensor, goal: Tensor) -> tuple[Tensor, Tensor]:
     """Return the direction that robots should take to reach their goals.
 
     Args:
         geodesics: distances to the goals.
+        steering: how far to look ahead, and in which directions.
         robot: [B, 3] float32, x and y in metres and yaw in radians.
         goal: [B] int64, rows of the goals in ``geodesics``.
-        reach: distance to look ahead in each candidate direction, metres.
-        between: angle between neighbouring candidate directions, radians; the first is straight ahead.
 
     Returns:
         Angle from the heading to the chosen direction, radians in [-π, π], [B] float32; whether no direction leads
         nearer, [B] bool.
     """
+    reach, between = steering.reach, steering.angle_between
+    place, yaw = robot.split((2, 1), 1)
+    aside = torch.zeros_like(yaw)  # from the heading to the first direction
+    if not steering.action_names:  # which turns by any angle: the directions to choose from stay as it turns
+        aside = (yaw / between).round() * between - yaw
+    robot = torch.cat([place, yaw + aside], 1)
     turns = torch.arange(round(math.tau / between), device=robot.device) * between
     turns = torch.where(turns > math.pi + 1e-4, turns - math.tau, turns)
-    here = geodesics.distance(robot[:, :2], goal)
+    here = geodesics.distance(place, goal)
     far = _far(geodesics, _ahead(_headings(robot, turns), reach), goal)
     best = (far + TURNING * turns.abs()).argmin(1)
     tight = (~_roomy(geodesics, robot, turns[best], goal, reach)).nonzero().squeeze(1)
     if len(tight):
         best[tight] = _searched(geodesics, robot[tight], goal[tight], reach, turns)
-    return turns[best], far.gather(1, best.unsqueeze(1)).squeeze(1) >= here
+    return wrapped(turns[best] + aside.squeeze(1)), far.gather(1, best.unsqueeze(1)).squeeze(1) >= here
 
 
 def _roomy(geodesics: Geodesics, robot: Tensor, turn: Tensor, goal: Tensor, reach: float) -> Tensor:

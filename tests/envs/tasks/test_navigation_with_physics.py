@@ -19,6 +19,7 @@ from splatrl.evaluation.rollouts import knowing, run_episodes
 from splatrl.evaluation.starts import given_episodes, save_episodes, spread_starts
 from splatrl.motions import PhysicsMotion
 from tests.envs.contract import seeded_rollout
+from tests.envs.tasks.test_navigation import walk
 from tests.tiny import tiny_overrides
 
 pytest.importorskip("mujoco")
@@ -45,16 +46,6 @@ def begin(env: EnvBase, start: list[float], goal: list[float]) -> TensorDict:
     return env.reset(TensorDict({"state": state, **memory}, [1]), set_state=True)
 
 
-def driven(env: EnvBase, td: TensorDict, actions: list[tuple[float, float]]) -> list[TensorDict]:
-    """Take a sequence of actions and return the result of each."""
-    after = []
-    for action in actions:
-        step = env.step(td.set("action", torch.tensor([action])))
-        after.append(step["next"])
-        td = env.step_mdp(step)
-    return after
-
-
 def test_every_step_is_a_function_of_what_it_returns_alone_and_in_a_batch(world: World) -> None:
     batch, alone = seeded_rollout(world.env(4, seed=3), 5, 0), world.env(1)
     for step in batch[:, ::2].flatten():
@@ -70,7 +61,7 @@ def test_an_episode_that_drives_ahead_and_stops_has_the_measures_worked_out_by_h
     env = world.env(1)
     td = begin(env, [0.8, -1.0, math.pi / 2], [0.8, 0.0, math.pi / 2])
     assert td["start_distance"].item() == pytest.approx(1.0, abs=1e-4)
-    after = driven(env, td, [(0.4, 0.0)] * 24 + [(0.02, 0.1)])  # stops while it still rolls, as in Habitat
+    after = walk(env, td, [(0.4, 0.0)] * 24 + [(0.02, 0.1)])  # stops while it still rolls, as in Habitat
     y = [-1.0] + [env.task.motion.planar(one["state"])[0, 1].item() for one in after]
     assert 0.8 < y[-1] + 1.0 < 0.97
     assert [int(one["outcome"]) for one in after] == [Outcome.RUNNING] * 24 + [Outcome.GOAL]
@@ -91,7 +82,7 @@ def test_an_episode_that_drives_ahead_and_stops_has_the_measures_worked_out_by_h
 
 def test_an_episode_ends_where_the_robot_is_farther_from_the_bounds_than_the_leeway(world: World) -> None:
     env = world.env(1)
-    after = driven(env, begin(env, [0.8, -1.2, 1.5 * math.pi], [0.8, 0.0, 0.0]), [(0.5, 0.0)] * 14)
+    after = walk(env, begin(env, [0.8, -1.2, 1.5 * math.pi], [0.8, 0.0, 0.0]), [(0.5, 0.0)] * 14)
     y = torch.stack([env.task.motion.planar(one["state"])[0, 1] for one in after])
     gone = torch.tensor([bool(one["terminated"]) for one in after])
     assert torch.equal(gone, y < -1.65) and gone.any() and (y[~gone] < -1.5).any()
@@ -102,7 +93,7 @@ def test_an_episode_ends_where_the_robot_is_farther_from_the_bounds_than_the_lee
 
 def test_contact_is_counted_and_does_not_end_an_episode(world: World) -> None:
     env = world.env(1)
-    after = driven(env, begin(env, [0.5, 0.0, math.pi], [0.8, 1.0, 0.0]), [(0.5, 0.0)] * 8)  # towards the block
+    after = walk(env, begin(env, [0.5, 0.0, math.pi], [0.8, 1.0, 0.0]), [(0.5, 0.0)] * 8)  # towards the block
     assert after[-1]["collisions"].item() > 0 and not any(bool(one["done"]) for one in after)
 
 
