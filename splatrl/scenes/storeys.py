@@ -104,8 +104,9 @@ def find_storeys(points: Floats, normals: Floats, weights: Floats, up: Floats) -
             alone = filled[own] & ~filled[1 - own]
             compared[own] += weights[half].sum(), alone.mean(), weights[half & flat].sum()
     standing = float(((compared[0] - compared[1]) / (compared.sum(0) + _FEW)).mean())
+    least = _EVEN * max(np.diff([level.height for level in levels]), default=0.0)
     above, below = (
-        _open(sign * (heights - end), flat, cells, weights)
+        _open(sign * (heights - end), flat, cells, weights, least)
         for sign, end in ((1.0, levels[-1].top), (-1.0, levels[0].bottom))
     )
     return Storeys(levels, standing, ((above - below) / max(above + below, _OPEN)) ** 3)
@@ -145,9 +146,15 @@ def _storeys(levels: list[Level], low: float, high: float) -> list[Level]:
     return levels
 
 
-def _open(beyond: Floats, flat: Mask, cells: Ints, weights: Floats) -> float:
-    """Return the weight at distances above 0 beyond an outermost level [N], except where a flat surface closes it."""
-    closing = flat & (beyond > 0.5 * max(float(np.quantile(beyond, 0.995)), 0.0))
+def _open(beyond: Floats, flat: Mask, cells: Ints, weights: Floats, least: float) -> float:
+    """Return the weight at distances above 0 beyond an outermost level [N], except where a flat surface closes it.
+
+    What reaches no farther than ``least`` is no storey, as a pit in a floor, and counts 0.
+    """
+    far = float(np.quantile(beyond, 0.995))
+    if far <= least:
+        return 0.0
+    closing = flat & (beyond > 0.5 * far)
     return float(weights[(beyond > 0.0) & ~np.isin(cells, cells[closing])].sum())
 
 
