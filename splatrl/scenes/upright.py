@@ -11,6 +11,8 @@ from splatrl.geometry import quats_to_rotations
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.layers import ALIGNED, Layer, heavy_layers, layer_at, leaning_layer
 from splatrl.scenes.scene import captured
+from splatrl.scenes.sides import LIKELY_FROM, SURE_FROM, upper_side
+from splatrl.scenes.storeys import find_storeys
 from splatrl.scenes.walls import CLEAR, find_walls
 
 Floats = NDArray[np.float64]
@@ -41,10 +43,8 @@ _SURE, _LIKELY = 2.5, 1.5
 _ROOM = (2.2, 3.0)
 """Range of the heights of most rooms, metres."""
 _ROOM_HEIGHT = 2.5
-_CELLS = 12
-"""Cells per side of the scene, seen from above."""
-_OPPOSITE = 0.6
-"""Minimum ratio of a ceiling's cells to its floor's, or the reverse: shelves and worktops cover less."""
+_ALIKE = 0.6
+"""Minimum ratio of flat surfaces at one end of a corridor to those at the other."""
 _END = 0.15
 """Fraction of a corridor's height or width, from either end, within which surfaces belong to floor, ceiling or wall."""
 
@@ -124,9 +124,9 @@ def guess_upright(
     """Guess up, the floor, the walls and the units from the positions and orientations of opaque Gaussians.
 
     The ground is the layer that holds the most Gaussians, mainly those that lie flat in it, and on which the most
-    stands upright; directions near a file axis are preferred. Rival layers lower the confidence. The upper side of the
-    ground is the one that things stand on or, if that is unclear, the one with the file's origin, which structure from
-    motion puts near the cameras. The guess fails for scenes without ground. A layer is as thick as the captured place
+    stands upright; directions near a file axis are preferred. Rival layers lower the confidence. Which way along the
+    normal of the ground is up, what stands on it or on the floors above and below it tells (``sides.py``). The guess
+    fails for scenes without ground. A layer is as thick as the captured place
     suggests, without sky and other surroundings that are far larger. In what could be a corridor, which looks much the
     same on its side, the axis is only a guess unless the file states which one is vertical.
 
@@ -153,30 +153,33 @@ def guess_upright(
     heights = points @ layer.normal
     if near[np.abs(heights - layer.height) <= layer.thickness].mean() < 0.5:  # the place is an object on wide ground
         near = np.ones_like(near)
-    other = _opposite(points[near], normals[near], layer)
+    storeys = find_storeys(points[near], normals[near], weights[near], layer.normal)
     if up is None and not _along(layer, vertical):
         axis_guess = _doubted(axis_guess, points[near], normals[near], layer)
-    evidence, reason = _sign(heights, weights, layer, other, size)
+    evidence, reason = upper_side(heights, weights, layer, storeys, size)
     sign_guess = axis_guess
     if up is None:
         strength = abs(evidence)
-        sign_guess = Guess(SURE if strength > 0.6 else LIKELY if strength > 0.3 else GUESS, reason)
-    sign = -1.0 if up is None and evidence < 0 else 1.0
-    ends = sorted(sign * height for height in (layer.height, other) if height is not None)
+        sign_guess = Guess(SURE if strength > SURE_FROM else LIKELY if strength > LIKELY_FROM else GUESS, reason)
+    sign = -1 if up is None and evidence < 0 else 1
+    floor, ceiling = sign * layer.height, None
     share = float(weights[np.abs(heights - layer.height) <= layer.thickness].sum())
+    told = f"{share:.0%} of the opacity lies in this flat layer"
+    if len(storeys.levels) > 1:
+        lowest, second = storeys.levels[::sign][:2]
+        floor, ceiling = sign * lowest.height, min(sign * second.bottom, sign * second.top)
+        told += " or in one above it"
     floor_guess = Guess(
-        SURE if share > 0.3 and sign_guess.confidence in (SURE, GIVEN) else LIKELY if share > 0.15 else GUESS,
-        f"{share:.0%} of the opacity lies in this flat layer" + (" or in the ceiling's" if len(ends) == 2 else ""),
+        SURE if share > 0.3 and sign_guess.confidence in (SURE, GIVEN) else LIKELY if share > 0.15 else GUESS, told
     )
-    if len(ends) == 1 and sign * evidence < -0.3:
-        ends = [float(np.quantile(heights[near], 0.02))]
+    if ceiling is None and sign * evidence < -LIKELY_FROM:
+        floor = float(np.quantile(heights[near], 0.02))
         floor_guess = Guess(GUESS, "the main layer lies above the rest, so this is only the bottom of the scene")
-    ceiling = ends[1] if len(ends) == 2 else None
-    scale, units_guess = _units(None if ceiling is None else ceiling - ends[0])
+    scale, units_guess = _units(None if ceiling is None else ceiling - floor)
     up = sign * layer.normal
-    between = near & (points @ up > ends[0] + layer.thickness) & (points @ up < max(ends[1:], default=math.inf))
-    walls = _walls(points[between], up)
-    return Upright(up, ends[0], ceiling, scale, axis_guess, sign_guess, floor_guess, units_guess, walls)
+    above, below = floor + layer.thickness, math.inf if ceiling is None else ceiling
+    walls = _walls(points[near & (points @ up > above) & (points @ up < below)], up)
+    return Upright(up, floor, ceiling, scale, axis_guess, sign_guess, floor_guess, units_guess, walls)
 
 
 def _ground(
@@ -218,7 +221,7 @@ def _doubted(guess: Guess, points: Floats, normals: Floats, layer: Layer) -> Gue
         return guess
     share = (heights[np.abs(normals @ layer.normal) > ALIGNED] - bottom) / (top - bottom)
     fewer, more = sorted((int((share < _END).sum()), int((share > 1.0 - _END).sum())))
-    if fewer < _OPPOSITE * more:
+    if fewer < _ALIKE * more:
         return guess
     return Guess(GUESS, f"this could be a corridor, whose floor and walls are alike{IF_WRONG}")
 
@@ -261,54 +264,6 @@ def _surfaces(gaussians: Gaussians) -> tuple[Floats, Floats, Floats]:
     short, middle, _ = np.sort(scales, 1).T
     # Weighted by area, a few large and blurred background Gaussians would outweigh a finely captured floor.
     return means, normals * (1 - short / middle)[:, None], opacities / opacities.sum()
-
-
-def _opposite(points: Floats, normals: Floats, layer: Layer) -> float | None:
-    """Return the height of a second flat layer at the other end of the scene, a ceiling or a floor, if there is one."""
-    heights = points @ layer.normal
-    flat = np.abs(normals @ layer.normal) > ALIGNED
-    low, high = np.quantile(heights, [0.005, 0.995])
-    far = low if layer.height - low > high - layer.height else high
-    reach = max(2 * layer.thickness, 0.1 * (high - low))
-    end = flat & (np.abs(heights - far) < reach)
-    if min(layer.height - low, high - layer.height) > reach or abs(far - layer.height) < 3 * reach or not end.any():
-        return None
-    bins = np.round(heights[end] / layer.thickness).astype(np.int64)
-    level, counts = np.unique(bins, return_counts=True)
-    middle = float(np.median(heights[end][bins == level[counts.argmax()]]))
-    across = points @ np.linalg.svd(layer.normal[None])[2][1:].T
-    lower, upper = np.quantile(across, [0.01, 0.99], axis=0)
-    cells = np.floor((across - lower) / (upper - lower) * _CELLS).astype(np.int64) @ [1, 10 * _CELLS]
-    inside = flat & ((across >= lower) & (across < upper)).all(1)
-    own, other = (
-        len(np.unique(cells[inside & (np.abs(heights - height) < layer.thickness)]))
-        for height in (layer.height, middle)
-    )
-    return middle if other >= _OPPOSITE * max(own, 0.5 * _CELLS**2) else None
-
-
-def _sign(heights: Floats, weights: Floats, layer: Layer, other: float | None, size: float) -> tuple[float, str]:
-    """Return evidence in −1 … 1 that up is the layer's normal, not its opposite, and the strongest reason."""
-    relative = heights - layer.height
-    if other is None:
-        above, below = weights[relative > layer.thickness].sum(), weights[relative < -layer.thickness].sum()
-        outside = above + below
-        skew = (above - below) / outside if outside > 0.01 else 0.0
-        things = skew**3
-        told = f"{max(above, below) / max(outside, 1e-9):.0%} of what lies outside the layer is on that side"
-    else:
-        span = other - layer.height
-        share = relative / span
-        here, there = weights[(share > 0.1) & (share < 0.4)].sum(), weights[(share > 0.6) & (share < 0.9)].sum()
-        inside = here + there
-        things = 0.6 * float(np.sign(span)) * (here - there) / inside if inside > 0.01 else 0.0
-        told = "there are flat layers at both ends, and more stands near this one"
-    origin = -layer.height / size
-    cameras = 0.5 * float(np.sign(origin)) if abs(origin) > 0.15 else 0.0
-    evidence = float(np.clip(things + cameras, -1, 1))
-    if abs(things) >= abs(cameras):
-        return evidence, told if abs(things) > 0.01 else "the two sides cannot be told apart"
-    return evidence, "the file's origin, usually near the cameras, is on that side; the rest of the scene says little"
 
 
 def _units(room: float | None) -> tuple[float, Guess]:

@@ -23,7 +23,7 @@ from splatrl.scenes.placement import (
 )
 from splatrl.scenes.stated import StatedFrame, vertical_axis
 from splatrl.scenes.survey import floats, survey
-from splatrl.scenes.upright import GUESS, SURE, axis_name, guess_upright
+from splatrl.scenes.upright import GUESS, LIKELY, SURE, axis_name, guess_upright
 from tests.scenes.places import KINDS, place, turned
 
 FLOOR, BOXES = (0.0, 0.0, 0.0, 6.0, 4.0, 0.0), [(1.0, 1.0, 0.0, 2.0, 1.5, 0.8), (4.0, 2.0, 0.0, 4.5, 3.5, 1.2)]
@@ -110,6 +110,43 @@ def test_furniture_tells_the_floor_of_a_room_from_its_ceiling_whichever_axis_is_
     assert upright.ceiling == pytest.approx(2.5, abs=0.01)
 
 
+def house(boxes: list[tuple[float, ...]], storeys: int, roofed: bool = True) -> Gaussians:
+    """Return a house whose storeys are 2.5 m high, with slabs of 0.3 m and the same boxes on each."""
+    parts = []
+    for floor in (2.8 * storey for storey in range(storeys)):
+        slabs = [FLOOR, CEILING] if roofed or floor < 2.8 * (storeys - 1) else [FLOOR]
+        parts += [(x, y, z + floor, u, v, w + floor) for x, y, z, u, v, w in [*slabs, *WALLS, *boxes]]
+    return surfaces(parts)
+
+
+@pytest.mark.parametrize("axis", ["y", "-z"])
+@pytest.mark.parametrize("roofed", [True, False])
+def test_houses_of_two_storeys_stand_upright_wherever_the_camera_began(axis: str, roofed: bool) -> None:
+    for began in (1.5, 4.3):
+        shifted = similarity(STANDING[axis], 1.0, [3.0, 2.0, began])
+        upright = guess_upright(lying(house(BOXES, 2, roofed), shifted))
+        assert axis_name(upright.up) == axis and upright.sign_guess.confidence in (SURE, LIKELY)
+        assert upright.floor == pytest.approx(-began, abs=0.01)
+        assert upright.ceiling == pytest.approx(2.5 - began, abs=0.01)
+        assert upright.metres_per_unit == 1.0
+    known = guess_upright(lying(house(BOXES, 2, roofed), shifted), shifted[2, :3].tolist())
+    assert known.floor == pytest.approx(-began, abs=0.01)
+
+
+@pytest.mark.parametrize("storeys", [1, 2])
+def test_which_way_up_an_empty_house_stands_is_only_a_guess_wherever_the_camera_began(storeys: int) -> None:
+    for began in (1.0, 4.3):
+        guess = guess_upright(house([], storeys).transformed(similarity(translation=[0.0, 0.0, -began])))
+        assert guess.sign_guess.confidence == GUESS
+        assert "little tells floors from ceilings" in guess.sign_guess.reason
+
+
+def test_a_pit_whose_bottom_was_not_seen_does_not_turn_an_empty_room_upside_down() -> None:
+    ring = [(0, 0, 0, 6, 0.8, 0), (0, 3.2, 0, 6, 4, 0), (0, 0.8, 0, 1, 3.2, 0), (5, 0.8, 0, 6, 3.2, 0)]
+    pit = [(1, 0.8, -1.2, 5, 0.8, 0), (1, 3.2, -1.2, 5, 3.2, 0), (1, 0.8, -1.2, 1, 3.2, 0), (5, 0.8, -1.2, 5, 3.2, 0)]
+    assert guess_upright(surfaces([*ring, *pit, CEILING, *WALLS])).sign_guess.confidence == GUESS
+
+
 @pytest.mark.parametrize("share", [0.02, 0.1])
 @pytest.mark.parametrize("lies", ["z", "-y", "leaning"])
 def test_the_sky_around_a_room_moves_neither_up_nor_its_floor(lies: str, share: float) -> None:
@@ -194,8 +231,11 @@ def test_a_single_gaussian_is_surveyed_and_its_units_stay_unknown() -> None:
     assert guess_upright(single).units_guess.confidence == "unknown"
 
 
-def test_the_units_of_two_gaussians_stay_unknown() -> None:
-    assert guess_upright(yard()[:2]).units_guess.confidence == "unknown"
+@pytest.mark.parametrize("count", [2, 3, 10, 60])
+def test_the_units_of_a_few_gaussians_stay_unknown(count: int) -> None:
+    spread = yard()[:: len(yard().means) // count][:count]
+    for few in (yard()[:count], spread):
+        assert guess_upright(few).units_guess.confidence == "unknown"
 
 
 def test_a_survey_reports_count_extent_opacities_and_scales() -> None:
@@ -243,21 +283,24 @@ def degrees_between(a: np.ndarray, b: np.ndarray) -> float:
     [(0, 15), pytest.param(0, 200, marks=pytest.mark.slow), pytest.param(1000, 200, marks=pytest.mark.slow)],
 )
 def test_a_guess_called_fairly_sure_is_right_in_19_of_20_generated_places(first: int, count: int) -> None:
-    """At least half of the guesses are called fairly sure, and at most 1 in 20 of those is off by more than 2°.
+    """At most 1 in 20 of these is off by more than 2°, and at most 1 in 10 of those that are at least called likely.
 
-    The wording was calibrated on the first 200 places, and nothing was calibrated on those from 1000 on.
+    Three quarters are at least called likely. The wording was calibrated on the first 200 places, and nothing was
+    calibrated on those from 1000 on.
     """
-    sure, right = 0, 0
+    found: dict[str, list[bool]] = {SURE: [], LIKELY: [], GUESS: []}
     for seed in range(first, first + count):
         rng = np.random.default_rng([seed, 99])
         kind, lies = KINDS[seed % len(KINDS)], rng.choice(["upright", "leaning", "anyhow"], p=[0.3, 0.45, 0.25])
         tilt = {"upright": 0.0, "leaning": rng.uniform(0.5, 14.0), "anyhow": None}[str(lies)]
         file, up = turned(place(kind, 1 + seed // len(KINDS), spacing=0.8), seed, tilt, 10 ** rng.uniform(-1.5, 0.5))
         guess = guess_upright(file)
-        if (guess.axis_guess.confidence, guess.sign_guess.confidence) == (SURE, SURE):
-            sure += 1
-            right += degrees_between(guess.up, up.numpy()) < 2.0
-    assert sure >= 0.5 * count and right >= 0.95 * sure
+        confidences = (guess.axis_guess.confidence, guess.sign_guess.confidence)
+        least = max(confidences, key=[SURE, LIKELY, GUESS].index)
+        found[least].append(degrees_between(guess.up, up.numpy()) < 2.0)
+    sure, said = found[SURE], found[SURE] + found[LIKELY]
+    assert len(sure) >= 0.4 * count and sum(sure) >= 0.95 * len(sure)
+    assert len(said) >= 0.75 * count and sum(said) >= 0.9 * len(said)
 
 
 def corridor(ceiling: bool = True) -> Gaussians:
