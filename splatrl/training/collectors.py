@@ -17,7 +17,7 @@ from splatrl.training.memory import STATE
 CHOSEN = ("action", "action_log_prob", "state_value")
 """Keys that the model writes."""
 ENDS = ("reward", "done", "terminated", "truncated", "outcome", "goals", "success", "episode_return", "step_count")
-"""Keys of a step's result that learning and reports read."""
+"""Keys of a step's result that learning and reports read, besides ``collisions`` of tasks that count them."""
 
 
 class Collector(Protocol):
@@ -123,8 +123,9 @@ class DeviceCollector:
         for key in (*(self._prepared if small else self._reads), STATE, "is_init", *CHOSEN, "next_value"):
             if acted.get(key, None) is not None:
                 self._note(key, acted[key])
-        for key in ENDS:
-            self._note(("next", key), after[key])
+        for key in (*ENDS, "collisions"):
+            if (value := after.get(key, None)) is not None:
+                self._note(("next", key), value)
         begun = restart(self.env, after)
         for key, tensor in self._now.items():
             tensor.copy_(begun[key])

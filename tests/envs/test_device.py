@@ -46,6 +46,12 @@ WORLDS = {
     "rainy fps": ["fps", "transforms/appearance=weather"],
     "remembering fps": ["fps", "memory=gru", "transforms/appearance=weather"],
     "stacking grid": ["grid", "memory=stack"],
+    "late pointnav": [
+        "pointnav",
+        "transforms/latency=varied",
+        "transforms/appearance=weather",
+        "sensors=[rgb,depth,pointgoal,gps,compass]",
+    ],
     "skipping grid": ["grid", "transforms/pose_noise=unsteady", "transforms/skip=four"],
     "skipping snake": ["snake", "transforms/pose_noise=unsteady", "transforms/skip=four"],
 }

@@ -73,8 +73,9 @@ def reset_in_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def assert_same_frames(batch: TensorDictBase, expected: TensorDictBase) -> None:
     """Assert that everything in a device's batch equals the same entry of TorchRL's batch."""
+    counted = ["collisions"] if "collisions" in set(expected["next"].keys()) else []
     keys = [key for key in ("pixels", STATE, "is_init", *CHOSEN) if key in set(batch.keys())] + [
-        ("next", key) for key in ENDS
+        ("next", key) for key in (*ENDS, *counted)
     ]
     assert {"pixels", "action"} <= set(keys)
     for key in keys:

@@ -27,6 +27,7 @@ WORLDS = {
     "fps": ["fps"],
     "drive": ["drive"],
     "remembering fps": ["fps", "memory=gru"],
+    "late pointnav": ["pointnav", "transforms/latency=varied", "sensors=[rgb,depth,pointgoal]"],
     "stacking sim2real": ["sim2real", "memory=stack", "transforms/pose_noise=unsteady", "transforms/appearance=varied"],
 }
 ROBOTS, STEPS = 16, 6

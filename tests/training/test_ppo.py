@@ -38,6 +38,7 @@ def learner(
     frames_per_batch: int = 64,
     total_frames: int = 10**6,
     memory: int = 0,
+    on_device: bool | None = None,
     **change: Any,
 ) -> PPO:
     """Make PPO with a small network that depends on ``seed``; ``change`` overrides settings of loss and optimiser."""
@@ -45,7 +46,7 @@ def learner(
     loss = replace(LOSS, **{key: value for key, value in change.items() if hasattr(LOSS, key)})
     optim = replace(OPTIM, **{key: value for key, value in change.items() if hasattr(OPTIM, key)})
     model = actor_critic(env.observation_spec["pixels"].shape[1:], env.action_spec, 1, (8, 16), 32, memory)
-    return PPO(env, model, loss, optim, frames_per_batch, total_frames)
+    return PPO(env, model, loss, optim, frames_per_batch, total_frames, on_device=on_device)
 
 
 def parameters(ppo: PPO) -> torch.Tensor:
@@ -172,11 +173,14 @@ def test_the_report_counts_the_episodes_of_the_batch() -> None:
     assert report["success"] > 0 and report["collision"] > 0  # else this shows too little
 
 
-def test_the_report_counts_episodes_with_collisions_where_these_do_not_end_them(tmp_path: Path) -> None:
+@pytest.mark.parametrize("on_device", [False, True])
+def test_the_report_counts_episodes_with_collisions_where_these_do_not_end_them(
+    on_device: bool, tmp_path: Path
+) -> None:
     few = ["task.goals=5", "task.test_goals=4", "task.nearest=0.3", "task.cell=0.1", "robot.body.radius=0.1"]
     envs = [splatrl.make_env([*tiny_overrides(tmp_path, "pointnav"), *few], [16], seed=0) for _ in range(2)]
-    batch = learner(envs[0], frames_per_batch=512).collect()
-    report = learner(envs[1], frames_per_batch=512).iterate()  # the same batch
+    batch = learner(envs[0], frames_per_batch=512, on_device=on_device).collect()
+    report = learner(envs[1], frames_per_batch=512, on_device=on_device).iterate()  # the same batch
     ended = batch["next"][batch["next", "done"].squeeze(-1)]
     assert report["episodes"] == len(ended)
     assert 0 < report["collision"] == pytest.approx((ended["collisions"] > 0).float().mean().item())
