@@ -205,6 +205,10 @@ class PlannedMotion(Motion, Protocol):
         """Return whether robots have left the bounds by more than ``leeway``, metres: [B, ...] -> [B] bool."""
         ...
 
+    def fallen(self, state: Tensor) -> Tensor:
+        """Return whether robots have fallen over, so that they cannot go on: [B, ...] -> [B] bool."""
+        ...
+
     def nodes(self) -> Tensor:
         """Return the states at which costs are stored: [C, ...]."""
         ...
@@ -260,6 +264,10 @@ class MotionModule(nn.Module):
 
     def outside(self, state: Tensor, leeway: float) -> Tensor:
         """Return False for all robots: a move that would leave the bounds is not made."""
+        return torch.zeros(len(state), dtype=torch.bool, device=state.device)
+
+    def fallen(self, state: Tensor) -> Tensor:
+        """Return False for all robots: without physics they stay upright."""
         return torch.zeros(len(state), dtype=torch.bool, device=state.device)
 
     def varied(self, state: Tensor, generator: torch.Generator) -> Tensor:
