@@ -120,7 +120,7 @@ class SimulatedMotion(TwinMotion):
         return self.bodies.carrier(state)
 
     def upright(self, state: Tensor) -> Tensor:
-        """Return the cosine of the angle by which first bodies are tilted from how they stand: [B, n] -> [B] float64."""
+        """Return the cosine of the angle by which first bodies are tilted from how they stand: [B, n] -> [B]."""
         skyward = state.new_tensor([0.0, 0.0, 1.0])
         top = rotated(turned_back(self.home[self.layout.orientation].to(state)), skyward)
         return rotated(state[:, self.layout.orientation], top)[:, 2]
