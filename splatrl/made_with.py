@@ -8,7 +8,8 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from splatrl.configuration import differences, paths_of, with_values
-from splatrl.files import digest_of, expanded
+from splatrl.files import digest_of, expanded, refusing
+from splatrl.motions import Motion
 from splatrl.native import _core
 from splatrl.physics import mjcf_files
 from splatrl.scenes.formats.reading import META
@@ -41,6 +42,47 @@ def made_with(cfg: DictConfig, scene_digest: str) -> dict[str, Any]:
         "isa": _core.isa(),
         "threads": cfg.threads,
     }
+
+
+def actions_of(motion: Motion) -> list[str] | list[list[float]]:
+    """Return the names of a motion's discrete actions, or the lowest and highest values of a continuous one."""
+    space = motion.action_spec.space
+    return list(motion.action_names) or [space.low.tolist(), space.high.tolist()]
+
+
+def check_actions(path: Path, now: Any, then: Any) -> None:
+    """Refuse a policy whose actions a robot cannot take, and warn if they mean something else to it.
+
+    Args:
+        path: the policy's checkpoint.
+        now: ``actions_of`` the robot's motion.
+        then: ``actions_of`` the motion with which the policy was trained, which need not be trusted; None if unknown.
+
+    Raises:
+        ValueError: for other numbers or kinds of actions, or for something else than actions.
+    """
+    if then is None or then == now:
+        return
+    with refusing(path, "the actions of a policy"):
+        learned, taken = _in_words(then), _in_words(now)
+        alike = type(then[0]) is type(now[0]) and len(then) == len(now)
+        alike &= isinstance(then[0], str) or len(then[0]) == len(now[0])
+    if not alike:
+        raise ValueError(
+            f"robot, task.motion: expected those of the policy in {path}, whose actions are {learned}, got {taken}"
+        )
+    warnings.warn(
+        f"robot, task.motion: the actions of the policy in {path} were {learned} in training, and now are {taken}",
+        stacklevel=3,
+    )
+
+
+def _in_words(actions: Any) -> str:
+    """Describe the result of ``actions_of``."""
+    if isinstance(actions[0], str):
+        return ", ".join(map(str, actions))
+    low, high = (", ".join(f"{value:.3g}" for value in limits) for limits in actions)
+    return f"[{low}] to [{high}]"
 
 
 def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:

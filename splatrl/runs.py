@@ -24,7 +24,7 @@ from splatrl.configuration import (
 )
 from splatrl.envs.world import World, Worlds
 from splatrl.files import refusing
-from splatrl.made_with import changed_files, digests_of, key_of
+from splatrl.made_with import actions_of, changed_files, check_actions, digests_of, key_of
 from splatrl.training import load_checkpoint
 from splatrl.training.history import unpacked
 
@@ -80,8 +80,9 @@ def load_policy(
 
     Raises:
         FileNotFoundError: if the folder holds no run, or the checkpoint does not exist.
-        ValueError: for a damaged checkpoint, if ``place`` says where the scene has been moved and another is there, or
-            if the content of a file that it does not name differs from the one in training.
+        ValueError: for a damaged checkpoint, for a robot that takes other actions than the policy's, if ``place`` says
+            where the scene has been moved and another is there, or if the content of a file that it does not name
+            differs from the one in training.
     """
     run = Path(run)
     cfg = run_config(run, allow_targets) if cfg is None else cfg
@@ -95,6 +96,7 @@ def load_policy(
     if compared:
         _check_files(path, cfg, then, place)
     world = build_world(cfg) if world is None else world
+    check_actions(path, actions_of(world.task.motion), then.get("actions"))
     if compared and then.get("scene", world.digest) != world.digest:
         if moves_scene(words):
             raise ValueError(

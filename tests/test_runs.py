@@ -1,5 +1,6 @@
 """Policies are loaded from run folders."""
 
+import math
 import shutil
 import warnings
 from dataclasses import replace
@@ -11,7 +12,8 @@ from PIL import Image
 
 from splatrl.building import build_world
 from splatrl.configuration import config_elsewhere, run_config
-from splatrl.made_with import made_with
+from splatrl.made_with import actions_of, made_with
+from splatrl.motions import DriveMotion, NavigateMotion
 from splatrl.runs import load_policy
 from splatrl.scenes import write_gaussians
 from splatrl.training import save_checkpoint
@@ -150,6 +152,39 @@ def test_a_policy_that_has_not_learned_yet_is_loaded_with_a_warning(run: Path, t
     with pytest.warns(UserWarning, match=r"last\.pt: the training was stopped before .* as good as untrained"):
         load_policy(run, world=world)
     load_policy(run, "best", world=world)
+
+
+def test_a_robot_with_other_actions_than_the_policy_is_refused_or_mentioned(run: Path, tmp_path: Path) -> None:
+    folder, world = shutil.copytree(run, tmp_path / "run"), build_world(run_config(run))
+    path, names = folder / "checkpoints" / "last.pt", list(world.task.motion.action_names)
+    state = torch.load(path, weights_only=True)
+
+    def trained_with(actions: object) -> None:
+        save_checkpoint(path, {**state, "made_with": {"actions": actions}})
+
+    trained_with(names)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_policy(folder, world=world)
+    trained_with(["stop", *names[1:]])
+    with pytest.warns(match=r"last\.pt were stop, back, .* in training, and now are forward, back, "):
+        load_policy(folder, world=world)
+    for other, told in (
+        (names[1:], "back, "),
+        ([[-0.25, -1.5708], [0.5, 1.5708]], r"\[-0.25, -1.57\] to \[0.5, 1.57\]"),
+    ):
+        trained_with(other)
+        with pytest.raises(ValueError, match=rf"^robot, task.motion: expected .*last\.pt, whose actions are {told}"):
+            load_policy(folder, world=world)
+    trained_with(3)
+    with pytest.raises(ValueError, match=r"last\.pt: expected the actions of a policy, got "):
+        load_policy(folder, world=world)
+
+
+def test_the_actions_of_a_policy_are_their_names_or_their_limits() -> None:
+    assert actions_of(NavigateMotion(0.5)) == ["stop", "forward", "left", "right"]
+    limits = torch.tensor(actions_of(DriveMotion(0.5, linear=(-0.25, 0.5), angular_deg=90.0)))
+    torch.testing.assert_close(limits, torch.tensor([[-0.25, -math.pi / 2], [0.5, math.pi / 2]]))
 
 
 def test_a_damaged_checkpoint_is_refused(run: Path, tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ from splatrl.evaluation.episode_sets import require_episodes
 from splatrl.evaluation.rollouts import run_episodes
 from splatrl.evaluation.starts import spread_starts
 from splatrl.files import expanded
-from splatrl.made_with import made_with
+from splatrl.made_with import actions_of, made_with
 from splatrl.training import (
     KEPT,
     PPO,
@@ -131,7 +131,7 @@ def build_trainer(
         return result
 
     logger, checkpoint, plain = cfg.logger, cfg.checkpoint, cast(dict[str, Any], OmegaConf.to_container(cfg))
-    made = made_with(with_absolute_paths(cfg), world.digest)
+    made = {**made_with(with_absolute_paths(cfg), world.digest), "actions": actions_of(world.task.motion)}
     trainer = Trainer(
         ppo,
         folder,

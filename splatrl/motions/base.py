@@ -200,6 +200,10 @@ class PlannedMotion(Motion, Protocol):
         """Return whether robots have left the bounds by more than ``leeway``, metres: [B, ...] -> [B] bool."""
         ...
 
+    def fallen(self, state: Tensor) -> Tensor:
+        """Return whether robots have fallen over, so that they cannot go on: [B, ...] -> [B] bool."""
+        ...
+
     def nodes(self) -> Tensor:
         """Return the states at which costs are stored: [C, ...]."""
         ...

@@ -13,6 +13,7 @@ from splatrl.collision.base import Checker
 from splatrl.geometry import along_heading
 from splatrl.motions.base import Move
 from splatrl.motions.physics import PhysicsMotion
+from splatrl.motions.simulated import TILTED
 from splatrl.physics import Terrain
 from splatrl.physics.dense import Dense
 from splatrl.physics.kinematics import rotated, turned_back
@@ -32,8 +33,6 @@ FELT = 46
 """Size of the proprioceptive observation."""
 SPIN, RATE = 0.25, 0.05
 """Factors that scale the angular velocities of torso and joints to about the magnitude of the other observations."""
-TILTED = 0.5
-"""Cosine of the torso's tilt from upright at or below which a robot has fallen."""
 LOW = 0.14
 """Height of the torso above the ground at or below which a robot has fallen, metres."""
 
@@ -182,10 +181,8 @@ class LegsMotion(PhysicsMotion):
     def fallen(self, state: Tensor) -> Tensor:
         """Return whether robots have fallen: [B, n] -> [B] bool."""
         x, y, z = state[:, self.layout.position].unbind(1)
-        skyward = state.new_tensor([0.0, 0.0, 1.0]).expand(len(state), 3)
-        up = rotated(state[:, self.layout.orientation], skyward)[:, 2]
         height = z - self.terrain.height(torch.stack([x, y], 1))
-        return ~((up > TILTED) & (height > LOW))
+        return ~((self.upright(state) > TILTED) & (height > LOW))
 
 
 class StridesMotion(LegsMotion):

@@ -55,6 +55,10 @@ class MotionModule(nn.Module):
         """Return False for all robots: a move that would leave the bounds is not made."""
         return torch.zeros(len(state), dtype=torch.bool, device=state.device)
 
+    def fallen(self, state: Tensor) -> Tensor:
+        """Return False for all robots: without physics they stay upright."""
+        return torch.zeros(len(state), dtype=torch.bool, device=state.device)
+
     def varied(self, state: Tensor, generator: torch.Generator) -> Tensor:
         """Return the states unchanged: nothing differs between episodes."""
         return state

@@ -19,6 +19,8 @@ from splatrl.renderers.parts import Parts
 
 FAR = 1e9
 """Bound on the magnitude of every number in a state."""
+TILTED = 0.5
+"""Cosine of the first body's tilt from how it stands at or below which a robot has fallen."""
 
 
 class SimulatedMotion(TwinMotion):
@@ -116,6 +118,19 @@ class SimulatedMotion(TwinMotion):
     def body_to_world(self, state: Tensor) -> Tensor:
         """Return the poses of the body that carries the camera: [B, n] -> [B, 4, 4] float32."""
         return self.bodies.carrier(state)
+
+    def upright(self, state: Tensor) -> Tensor:
+        """Return the cosine of the angle by which first bodies are tilted from how they stand: [B, n] -> [B]."""
+        skyward = state.new_tensor([0.0, 0.0, 1.0])
+        top = rotated(turned_back(self.home[self.layout.orientation].to(state)), skyward)
+        return rotated(state[:, self.layout.orientation], top)[:, 2]
+
+    def fallen(self, state: Tensor) -> Tensor:
+        """Return whether robots that drive on the ground lie on their side or back: [B, n] -> [B] bool.
+
+        Those that take other actions than a speed and a turn rate may fly, to which no tilt is a fall: False.
+        """
+        return ~(self.upright(state) > TILTED) & self.driven
 
     def placed(self, planar: Tensor) -> Tensor:
         """Return states in which robots stand at rest on the ground, and things on it where their files place them.

@@ -44,39 +44,37 @@ def trot(time: Tensor, command: Tensor) -> Tensor:
     Returns:
         [B, 12] float64, radians: hip, thigh and calf of each leg.
     """
-    return torch.cat([leg_angles(foot, side) for foot, side in zip(feet(time, command), SIDES, strict=True)], 1)
+    return leg_angles(feet(time, command), time.new_tensor(SIDES)).flatten(1)
 
 
-def feet(time: Tensor, command: Tensor) -> list[Tensor]:
-    """Return the positions of a trot's feet relative to their hips, [B, 3] float64 metres each; see ``trot``."""
-    found = []
-    for (x, y), side, begin in zip(HIPS, SIDES, BEGINS, strict=True):
-        phase = (time * FREQUENCY + begin) % 1.0
-        swing = ((phase - STANDING) / (1.0 - STANDING)).clamp(0.0, 1.0)
-        back = torch.where(phase < STANDING, phase / STANDING, 0.5 * (1.0 + (math.pi * swing).cos()))
-        stride = STANDING / FREQUENCY * (0.5 - back)  # lead of the foot, in seconds of commanded motion
-        ahead = stride * (command[:, 0] - command[:, 1] * (y + side * OFFSET))
-        aside = stride * command[:, 1] * x
-        lift = LIFT * 0.5 * (1.0 - (2.0 * math.pi * swing).cos())
-        found.append(torch.stack([ahead, side * OFFSET + aside, lift - DEPTH], 1))
-    return found
+def feet(time: Tensor, command: Tensor) -> Tensor:
+    """Return the positions of a trot's feet relative to their hips: [B, 4, 3] float64, metres; see ``trot``."""
+    (x, y), side = time.new_tensor(HIPS).T, time.new_tensor(SIDES)
+    phase = (time.unsqueeze(1) * FREQUENCY + time.new_tensor(BEGINS)) % 1.0
+    swing = ((phase - STANDING) / (1.0 - STANDING)).clamp(0.0, 1.0)
+    back = torch.where(phase < STANDING, phase / STANDING, 0.5 * (1.0 + (math.pi * swing).cos()))
+    stride = STANDING / FREQUENCY * (0.5 - back)  # lead of the foot, in seconds of commanded motion
+    ahead = stride * (command[:, :1] - command[:, 1:] * (y + side * OFFSET))
+    aside = stride * command[:, 1:] * x
+    lift = LIFT * 0.5 * (1.0 - (2.0 * math.pi * swing).cos())
+    return torch.stack([ahead, side * OFFSET + aside, lift - DEPTH], 2)
 
 
-def leg_angles(foot: Tensor, side: float) -> Tensor:
-    """Return the joint angles of a leg that put its foot at a position, or as near to it as the leg reaches.
+def leg_angles(foot: Tensor, side: Tensor) -> Tensor:
+    """Return the joint angles of legs that put their feet at positions, or as near to them as the legs reach.
 
     Args:
-        foot: [B, 3] float64, position relative to the hip, metres: ahead, left and up.
-        side: 1 for a leg on the left, −1 on the right.
+        foot: [B, L, 3] float64, positions relative to the hips, metres: ahead, left and up.
+        side: [L] float64, 1 for a leg on the left, −1 on the right.
 
     Returns:
-        [B, 3] float64, radians: hip, thigh and calf.
+        [B, L, 3] float64, radians: hip, thigh and calf.
     """
-    x, y, z = foot.unbind(1)
+    x, y, z = foot.unbind(2)
     offset = side * OFFSET
     down = (y * y + z * z - offset * offset).clamp_min(1e-6).sqrt()
-    hip = atan2(y, -z) - atan2(torch.full_like(down, offset), down)
+    hip = atan2(y, -z) - (offset / down).atan()  # as atan2, since down > 0
     cosine = (x * x + down * down - THIGH * THIGH - CALF * CALF) / (2.0 * THIGH * CALF)
     calf = -cosine.clamp(-0.999, 0.999).acos()
-    thigh = atan2(-x, down) - atan2(CALF * calf.sin(), THIGH + CALF * calf.cos())
-    return torch.stack([hip, thigh, calf], 1)
+    thigh = (-x / down).atan() - atan2(CALF * calf.sin(), THIGH + CALF * calf.cos())
+    return torch.stack([hip, thigh, calf], 2)

@@ -1,5 +1,6 @@
 """The imagenav task: go to the place from which an image was taken."""
 
+import math
 from collections.abc import Mapping
 
 import torch
@@ -23,7 +24,8 @@ class ImageNav(NavigationTask):
 
     Observation: ``imagegoal`` [B, H, W, 3] uint8, ``pixels``, and whatever else ``sensors`` returns. A stop within 1 m
         is a success, as in Mezghani et al. 2022.
-    Memory: also ``unseen`` [B, 1] int64, steps since the robot last faced in the direction of the goal image.
+    Memory: also ``unseen`` [B, 1] int64, steps since the robot last faced in the direction of the goal image, without
+        those in which the teacher would have had it look and there was no room to.
     Everything else: see ``NavigationTask``.
 
     Example:
@@ -44,14 +46,21 @@ class ImageNav(NavigationTask):
         return begun | {"unseen": self._unseen(state, begun, torch.full_like(begun["goal_row"], self.lost_after))}
 
     @property
+    def around(self) -> int:
+        """Steps within which a robot that can turn has faced in all directions, at half the speed of its turns."""
+        steering = self.steering
+        return 2 * math.ceil(math.tau / min(steering.angle_step, steering.angle_between) - 1e-6)
+
+    @property
     def lost_after(self) -> int:
         """Steps after which the teacher considers its last look in the direction of the goal image outdated."""
         return round(LOST * self.steering.reach / self.steering.step)
 
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
         """Judge a step; see ``Task.judge``."""
-        verdict = super().judge(step, anywhere)
-        unseen = self._unseen(step.move.state, step.memory, step.memory["unseen"])
+        verdict, unseen = super().judge(step, anywhere), step.memory["unseen"]
+        waits = self._looks(unseen) & ~self._free(step.before, step.memory).unsqueeze(1)
+        unseen = self._unseen(step.move.state, step.memory, unseen - waits.long())
         return verdict._replace(memory={**verdict.memory, "unseen": unseen})
 
     def teach(self, state: Tensor, memory: Memory) -> Tensor:
@@ -59,14 +68,24 @@ class ImageNav(NavigationTask):
 
         A robot that has not faced in the direction of the goal image for ``lost_after`` steps turns left until it does,
         since only then can it compare the two views. It then takes the shortest path, and faces that way again before
-        it stops. Where it may not fit at every heading, it does not look around.
+        it stops. Where it may not fit at every heading, it does not look around, and where it has not faced that way
+        within ``around`` steps of looking, as it touches something or is moved by its turns to where it may not fit, it
+        goes on without, and looks again after ``lost_after`` steps.
         """
         turn, near = self.led(state, memory)
-        room = self.geodesics.room(self._place(state), memory["goal_row"].squeeze(1))
-        free = torch.full_like(near, self.geodesics.round) | (room > ROOM)
-        aside, lost = self._aside(state, memory), free & (memory["unseen"].squeeze(1) >= self.lost_after)
+        free, aside, unseen = self._free(state, memory), self._aside(state, memory), memory["unseen"].squeeze(1)
+        lost, gave_up = free & self._looks(unseen), unseen >= self.lost_after + self.around
         turn = torch.where(lost, self.steering.angle_between, torch.where(near & free, aside, turn))
-        return self.steering.toward(turn, near & ~lost & (self._alike(aside) | ~free))
+        return self.steering.toward(turn, near & ~lost & (self._alike(aside) | ~free | gave_up))
+
+    def _looks(self, unseen: Tensor) -> Tensor:
+        """Return whether the teacher looks around where there is room, by ``unseen``."""
+        return unseen % (self.lost_after + self.around) >= self.lost_after
+
+    def _free(self, state: Tensor, memory: Memory) -> Tensor:
+        """Return whether the body fits at every heading: [B] bool."""
+        room = self.geodesics.room(self._place(state), memory["goal_row"].squeeze(1))
+        return torch.full_like(room, self.geodesics.round, dtype=torch.bool) | (room > ROOM)
 
     def _unseen(self, state: Tensor, memory: Memory, before: Tensor) -> Tensor:
         """Update the steps since robots last faced in the direction of the goal image: [B, 1] int64."""

@@ -55,8 +55,8 @@ class NavigationTask(TaskModule):
         for stopping at the goal (``NavigationRewards``).
     Termination: at a stop, which is a success if the geodesic distance to the goal after it is below
         ``success_distance``. A robot that touches something, or would leave the bounds, stays, slides or is pushed back
-        as its motion defines, and the episode continues. It ends where a robot with physics leaves the bounds by more
-        than ``leeway``, or its physics fails.
+        as its motion defines, and the episode continues. It ends where a robot with physics falls over, which counts
+        as a collision, leaves the bounds by more than ``leeway``, or its physics fails.
     Truncation: after ``max_steps`` steps.
     State: the motion's. Memory: ``goal`` [B, 3] float32, x and y in metres and yaw in radians; ``goal_row`` [B, 1]
         int64, the goal's number; ``distance_to_goal``, ``start_distance`` and ``path_length`` [B, 1] float32, metres;
@@ -262,22 +262,23 @@ class NavigationTask(TaskModule):
         lost = (move.failed | self.motion.outside(move.state, self.leeway)).unsqueeze(1)
         place, before = self._place(move.state), self._place(step.before)
         far = self.geodesics.distance(place, memory["goal_row"].squeeze(1)).unsqueeze(1)
-        blocked = move.free_fraction < 1
+        fallen = self.motion.fallen(move.state)
+        blocked = (move.free_fraction < 1) | fallen
         if not self.motion.leaves:
             blocked |= ~move.inside
-        blocked = blocked.unsqueeze(1)
-        success = stops & ~lost & (far < self.success_distance)
+        blocked, ends = blocked.unsqueeze(1), lost | fallen.unsqueeze(1)
+        success = stops & ~ends & (far < self.success_distance)
         rewards = self.rewards
         reward = rewards.slack + rewards.progress * (memory["distance_to_goal"] - far) + rewards.success * success
         outcome = torch.where(blocked, Outcome.COLLISION, torch.full_like(memory["goal_row"], Outcome.RUNNING))
-        outcome = torch.where(stops, torch.where(success, Outcome.GOAL, Outcome.STOPPED), outcome)
+        outcome = torch.where(stops & ~ends, torch.where(success, Outcome.GOAL, Outcome.STOPPED), outcome)
         outcome = torch.where(lost, Outcome.OUT_OF_BOUNDS, outcome)
         measured = {
             "distance_to_goal": far,
             "path_length": memory["path_length"] + (place - before).norm(dim=1, keepdim=True),
             "collisions": memory["collisions"] + blocked,
         }
-        return Verdict(reward, stops | lost, outcome, {**memory, **measured})
+        return Verdict(reward, stops | ends, outcome, {**memory, **measured})
 
     def teach(self, state: Tensor, memory: Memory) -> Tensor:
         """Return the actions of a teacher that knows the shortest path; see ``lead``."""

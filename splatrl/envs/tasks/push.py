@@ -44,7 +44,7 @@ class PushRewards(FiniteRewards):
         touch: for a step in which the robot touches anything that it is not meant to push.
         slack: added in every step.
         success: for the ball reaching the mark.
-        lost: if the robot or the ball leaves the area.
+        lost: if the robot or the ball leaves the area, or the robot falls over.
 
     Raises:
         ValueError: for a reward that is not a finite number.
@@ -66,7 +66,8 @@ class Push(TaskModule):
     Reward: [B, 1] float32, see ``PushRewards``. The approach is measured by the distance to the ball in excess of
         0.35 m, and by how far round the ball the robot is from the side away from the mark.
     Termination: when the ball's centre is within ``success_distance`` of the mark's, which is a success; or when robot
-        or ball leave the bounds by more than ``leeway``. A robot that touches something continues.
+        or ball leave the bounds by more than ``leeway``, or the robot falls over. A robot that touches something
+        continues.
     Truncation: after ``max_steps`` steps.
     State: [B, n] float64, the physics' (``PhysicsMotion``). Memory: ``mark`` [B, 3] float32, world, metres; ``ball``
         [B, 3] float32, position of the ball, for sensors and for training a critic on it.
@@ -197,7 +198,7 @@ class Push(TaskModule):
         approach = self._to_go(before, was, mark) - self._to_go(after, ball, mark)
         reached = far < self.success_distance
         lost = ~reached & (self._outside(ball) | self._outside(self.motion.planar(after)))
-        lost |= ~reached & step.move.failed
+        lost |= ~reached & (step.move.failed | self.motion.fallen(after))
         reward = rewards.progress * (far_before - far) + rewards.approach * approach + rewards.slack
         reward += rewards.touch * (step.move.free_fraction < 1) + rewards.success * reached + rewards.lost * lost
         outcome = torch.where(reached, Outcome.GOAL, torch.where(lost, Outcome.OUT_OF_BOUNDS, Outcome.RUNNING))

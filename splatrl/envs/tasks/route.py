@@ -118,6 +118,9 @@ class Route(Course):
             torch.cat([moving.model_to_world, torch.stack(poses, 1)], 1),
         )
 
+    def _crashed(self, state: Tensor) -> Tensor:
+        return self.motion.fallen(state)
+
     def _outside(self, state: Tensor) -> Tensor:
         return self.motion.outside(state, self.leeway)
 

@@ -84,9 +84,6 @@ class Walk(Route):
         mark = self._place(state, memory["passed"].squeeze(1))[:, :2]
         return walk_to(self.motion.planar(state), mark, self.motion.limits)
 
-    def _crashed(self, state: Tensor) -> Tensor:
-        return self.motion.fallen(state)
-
     def _begun(self, rows: Tensor, generator: torch.Generator) -> Tensor:
         start = self.places[rows, 0].clone()
         share = torch.rand(len(rows), generator=generator, device=start.device, dtype=torch.float64)

@@ -1,11 +1,12 @@
-"""An episode ends where the physics of an action fails, since its robot can no longer move."""
+"""An episode ends where the physics of an action fails or the robot falls over, since it can no longer move."""
 
+import math
 from collections.abc import Callable
 
 import pytest
 import torch
 
-from splatrl.envs.tasks import Outcome, PointNav, Push, Task
+from splatrl.envs.tasks import Drive, Outcome, PointNav, Push, Task
 from splatrl.envs.tasks.base import Anywhere, Step
 from splatrl.motions import PhysicsMotion
 from tests.envs.tasks.courses import NOTHING
@@ -53,3 +54,43 @@ def test_a_robot_whose_physics_fails_ends_its_episode(make: Callable[[], Task], 
     verdict = task.judge(Step(before, action, move, memory, torch.zeros(0)), anywhere)
     assert verdict.terminated[0].item() and verdict.outcome[0].item() == outcome
     assert verdict.reward[0].abs() < 100 and verdict.outcome[1].item() == Outcome.RUNNING
+
+
+def drive() -> Drive:
+    return Drive(PhysicsMotion("wheels", "eye", threads=1), (0.9, 0.9, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("make", "outcome"),
+    [(push, Outcome.OUT_OF_BOUNDS), (pointnav, Outcome.COLLISION), (drive, Outcome.COLLISION)],
+)
+def test_a_robot_on_wheels_that_falls_over_ends_its_episode(make: Callable[[], Task], outcome: Outcome) -> None:
+    task = make()
+    motion = task.motion
+    assert isinstance(motion, PhysicsMotion)
+    home = motion.placed(torch.tensor([[0.3, 0.2, 0.0]]).double()).expand(2, -1)
+    anywhere = Anywhere(lambda: home, torch.Generator().manual_seed(0))
+    before = home.clone()
+    memory = task.begin(before, anywhere)
+    tilt = math.radians(30.0)
+    before[:, motion.layout.orientation] = torch.tensor(
+        [
+            [math.cos(tilt + 0.03), math.sin(tilt + 0.03), 0.0, 0.0],
+            [math.cos(tilt - 0.03), math.sin(tilt - 0.03), 0.0, 0.0],
+        ]
+    ).double()
+    move = motion.moved(before, torch.zeros(2, 1, motion.physics.model.nsensordata), torch.ones(2, dtype=torch.bool))
+    verdict = task.judge(Step(home, motion.limits[1].expand(2, -1), move, memory, torch.zeros(0)), anywhere)
+    assert verdict.terminated.flatten().tolist() == [True, False]
+    assert verdict.outcome.flatten().tolist() == [outcome, Outcome.RUNNING]
+    if isinstance(task, PointNav):
+        assert verdict.memory["collisions"].flatten().tolist() == [1, 0]
+        stopped = task.judge(Step(home, torch.zeros(2, 2), move, memory, torch.zeros(0)), anywhere)
+        assert stopped.outcome.flatten().tolist() == [Outcome.COLLISION, Outcome.STOPPED]
+
+
+def test_a_quadrotor_may_take_any_attitude_and_does_not_fall() -> None:
+    motion = gates().motion
+    state = motion.placed(torch.zeros(1, 3).double())
+    state[:, motion.layout.orientation] = torch.tensor([0.0, 1.0, 0.0, 0.0]).double()  # upside down
+    assert not motion.fallen(state).any()

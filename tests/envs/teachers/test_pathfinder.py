@@ -10,8 +10,10 @@ from torch import Tensor
 from splatrl.bodies import Body, Box, Sphere
 from splatrl.collision import NativeChecker, Occupancy
 from splatrl.envs.tasks import ImageNav, NavigationTask, PointNav
+from splatrl.envs.tasks.base import Anywhere, Step
 from splatrl.envs.tasks.imagenav import LOST
 from splatrl.motions import DriveMotion, NavigateMotion
+from splatrl.motions.base import Move
 from splatrl.motions.planar import StoppingMotion
 
 BOUNDS: dict[str, Any] = {"lower": (-1.0, -1.2), "upper": (1.0, 1.2), "spacing": 0.1, "headings": 5}
@@ -81,3 +83,32 @@ def test_the_image_goal_teacher_does_not_look_around_where_the_body_may_not_fit_
     stop, forward, left = range(3)
     assert set(task.teach(in_the_lane, memory).tolist()) <= {stop, forward}  # some goals are in the lane
     assert task.teach(in_the_open, memory).tolist() == [left] * 12
+
+
+def test_the_image_goal_teacher_goes_on_if_looking_around_takes_it_to_and_fro_where_it_may_not_fit() -> None:
+    task = beside_a_lane(BOX, NavigateMotion(0.5, **BOUNDS), ImageNav)
+    assert isinstance(task, ImageNav) and (task.lost_after, task.around) == (LOST, 24)
+    _, memory = through_the_lane(task, 2)
+    ahead = memory["goal"][:, 1].sign()
+    memory["goal"][:, 2] = -0.5 * math.pi * ahead  # behind the robots, which never get to see it
+    narrow = torch.stack([torch.full((2,), 0.02), torch.zeros(2), 0.5 * math.pi * ahead], 1)
+    wide = narrow + torch.stack([torch.zeros(2), -0.8 * ahead, torch.zeros(2)], 1)
+    memory["unseen"] = torch.full_like(memory["unseen"], LOST)
+    anywhere, looked, waited = Anywhere(lambda: wide, torch.Generator()), [], []
+    for _ in range(2 * (LOST + task.around)):
+        for state, after in ((wide, narrow), (narrow, wide)):
+            action = task.teach(state, memory)
+            move = Move(after, task.motion.body_to_world(after), torch.ones(2), torch.ones(2, dtype=torch.bool))
+            before = memory["unseen"]
+            memory = dict(task.judge(Step(state, action, move, memory, torch.zeros(0)), anywhere).memory or {})
+            (looked if state is wide else waited).append(
+                (action == 2).all().item() if state is wide else torch.equal(memory["unseen"], before)
+            )
+    goes_on = looked.index(False)
+    assert goes_on == task.around and waited[:goes_on].count(True) >= goes_on - 1
+    assert looked[goes_on : goes_on + LOST // 2] == [False] * (LOST // 2) and looked[goes_on + LOST // 2]
+    near = torch.cat([memory["goal"][:, :2], 0.5 * math.pi * ahead[:, None]], 1)
+    assert task.teach(near, {**memory, "unseen": torch.full_like(memory["unseen"], LOST + task.around)}).tolist() == [
+        0,
+        0,
+    ]
