@@ -173,7 +173,10 @@ class TestSog:
             (b"{", "expected JSON"),
             (b"[]", "version: expected 2, got \\[\\]"),
             (b"{}", "version: expected 2, got None$"),
-            (b'{"means": {}}', "version: expected 2, got None; this is version 1; convert it: .*-transform a.sog splat"),
+            (
+                b'{"means": {}}',
+                "version: expected 2, got None; this is version 1; convert it: .*-transform a.sog splat",
+            ),
         ],
     )
     def test_a_meta_json_that_is_not_an_object_is_refused(self, tmp_path: Path, meta: bytes, message: str) -> None:
