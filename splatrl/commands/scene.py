@@ -80,6 +80,8 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
     upright = stated.guess(gaussians, origin)
     print(upright)
     frame = stated.frame(upright)
+    rounded = rounding(gaussians)
+    del gaussians  # of which a large file would otherwise take twice the memory, in its own frame and upright
     world_from_splat = similarity(**frame)
     standing = read_gaussians(path, transform=world_from_splat)
     scene = Scene(kept.pop("name", name), standing, captured_bounds(standing))
@@ -106,8 +108,8 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
     if target.converts:
         show(target.write(scene, proposed.bounds, proposals, _trained(path)))
     else:
-        show(target.describe(path, gaussians, scene.name, frame, proposed.bounds, proposals, _trained(path)))
-    if (rounded := rounding(gaussians) or rounding(standing)) is not None:
+        show(target.describe(path, scene.name, frame, proposed.bounds, proposals, _trained(path)))
+    if (rounded := rounded or rounding(standing)) is not None:
         print(f"not fit to train in: {rounded}")
         return
     still_to_type = {"robot_height": f"robot.height={height:g}", "goal": "'landmarks.goal=[x,y,yaw]'"}

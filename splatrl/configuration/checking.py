@@ -36,6 +36,9 @@ WORDS = {"evaluation.checkpoint": ("last", "best"), "logger.backend": ("csv", "t
 NULLABLE = ("starts.farthest", "renderer.threads")
 COMMON = ("renderer", "drawing", "around_drawing", *TARGETS["step"])
 """Nodes and keys that the scenes of an env share: it draws them in one call, and the robots of all take equal steps."""
+STATED = {key: name for name, keys in TARGETS.items() for key in keys}
+"""Config keys, with the keys of a ``scene.yaml`` that give them their values."""
+MAKES = "splatrl-scene <splat file> --out <folder> writes that file"
 BY_SCENE = "or let splatrl-scene <splat file> --out <folder> find one, and type scene=<folder>"
 EXAMPLES = {
     "run": "run=<run folder>",
@@ -70,8 +73,11 @@ def check_config(cfg: DictConfig) -> None:
         plain = OmegaConf.to_container(place, resolve=False)
         needed = sorted(_missing(plain)) or sorted(_unset_landmarks(plain))
         if needed:
-            example, there = EXAMPLES.get(needed[0], needed[0] + "=..."), f" in {name}" if name else ""
-            raise ValueError(f"{needed[0]}: expected a value{there}, got none; type {example}")
+            key, there = needed[0], f" in {name}" if name else ""
+            advice = f"type {EXAMPLES.get(key, key + '=...')}"
+            if name and key in STATED:
+                advice = f"state {STATED[key]} in its scene.yaml, since {key}=... applies to all scenes; {MAKES}"
+            raise ValueError(f"{key}: expected a value{there}, got none; {advice}")
     _check_common(names, places)
     if "collector" in cfg:
         check_values(cfg)
@@ -102,7 +108,6 @@ def _check_common(names: Sequence[str], places: Sequence[DictConfig]) -> None:
     Raises:
         ValueError: names all settings that differ, as a ``scene.yaml`` does or by their keys, and what to type.
     """
-    stated = {key: name for name, keys in TARGETS.items() for key in keys}
     found: dict[str, str] = {}
     typed: list[str] = []
     for node in COMMON:
@@ -114,7 +119,7 @@ def _check_common(names: Sequence[str], places: Sequence[DictConfig]) -> None:
                 firsts.setdefault(str(values.get(key)), name)
             if len(firsts) > 1 and str(written.get(key)) not in [f"${{{source}}}" for source in typed]:
                 got = [f"{value} in {name}" for value, name in firsts.items()]
-                found.setdefault(stated.get(key, key), " and ".join(got[:3]))
+                found.setdefault(STATED.get(key, key), " and ".join(got[:3]))
                 typed.append(key)
     if found:
         several = len(found) > 1

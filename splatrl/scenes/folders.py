@@ -18,8 +18,7 @@ from splatrl.scenes.description import (
     scene_folder,
     write_description,
 )
-from splatrl.scenes.formats import write_gaussians
-from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes.formats import read_gaussians, write_gaussians
 from splatrl.scenes.placement import Frame
 from splatrl.scenes.scene import Bounds, Scene
 from splatrl.scenes.splitting import split_files, write_split
@@ -165,7 +164,6 @@ class SceneFolder:
     def describe(
         self,
         file: Path,
-        gaussians: Gaussians,
         name: str,
         frame: Frame,
         bounds: Bounds,
@@ -174,9 +172,10 @@ class SceneFolder:
     ) -> list[str]:
         """Write a ``scene.yaml`` for a splat file, after copying the file to the folder unless it is there.
 
+        Formats with several files are read once more and rewritten as one.
+
         Args:
             file: the splat file.
-            gaussians: its Gaussians, from which formats with several files are rewritten as one.
             name: name of the scene.
             frame: arguments of ``similarity`` from the file to the world, by name.
             bounds: bounds of the region for robots, metres.
@@ -197,7 +196,7 @@ class SceneFolder:
                 if splat == file.name:
                     _copy(file, fresh / splat)
                 else:
-                    write_gaussians(fresh / splat, gaussians, antialiased)
+                    write_gaussians(fresh / splat, read_gaussians(file), antialiased)
             write_description(fresh, splat, name, frame, bounds, proposals=proposals)
         lines = [f"wrote       {self.path / splat}"] if copied else []
         return [*lines, f"wrote       {self.path / SCENE_FILE}"]

@@ -3,6 +3,7 @@ import re
 import shutil
 import sys
 import warnings
+import weakref
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from splatrl.evaluation.scene_pictures import survey_occupancy
 from splatrl.scenes import Gaussians, read_gaussians, read_scene, similarity, write_gaussians
 from splatrl.scenes.blocks import BlockScene, read_blocks_description
 from splatrl.scenes.description import read_description
-from splatrl.scenes.formats.reading import trained_antialiased
+from splatrl.scenes.formats.reading import read_centred, trained_antialiased
 from splatrl.scenes.scene import FreeSpace
 from splatrl.scenes.upright import GUESS, SURE, Guess, Upright, guess_upright
 from tests.preloaded import start
@@ -592,3 +593,26 @@ def test_blocks_are_not_written_into_a_folder_with_a_scene_yaml(splat: Path) -> 
     assert isinstance(cut, BlockScene)
     assert cut.free == FreeSpace(splat.parent / "town" / "free.ply", read_description(splat.parent)["voxel_size"])
     assert cut.free.path.read_bytes() == splat.with_name("haze.ply").read_bytes()
+
+
+@pytest.mark.usefixtures("few_pictures")
+def test_a_splat_is_not_held_in_two_frames_while_its_scene_is_inspected(
+    splat: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first: list[weakref.ref[torch.Tensor]] = []
+    held: list[torch.Tensor | None] = []
+
+    def reading(path: Path) -> tuple[Gaussians, list[float]]:
+        gaussians, origin = read_centred(path)
+        first.append(weakref.ref(gaussians.sh))
+        return gaussians, origin
+
+    def standing(*args: object, **kwargs: object) -> Gaussians:
+        held.extend(each() for each in first)
+        return read_gaussians(*args, **kwargs)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("splatrl.commands.scene.read_centred", reading)
+    monkeypatch.setattr("splatrl.commands.scene.read_gaussians", standing)
+    monkeypatch.setattr(sys, "argv", ["splatrl-scene", str(splat), "--scale", "1"])
+    main()
+    assert held == [None]

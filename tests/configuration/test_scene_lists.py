@@ -141,7 +141,9 @@ def test_a_name_is_a_folder_where_the_config_of_that_name_is_incomplete(
 def test_an_error_in_one_of_several_scenes_names_that_scene(tmp_path: Path) -> None:
     words, west = in_both(tmp_path), tmp_path / "west"
     (west / "scene.yaml").write_text("splat: room.ply\ngoal: [0.5, 1.0, 0.0]\n")
-    with pytest.raises(ValueError, match=f"robot.height: expected a value in {west}, got none"):
+    with pytest.raises(
+        ValueError, match=f"robot.height: expected a value in {west}, got none; state robot_height in its"
+    ):
         check_config(load_config(words))
     with pytest.raises(ValueError, match=f"{west}: scene: expected free poses, got 200 poses"):
         build_world(load_config([*words, "robot.height=0.04"]))

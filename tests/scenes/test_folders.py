@@ -32,8 +32,7 @@ def split(folder: Path, size: float, force: bool = False, small: bool = False, s
 
 def described(folder: Path, file: Path, scale: float, force: bool = False) -> None:
     """Write the scene of a splat file into a folder."""
-    scene = tiny_scene()
-    SceneFolder(folder, force=force).describe(file, scene.gaussians, "tiny", AS_IT_IS | {"scale": scale}, BOUNDS, {})
+    SceneFolder(folder, force=force).describe(file, "tiny", AS_IT_IS | {"scale": scale}, BOUNDS, {})
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -1,4 +1,5 @@
 import json
+import re
 import sys
 import tracemalloc
 from pathlib import Path
@@ -51,6 +52,18 @@ class TestCompressedPly:
         torch.testing.assert_close(colors, torch.tensor([[0.0, 0.1, 0.2], [1.0, 0.9, 0.8]]), atol=1e-6, rtol=0)
         torch.testing.assert_close(gaussians.opacities, torch.ones(258), atol=1e-4, rtol=0)
         torch.testing.assert_close(gaussians.quats[:, 0], torch.ones(258), atol=1e-5, rtol=0)
+
+    @pytest.mark.parametrize("newline", [b"\n", b"\r\n"])
+    def test_colors_without_bounds_in_their_chunks_range_from_0_to_1(self, tmp_path: Path, newline: bytes) -> None:
+        sh = np.arange(258 * 9, dtype=np.uint8).reshape(258, 9)
+        chunks = np.stack([CHUNK, 2 * CHUNK])
+        chunks[:, 12:] = 0, 0, 0, 1, 1, 1
+        bounded = compressed_ply_bytes(chunks, packed(258), sh)
+        start, body = bounded.split(b"end_header\n")
+        start = re.sub(rb"property float (min|max)_[rgb]\n", b"", start) + b"end_header\n"
+        older = start.replace(b"\n", newline) + chunks[:, :12].astype("<f4").tobytes() + body[chunks.size * 4 :]
+        found = read_gaussians(written(tmp_path / "older.ply", older))
+        assert_same(found, read_gaussians(written(tmp_path / "bounded.ply", bounded)))
 
     def test_harmonics_are_read_channel_by_channel(self, tmp_path: Path) -> None:
         sh = np.tile(np.arange(9, dtype=np.uint8) * 16 + 64, (3, 1))
@@ -159,6 +172,11 @@ class TestSog:
             (b"\xff\xfe", "expected JSON"),
             (b"{", "expected JSON"),
             (b"[]", "version: expected 2, got \\[\\]"),
+            (b"{}", "version: expected 2, got None$"),
+            (
+                b'{"means": {}}',
+                "version: expected 2, got None; this is version 1; convert it: .*-transform a.sog splat",
+            ),
         ],
     )
     def test_a_meta_json_that_is_not_an_object_is_refused(self, tmp_path: Path, meta: bytes, message: str) -> None:

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from splatrl.extras import require
 from splatrl.scenes.formats.ply_header import PlyHeader
 from splatrl.scenes.formats.stored import from_gsply
@@ -15,6 +17,8 @@ BOUNDS = tuple(
     for end in ("min", "max")
     for name in names
 )
+COLOR_BOUNDS = {*BOUNDS[12:]}
+"""Bounds that files of older writers, such as SuperSplat until 2024, do not have: their colours range from 0 to 1."""
 
 
 def is_compressed(header: PlyHeader) -> bool:
@@ -38,11 +42,12 @@ def read_compressed_ply(path: Path, header: PlyHeader) -> Gaussians:
     if list(header.elements) not in (["chunk", "vertex"], ["chunk", "vertex", "sh"]):
         raise ValueError(f"{path}: expected the elements chunk, vertex and optionally sh, got {list(header.elements)}")
     count = header.elements["vertex"].count
+    bounds = BOUNDS if COLOR_BOUNDS & header.elements["chunk"].properties.keys() else BOUNDS[: -len(COLOR_BOUNDS)]
     harmonics = len(header.elements["sh"].properties) if "sh" in header.elements else 0
     if harmonics not in (0, 9, 24, 45):
         raise ValueError(f"{path}: sh: expected 9, 24 or 45 properties, got {harmonics}")
     expected = {
-        "chunk": (-(-count // CHUNK), BOUNDS, ("float", "float32")),
+        "chunk": (-(-count // CHUNK), bounds, ("float", "float32")),
         "vertex": (count, PACKED, ("uint", "uint32")),
         "sh": (count, tuple(f"f_rest_{i}" for i in range(harmonics)), ("uchar", "uint8")),
     }
@@ -56,4 +61,20 @@ def read_compressed_ply(path: Path, header: PlyHeader) -> Gaussians:
             )
     header.check_size(path)
     end = header.size + sum(element.size or 0 for element in header.elements.values())
-    return from_gsply(path, gsply.decompress_from_bytes(path.read_bytes()[:end]))
+    return from_gsply(path, gsply.decompress_from_bytes(_bounded(path.read_bytes()[:end], header)))
+
+
+def _bounded(content: bytes, header: PlyHeader) -> bytes:
+    """Return the content of a file for gsply, with a plain header, and bounds of colours in every chunk."""
+    chunks, vertices = header.elements["chunk"], header.elements["vertex"]
+    end = header.size + (chunks.size or 0)
+    bounds = np.frombuffer(content[header.size : end], "<f4").reshape(chunks.count, -1)
+    if bounds.shape[1] < len(BOUNDS):
+        bounds = np.hstack([bounds, np.full((chunks.count, 3), 0, "<f4"), np.full((chunks.count, 3), 1, "<f4")])
+    lines = ["ply", "format binary_little_endian 1.0"]
+    lines += [f"element chunk {chunks.count}", *(f"property float {name}" for name in BOUNDS)]
+    lines += [f"element vertex {vertices.count}", *(f"property uint {name}" for name in PACKED)]
+    if "sh" in header.elements:
+        harmonics = header.elements["sh"].properties
+        lines += [f"element sh {vertices.count}", *(f"property uchar {name}" for name in harmonics)]
+    return "\n".join([*lines, "end_header", ""]).encode() + bounds.tobytes() + content[end:]

@@ -9,6 +9,8 @@ SLACK = 1 << 20
 """Additional unpacked bytes that every file may have, however small it is."""
 MOST_HARMONICS = 15
 """Harmonics above degree 0 that are read: those of degrees 1 to 3."""
+CONVERT = "convert it: npx @playcanvas/splat-transform {} splat.ply"
+"""What to do with a file of another format that this tool reads, with a place for the file's quoted name."""
 
 
 def warn_of_fourth_degree(path: Path) -> None:

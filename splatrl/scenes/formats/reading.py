@@ -14,7 +14,7 @@ import numpy as np
 from torch import Tensor
 
 from splatrl.files import refusing
-from splatrl.scenes.formats.limits import MAX_INFLATION
+from splatrl.scenes.formats.limits import CONVERT, MAX_INFLATION
 from splatrl.scenes.frame import similarity
 from splatrl.scenes.gaussians import LARGEST, Gaussians
 
@@ -33,7 +33,6 @@ KINDS = {
 """First bytes of a kind of file, and its extension. Read as the x of a first Gaussian, with which a .splat begins, they
 are beyond 1e10 m or below 1e-30 m."""
 STREAMED = "lod-meta.json"
-CONVERT = "convert it: npx @playcanvas/splat-transform {} splat.ply"
 EXPORT = "export it as a PLY or an SPZ from the program that made it"
 ELSEWHERE = {".ksplat": CONVERT, ".lcc": CONVERT, ".glb": EXPORT, ".gltf": EXPORT, ".splatv": EXPORT}
 """What to do with the formats of splats that are not read."""

@@ -1,6 +1,7 @@
 """Reads PlayCanvas's SOG version 2: lossless WebP textures, one pixel per Gaussian, and a meta.json, zipped or not."""
 
 import io
+import shlex
 import zipfile
 import zlib
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 from splatrl.documents import parsed_json
 from splatrl.extras import require
 from splatrl.files import checked_name, read_entry
-from splatrl.scenes.formats.limits import check_inflation
+from splatrl.scenes.formats.limits import CONVERT, check_inflation
 from splatrl.scenes.formats.stored import from_gsply
 from splatrl.scenes.gaussians import Gaussians
 
@@ -92,7 +93,9 @@ def _meta(path: Path, entries: dict[str, bytes]) -> dict[str, Any]:
     meta = parsed_json(f"{path}: meta.json", entries["meta.json"])
     if not isinstance(meta, dict) or meta.get("version") != 2:
         found = meta.get("version") if isinstance(meta, dict) else meta
-        raise ValueError(f"{path}: meta.json: version: expected 2, got {found!r}")
+        first = isinstance(meta, dict) and found is None and "means" in meta  # version 1 did not state its version
+        advice = f"; this is version 1; {CONVERT.format(shlex.quote(path.name))}" if first else ""
+        raise ValueError(f"{path}: meta.json: version: expected 2, got {found!r}{advice}")
     return meta
 
 
