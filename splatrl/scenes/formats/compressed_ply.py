@@ -18,7 +18,7 @@ BOUNDS = tuple(
     for name in names
 )
 COLOR_BOUNDS = {*BOUNDS[12:]}
-"""Bounds that files of older writers, such as SuperSplat until 2024, do not have: their colours range from 0 to 1."""
+"""Bounds that files of older writers do not have: their colours range from 0 to 1."""
 
 
 def is_compressed(header: PlyHeader) -> bool:
