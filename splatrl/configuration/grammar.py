@@ -32,8 +32,8 @@ def readable(word: str) -> str:
 
     Text that the grammar does not know, such as a path with an umlaut or parentheses, is quoted if it exists as a path,
     or if it contains none of the characters that have a meaning there. The path of an output is quoted even if it reads
-    as a list or as several values. Whole numbers may have exponents: 1e6 is read as 1000000, as counts need it. Options,
-    such as ``--cfg``, stay as they are.
+    as a list or as several values. Whole numbers may have exponents, as in 1e6, which Hydra reads as a float and counts
+    refuse. Options, such as ``--cfg``, stay as they are.
     """
     if word.startswith("-"):
         return word

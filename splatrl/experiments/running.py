@@ -7,13 +7,12 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import BinaryIO
 
-from tqdm import tqdm
-
 from splatrl.configuration import quoted
 from splatrl.experiments.experiment import Run
 from splatrl.experiments.folders import finished, frames_done, status
 from splatrl.files import alone_in, lock
 from splatrl.native.threads import CORES
+from splatrl.waits import Bar
 
 LOG = "log.txt"
 POLL = 0.5
@@ -111,7 +110,7 @@ def train(
     todo = set(waiting)
     frames = {run: frames_done(run.folder) if run in todo else run.frames for run in runs}
     total, initial = sum(run.frames for run in runs), sum(frames.values())
-    with tqdm(total=total, initial=initial, unit="frame", unit_scale=True, smoothing=0, dynamic_ncols=True) as bar:
+    with Bar(total=total, initial=initial, unit="frame", unit_scale=True, smoothing=0) as bar:
         try:
             while waiting or running:
                 while waiting and len(running) < jobs:
