@@ -67,3 +67,9 @@ class Bar(tqdm):
         """Clear the bar for lines above it; lines in a log stay."""
         if not self.lines:
             super().clear(*args, **options)
+
+    def close(self) -> None:
+        """End the bar; one that never moved, as before an error, is not left."""
+        if not self.disable:
+            self.leave = self.leave and self.n > self.initial
+        super().close()

@@ -99,9 +99,16 @@ def test_a_log_has_a_line_now_and_then_and_one_at_the_end(
     with Bar(total=2, desc="train") as bar, late_bar("test", 2, "episode") as below:
         bar.set_postfix(level=1)
         below.refresh()
+        bar.update()
     told = capsys.readouterr().err
     assert [line.partition(":")[0] for line in told.splitlines()] == ["train", "train", "test", "train"]
     assert "\r" not in told and "\x1b" not in told
+
+
+def test_a_bar_that_never_moved_is_not_left_above_an_error(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(ValueError, match="none"), Bar(total=2, desc="record"):
+        raise ValueError("none")
+    assert capsys.readouterr().err == ""
 
 
 def test_a_notebook_draws_bars_in_place(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
