@@ -43,6 +43,7 @@ class Bar(tqdm):
     """
 
     last_print_t: float
+    leave: bool
 
     def __init__(self, *args: Any, **options: Any):
         self.lines = not (sys.stderr.isatty() or "ipykernel" in sys.modules)  # notebooks draw in place, too
