@@ -5,10 +5,9 @@ import sys
 import time
 
 import pytest
-from tqdm import tqdm
 
 from splatrl import waits
-from splatrl.waits import announced, late_bar
+from splatrl.waits import Bar, announced, late_bar
 
 
 class Terminal(io.StringIO):
@@ -62,7 +61,7 @@ def test_what_takes_long_is_announced(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_an_announcement_has_a_line_of_its_own_above_bars(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = terminal_of(monkeypatch)
-    with tqdm(total=2, desc="scenes", ncols=60) as bar, late_bar("too early", 2, "time"):
+    with Bar(total=2, desc="scenes") as bar, late_bar("too early", 2, "time"):
         monkeypatch.setattr(waits, "LONG", 1e-9)
         with announced("computing levels"):
             wait_for("levels\n", terminal)
@@ -76,19 +75,44 @@ def test_a_bar_appears_only_if_something_takes_long_and_disappears(monkeypatch: 
     terminal = terminal_of(monkeypatch)
     for seconds, appears in ((60.0, False), (1e-9, True)):
         monkeypatch.setattr(waits, "LONG", seconds)
-        with tqdm(total=2, desc="train", ncols=60) as above, late_bar("try", 2, "time") as bar:
+        with Bar(total=2, desc="train") as above, late_bar("try", 2, "time") as bar:
             bar.refresh()
             above.update(2)
         assert ("try:" in terminal.getvalue()) == appears
     assert [line.partition(":")[0] for line in terminal.shown()] == ["train", "train"]
 
 
-def test_a_log_keeps_no_codes_that_move_a_cursor(
+def test_a_log_has_a_line_now_and_then_and_one_at_the_end(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(waits, "LONG", 1e-9)
-    with tqdm(total=2, desc="train") as bar, late_bar("test", 2, "episode") as below:
-        bar.update(2)
-        below.update(2)
+    with Bar(total=2, desc="train") as bar, late_bar("test", 2, "episode") as below:
+        for _ in range(2):
+            bar.update()
+            bar.set_postfix(level=1)
+            below.update()
+            Bar.write("computing levels", sys.stderr)
     told = capsys.readouterr().err
-    assert "train: 100%" in told and "test" not in told and "\x1b" not in told
+    *above, last = told.splitlines()
+    assert above == ["computing levels"] * 2 and last.startswith("train: 100%") and last.endswith("level=1]")
+    assert "\r" not in told
+    monkeypatch.setattr(waits, "SELDOM", 0.0)
+    with Bar(total=2, desc="train") as bar, late_bar("test", 2, "episode") as below:
+        bar.set_postfix(level=1)
+        below.refresh()
+        bar.update()
+    told = capsys.readouterr().err
+    assert [line.partition(":")[0] for line in told.splitlines()] == ["train", "train", "test", "train"]
+    assert "\r" not in told and "\x1b" not in told
+
+
+def test_a_bar_that_never_moved_is_not_left_above_an_error(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(ValueError, match="none"), Bar(total=2, desc="record"):
+        raise ValueError("none")
+    assert capsys.readouterr().err == ""
+
+
+def test_a_notebook_draws_bars_in_place(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setitem(sys.modules, "ipykernel", sys)
+    with Bar(total=2, desc="train"):
+        pass
+    assert capsys.readouterr().err.count("\r") > 1

@@ -10,7 +10,6 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 from torchrl.envs import Transform
-from tqdm import tqdm
 
 from splatrl.bodies import Body
 from splatrl.building.cost_cache import remembering
@@ -38,6 +37,7 @@ from splatrl.motions import Site
 from splatrl.native.threads import threads_of
 from splatrl.scenes.scene import Bounds, Scene, content_of
 from splatrl.values import under_key
+from splatrl.waits import Bar
 
 
 class Place(NamedTuple):
@@ -83,7 +83,7 @@ def build_places(
         raise ValueError(f"scene: expected one scene for a robot with physics, got {len(configs)}")
     with ThreadPoolExecutor(threads_of(None)) as pool:
         places = pool.map(partial(_build_one_of_several, device=device, repeats=repeats), names, configs)
-        return list(tqdm(places, "scenes", len(configs), unit="scene", dynamic_ncols=True))
+        return list(Bar(places, "scenes", len(configs), unit="scene"))
 
 
 def _build_one_of_several(name: str, cfg: DictConfig, device: torch.device, repeats: int) -> Place:

@@ -9,7 +9,6 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
-from tqdm import tqdm
 
 from splatrl.building.envs import worker_seed
 from splatrl.building.instantiation import instantiate
@@ -48,7 +47,7 @@ from splatrl.training import (
     views,
 )
 from splatrl.values import require_number
-from splatrl.waits import late_bar
+from splatrl.waits import Bar, late_bar
 
 
 def build_model(cfg: DictConfig, env: EnvBase) -> ActorValueOperator:
@@ -196,7 +195,7 @@ def _recorded(world: World | Worlds, episodes: int, seed: int) -> list[Demonstra
     """Record episodes of the task's teacher, or else of the planner, divided evenly among the scenes."""
     every, record = len(world.worlds), teacher_episodes if has_teacher(world) else planner_episodes
     shares = [(episodes + every - 1 - number) // every for number in range(every)]
-    with tqdm(total=episodes, unit="episode", desc="demonstrate", leave=False, dynamic_ncols=True) as bar:
+    with Bar(total=episodes, unit="episode", desc="demonstrate", leave=False) as bar:
         return [record(one, share, seed, bar.update) for one, share in zip(world.worlds, shares, strict=True) if share]
 
 

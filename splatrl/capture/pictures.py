@@ -191,7 +191,7 @@ def draw_map(
             )
         if thing is not None:
             axis.plot(*thing[:2], marker="*", color="#e3b341", markeredgecolor="black", markersize=12)
-        axis.set(xlim=ground.extent[:2], ylim=ground.extent[2:], xlabel="x, m", ylabel="y, m")
+        axis.set(xlim=ground.extent[:2], ylim=ground.extent[2:], xlabel="x (m)", ylabel="y (m)")
         axis.label_outer()
     with replacing(path) as stream:
         canvas.print_png(stream)
@@ -214,9 +214,9 @@ def draw_cameras(placed: Placed, area: Area, path: Path) -> None:
         axis.quiver(
             some[:, 0, 3], some[:, other, 3], some[:, 0, 2], some[:, other, 2], color=PATH, width=0.002, scale=30
         )
-        axis.set(xlim=(x0, x1), ylim=(low, high), aspect="equal", ylabel=f"{'xyz'[other]}, m")
+        axis.set(xlim=(x0, x1), ylim=(low, high), aspect="equal", ylabel=f"{'xyz'[other]} (m)")
     beside.axhline(0.0, color=BLOCKED, linewidth=0.8)
-    beside.set_xlabel("x, m")
+    beside.set_xlabel("x (m)")
     with replacing(path) as stream:
         canvas.print_png(stream)
 

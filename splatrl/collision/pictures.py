@@ -54,15 +54,15 @@ def draw_maps(voxels: Voxels, path: Path, low: float, high: float) -> None:
     extent = (left, left + size[0], front, front + size[1])
     heights = _heights(voxels, ceiling)
     image = axes[0].imshow(heights.T, origin="lower", extent=extent, cmap=COLORS, interpolation="nearest")
-    axes[0].set_title("height of solid voxels, m")
+    axes[0].set_title("height of solid voxels (m)")
     figure.colorbar(image, ax=axes[0], shrink=0.8)
     colors = ListedColormap([NOTHING, FREE, SOLID])
     axes[1].imshow(kinds.T, origin="lower", extent=extent, cmap=colors, vmin=0, vmax=2, interpolation="nearest")
     axes[1].set_title(f"free space (green) between {low:g} and {high:g} m")
     for axis in axes:
-        axis.set_xlabel("x, m")
+        axis.set_xlabel("x (m)")
         axis.set_facecolor(NOTHING)
-    axes[0].set_ylabel("y, m")
+    axes[0].set_ylabel("y (m)")
     with replacing(path) as stream:
         canvas.print_png(stream)
 

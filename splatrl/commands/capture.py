@@ -7,8 +7,6 @@ from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 
-from tqdm import tqdm
-
 from splatrl.capture.fit import FitSettings
 from splatrl.capture.marker import MARKER_SIDE, write_marker_page
 from splatrl.capture.pipeline import capture
@@ -21,9 +19,7 @@ from splatrl.device import chosen_device, device_line
 from splatrl.envs.robot import Robot
 from splatrl.files import expanded
 from splatrl.scenes.description import scene_folder
-
-SELDOM = 10.0
-"""Seconds between progress updates when the output is not a terminal, such as a log file."""
+from splatrl.waits import Bar
 
 
 def run(options: argparse.Namespace) -> None:
@@ -76,7 +72,7 @@ class Bars:
     """Progress bars with the time left, one for each activity of a stage."""
 
     def __init__(self) -> None:
-        self._bar: tqdm[object] | None = None
+        self._bar: Bar | None = None
         self._what = ""
 
     def __enter__(self) -> "Bars":
@@ -89,8 +85,7 @@ class Bars:
         """Show the progress of one activity of a stage."""
         if self._bar is None or what != self._what:
             self._close()
-            often = 0.1 if sys.stderr.isatty() else SELDOM
-            self._bar = tqdm(total=total, desc=what, dynamic_ncols=True, leave=False, mininterval=often)
+            self._bar = Bar(total=total, desc=what, leave=False)
             self._what = what
         self._bar.total = total
         self._bar.update(done - self._bar.n)

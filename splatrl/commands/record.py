@@ -13,7 +13,6 @@ from pathlib import Path
 import hydra
 import torch
 from omegaconf import DictConfig
-from tqdm import tqdm
 
 from splatrl.building import build_one_world
 from splatrl.building.instantiation import instantiate
@@ -38,6 +37,7 @@ from splatrl.viewer.driving import Driving
 from splatrl.viewer.keys import keys_of
 from splatrl.viewer.page import Page
 from splatrl.viewer.takes import Takes
+from splatrl.waits import Bar
 
 SCRIPTED = {"planner": planner_episodes, "teacher": teacher_episodes}
 BY = (*SCRIPTED, "keys")
@@ -52,6 +52,7 @@ def run(cfg: DictConfig) -> None:
     check_config(cfg)
     if cfg.by not in BY:
         raise ValueError(f"by: expected {', '.join(SCRIPTED)} or keys, got {cfg.by}")
+    require_number("episodes", cfg.episodes, 1, 10**6, whole=True)
     folders = {key: Path(cfg[key]) for key in ("out", "lerobot") if cfg[key] is not None}
     if cfg.lerobot is not None:
         out, other = (folders[key].resolve() for key in ("out", "lerobot"))
@@ -153,7 +154,7 @@ def untaken(path: Path) -> Path:
 
 def scripted(cfg: DictConfig, world: World) -> Demonstrations:
     """Record episodes in which the planner or the task's teacher chooses the actions."""
-    with tqdm(total=cfg.episodes, unit="episode", desc="record", dynamic_ncols=True) as bar:
+    with Bar(total=cfg.episodes, unit="episode", desc="record") as bar:
         return SCRIPTED[cfg.by](world, cfg.episodes, cfg.seed, bar.update)
 
 
@@ -165,7 +166,6 @@ def driven(cfg: DictConfig, world: World) -> Iterator[Demonstrations]:
     terminal is closed. Until the block succeeds, each episode has a file of its own in a folder beside ``cfg.out``,
     from which the same command continues after a kill.
     """
-    require_number("episodes", cfg.episodes, 1, 10**6, whole=True)
     folder, enough = takes_of(Path(cfg.out)), threading.Event()
     enough.set()
     folder.mkdir(exist_ok=True)

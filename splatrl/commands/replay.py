@@ -6,13 +6,13 @@ from pathlib import Path
 import hydra
 import torch
 from omegaconf import DictConfig
-from tqdm import tqdm
 
 from splatrl.building import build_one_world
 from splatrl.commands.entries import replay as main
 from splatrl.commands.faults import in_one_line
 from splatrl.configuration import check_config, conf_dir, config_elsewhere
 from splatrl.datasets import read_demonstrations, replay
+from splatrl.waits import Bar
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="replay")
@@ -27,7 +27,7 @@ def run(cfg: DictConfig) -> None:
     torch.set_num_threads(own.threads)
     world = build_one_world(own)
     demonstrations.warn_of_another_scene(world)
-    with tqdm(total=len(demonstrations), unit="frame", desc="replay", dynamic_ncols=True) as bar:
+    with Bar(total=len(demonstrations), unit="frame", desc="replay") as bar:
         different, views = replay(world, demonstrations, bar.update)
     what = f"{folder}: {len(demonstrations.starts):,} episodes, {len(demonstrations):,} frames"
     if different:

@@ -3,6 +3,7 @@
 import functools
 import re
 from collections.abc import Mapping, Sequence
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ NEW = ("out", "record", "folder", "hydra.run.dir", "hydra.sweep.dir")
 """Keys of paths to which something is written, and which need not exist yet; none takes several."""
 HOME = re.compile(r"(?:(?<=[=\[,:'\"])|(?<=[\[,:] ))~(?=/|$)")
 """The tilde at the beginning of a path in an override."""
+POWERS = re.compile(r"\d+(?:\.\d*)?[eE]\+?\d\d?")
+"""A number such as 1e6, which may be whole although Hydra reads a float."""
 
 
 @functools.cache
@@ -29,12 +32,16 @@ def readable(word: str) -> str:
 
     Text that the grammar does not know, such as a path with an umlaut or parentheses, is quoted if it exists as a path,
     or if it contains none of the characters that have a meaning there. The path of an output is quoted even if it reads
-    as a list or as several values. Options, such as ``--cfg``, stay as they are.
+    as a list or as several values. Whole numbers may have exponents, as in 1e6, which Hydra reads as a float and counts
+    refuse. Options, such as ``--cfg``, stay as they are.
     """
     if word.startswith("-"):
         return word
     word = HOME.sub(lambda _: str(expanded("~")), word)
     key, equals, value = word.partition("=")
+    if key not in NEW:
+        value = ",".join(map(_whole, value.split(",")))
+        word = f"{key}{equals}{value}"
     path = key in NEW and not value.startswith(("'", '"'))
     try:
         several = isinstance(overrides_parser().parse_override(word).value(), Sweep | list | dict)
@@ -42,6 +49,13 @@ def readable(word: str) -> str:
     except HydraException:
         misread = path or Path(value).exists() or not set("[]{}'\",").intersection(value)
     return f"{key}={quoted(value)}" if equals and misread else word
+
+
+def _whole(number: str) -> str:
+    """Write a whole number such as 1e6 without its exponent; return anything else unchanged."""
+    if not POWERS.fullmatch(number) or (exact := Decimal(number)) != int(exact):
+        return number
+    return str(int(exact))
 
 
 def quoted(value: object) -> str:

@@ -4,13 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from splatrl.native.threads import usable_cores
 from splatrl.scenes import yards
 from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks, read_blocks_description, scene_place
 from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.formats.reading import META
+from splatrl.waits import Bar
 
 __all__ = ["described", "found_scene", "is_in_blocks", "make_yards", "yard_proposals"]
 
@@ -47,5 +46,5 @@ def described(place: Path) -> dict[str, Any]:
 def make_yards(seeds: Sequence[int]) -> None:
     """Generate, in parallel, the yards that are not cached yet."""
     made = yards.made_yards(seeds, usable_cores())
-    for _ in tqdm(made, "yards", len(seeds), unit="yard", dynamic_ncols=True):
+    for _ in Bar(made, "yards", len(seeds), unit="yard"):
         pass

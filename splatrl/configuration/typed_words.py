@@ -70,6 +70,8 @@ def check_spelled(name: str, arguments: Sequence[str]) -> None:
         if "=" not in word and not word.startswith(("-", "~", "+")) and before not in WITH_VALUE:
             groups = [group for group in ("task", "scene") if name == "train" and word in options(group)]
             meant = f"{word}=..." if _is_ours(word, name) else f"{(*groups, MAIN_KEYS[name])[0]}={word}"
+            if ":" in word and _is_ours(word.partition(":")[0], name):
+                meant = word.replace(":", "=", 1)
             raise UserError(f"{word}: expected key=value; did you mean {meant}?")
 
 

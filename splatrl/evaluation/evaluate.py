@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from tensordict import TensorDictBase
-from tqdm import tqdm
 
 from splatrl.documents import write_json
 from splatrl.envs.transforms import simulated
@@ -20,6 +19,7 @@ from splatrl.evaluation.starts import Chosen, given_episodes, save_episodes, som
 from splatrl.evaluation.training_figures import learning_curve, scene_bars
 from splatrl.files import refusing
 from splatrl.values import tenths
+from splatrl.waits import Bar
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 RESULTS, BARS = "evaluation.json", "scenes.png"
@@ -130,7 +130,7 @@ def _run(
     repeated = starts.repeated(settings.repeats)
     env = world.env(min(settings.batch_size, len(repeated.state)), seed=settings.seed)
     total = len(repeated.state) + len(starts.state)
-    with tqdm(total=total, unit="episode", desc="evaluate", dynamic_ncols=True) as bar:
+    with Bar(total=total, unit="episode", desc="evaluate") as bar:
         sampled, argmax = (
             run_episodes(env, policy, chosen.state, how, settings.seed, bar.update, chosen.scene, chosen.memory)
             for chosen, how in ((repeated, True), (starts, False))

@@ -86,15 +86,15 @@ def draw_terrain(
     size = np.subtract(upper, lower)
     left.add_patch(Rectangle((lower[0], lower[1]), *size, fill=False, edgecolor="white", linestyle="--", linewidth=1.0))
     left.set_title(f"{len(boxes)} boxes; dashed: walkable area")
-    left.set_xlabel("x, m")
-    left.set_ylabel("y, m")
+    left.set_xlabel("x (m)")
+    left.set_ylabel("y (m)")
     _oblique(right, make(shown), surveyed, low, high, colors, (np.array(lower), np.array(upper)))
     right.set_title(
         f"ground at {floor:+.3f} m in the middle of the walkable area,\n"
         f"tilted by {math.degrees(surveyed.ground.tilt):.2f}°; 25 cm grid"
     )
     tall = ScalarMappable(Normalize(0.0, float(scale)), COLORS)
-    figure.colorbar(tall, ax=[left, right], shrink=0.7, aspect=30, label="height of box tops above the ground, m")
+    figure.colorbar(tall, ax=[left, right], shrink=0.7, aspect=30, label="height of box tops above the ground (m)")
     with replacing(path) as stream:
         canvas.print_png(stream)
 

@@ -10,7 +10,6 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
-from tqdm import tqdm
 
 from splatrl.cameras import Cameras
 from splatrl.envs.drawing import Drawing, Shot
@@ -22,6 +21,7 @@ from splatrl.evaluation.recording import Recording
 from splatrl.evaluation.topdown import MapView
 from splatrl.files import replacing
 from splatrl.values import tenths
+from splatrl.waits import Bar
 
 PANEL, WIDEST, GAP, STRIP = 384, 512, 8, 60
 """Height of the panels, maximum width of the map, space around the panels and height of the caption, pixels."""
@@ -68,7 +68,7 @@ def rollout_video(
     chart = Chart(view, robot.body, (WIDEST, PANEL))
     frames = _frames(recordings, robot, chart, drawing, action_names, fps, outside, goals)
     total = sum(len(recording.action) + 1 + _held(fps) for recording in recordings)
-    encode(tqdm(frames, "video", total, leave=False, unit="frame", dynamic_ncols=True), path, fps)
+    encode(Bar(frames, "video", total, leave=False, unit="frame"), path, fps)
 
 
 def _held(fps: int) -> int:

@@ -10,7 +10,6 @@ import torch
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from tqdm import tqdm
 
 from splatrl.building import build_one_world
 from splatrl.configuration import config_elsewhere, run_config
@@ -24,6 +23,7 @@ from splatrl.evaluation.walks import Hand, record_walks
 from splatrl.experiments.experiment import Run
 from splatrl.files import new_folder
 from splatrl.runs import load_policy
+from splatrl.waits import Bar
 
 
 def altered(cfg: DictConfig, seed: int) -> DictConfig:
@@ -57,7 +57,7 @@ def record_clips(
     lens: Lens | None = None,
 ) -> list[Path]:
     """Record walks in a world as clips, with a progress bar; see ``record_walks``."""
-    with tqdm(total=count, unit="clip", desc="record", dynamic_ncols=True) as bar:
+    with Bar(total=count, unit="clip", desc="record") as bar:
         return record_walks(folder, world, count, seed, height, hand, lens, bar.update)
 
 
@@ -122,14 +122,14 @@ class Watcher:
         found = read_clips(clips, self.names)
         for clip in found:
             _tell(self.eye, clip.source)
-        with tqdm(unit="frame", desc=self.name, dynamic_ncols=True) as bar:
+        with Bar(unit="frame", desc=self.name) as bar:
             return match(self.policy, self.names, found, self.eye, self.known, bar.update)
 
     def film(self, film: Path, output: Path) -> list[Path]:
         """Overlay a film with what the policy would do; see ``draw_film``."""
         _tell(self.eye, film)
         output.parent.mkdir(parents=True, exist_ok=True)
-        with tqdm(unit="frame", desc=self.name, dynamic_ncols=True) as bar:
+        with Bar(unit="frame", desc=self.name) as bar:
             return draw_film(self.policy, self.names, film, self.eye, output, self.known, bar.update)
 
 

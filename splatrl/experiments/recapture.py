@@ -15,7 +15,6 @@ import numpy as np
 import torch
 from PIL import Image
 from torch import Tensor
-from tqdm import tqdm
 
 from splatrl.building import build_one_world
 from splatrl.capture.area import SOLID
@@ -41,6 +40,7 @@ from splatrl.renderers import NativeRenderer
 from splatrl.scenes.description import SCENE_FILE, read_description, write_description
 from splatrl.scenes.placement import matrix_frame
 from splatrl.scenes.scene import Bounds
+from splatrl.waits import Bar
 
 FILM, CAPTURED, RECAPTURED = "walk.mp4", "captured", "recaptured"
 PHONE = Phone(960, 540)
@@ -103,8 +103,8 @@ def recapture(folder: Path, scenes: Mapping[str, Sequence[str]], original: str =
     height = float(truth.camera_to_world[:, 2, 3].mean() - world.scene.bounds[0][2])
     settings = CaptureSettings(camera_height=height, force=True)
     with _bar() as progress:
-        placed, notes = reconstruct(film, folder / CAPTURED, settings, progress, tqdm.write)
-        quality = build_scene(placed, folder / CAPTURED, settings, notes, progress, tqdm.write)
+        placed, notes = reconstruct(film, folder / CAPTURED, settings, progress, Bar.write)
+        quality = build_scene(placed, folder / CAPTURED, settings, notes, progress, Bar.write)
     off = deviation(placed, truth, PHONE.width)
     shutil.rmtree(target, ignore_errors=True)
     with new_folder(target) as made:
@@ -202,7 +202,7 @@ def _figures(missing: float, off: Deviation, quality: Quality, alike: Agreement)
 @contextmanager
 def _bar() -> Iterator[Progress]:
     """Provide one progress bar, shared by activities that run one after another."""
-    with tqdm(dynamic_ncols=True, leave=False) as bar:
+    with Bar(leave=False) as bar:
 
         def progress(what: str, done: int, total: int) -> None:
             bar.total = total

@@ -7,13 +7,12 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import BinaryIO
 
-from tqdm import tqdm
-
 from splatrl.configuration import quoted
 from splatrl.experiments.experiment import Run
 from splatrl.experiments.folders import finished, frames_done, status
 from splatrl.files import alone_in, lock
 from splatrl.native.threads import CORES
+from splatrl.waits import Bar
 
 LOG = "log.txt"
 POLL = 0.5
@@ -106,7 +105,7 @@ def train(
     """
     trainings = _Trainings(runs)
     total, initial = sum(run.frames for run in runs), sum(trainings.frames.values())
-    with tqdm(total=total, initial=initial, unit="frame", unit_scale=True, smoothing=0, dynamic_ncols=True) as bar:
+    with Bar(total=total, initial=initial, unit="frame", unit_scale=True, smoothing=0) as bar:
         try:
             while trainings.left:
                 trainings.begin(jobs, lambda run: begin(run, cores, program), bar.write)

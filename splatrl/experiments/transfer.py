@@ -6,7 +6,6 @@ from typing import Any
 
 import torch
 from omegaconf import DictConfig, OmegaConf
-from tqdm import tqdm
 
 from splatrl.building import build_world
 from splatrl.configuration import placed, run_config
@@ -16,7 +15,7 @@ from splatrl.evaluation.rollouts import run_episodes
 from splatrl.evaluation.starts import spread_starts
 from splatrl.experiments.experiment import Run
 from splatrl.runs import load_policy
-from splatrl.waits import late_bar
+from splatrl.waits import Bar, late_bar
 
 KEPT = ("success_rate", "success_rate_argmax", "collision_rate", "timeout_rate", "step_spl", "spl", "soft_spl")
 
@@ -45,7 +44,7 @@ def score_in(runs: Sequence[Run], places: Mapping[str, DictConfig]) -> list[dict
     """
     worlds: dict[tuple[str, str], World | Worlds] = {}
     rows = []
-    for run in tqdm(runs, unit="run", desc="tests", dynamic_ncols=True):
+    for run in Bar(runs, unit="run", desc="tests"):
         own = run_config(run.folder)
         for name, place in places.items():
             cfg = placed(own, place)

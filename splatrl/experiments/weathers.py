@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig
-from tqdm import tqdm
 
 from splatrl.building import build_one_world
 from splatrl.configuration import load_config, run_config
 from splatrl.experiments.experiment import Run
 from splatrl.experiments.transfer import tested
+from splatrl.waits import Bar
 
 KINDS = ("fog", "dusk", "sun", "rain", "snow", "wet")
 WEATHERS: dict[str, tuple[str, ...]] = {"clear": (), **{kind: (kind,) for kind in KINDS}}
@@ -29,7 +29,7 @@ def score_weathers(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
     """
     configs = {run.folder: run_config(run.folder) for run in runs}
     rows = []
-    for weather, kinds in tqdm(WEATHERS.items(), unit="weather", desc="weather", dynamic_ncols=True):
+    for weather, kinds in Bar(WEATHERS.items(), unit="weather", desc="weather"):
         worlds = {run.scene: build_one_world(in_weather(configs[run.folder], kinds)) for run in reversed(runs)}
         for run in runs:
             cfg = in_weather(configs[run.folder], kinds)

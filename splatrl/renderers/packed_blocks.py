@@ -7,14 +7,13 @@ from dataclasses import asdict, dataclass
 from hashlib import blake2b
 from typing import TypeVar
 
-from tqdm import tqdm
-
 from splatrl.files import cache_dir
 from splatrl.native.threads import threads_of
 from splatrl.renderers.lod import LEVELS_VERSION
 from splatrl.renderers.packed import PACKED_VERSION, packed_model
 from splatrl.scenes.blocks import Block
 from splatrl.scenes.cache import Arrays, cached_arrays
+from splatrl.waits import Bar
 
 Made = TypeVar("Made")
 
@@ -42,6 +41,4 @@ def for_each_block(make: Callable[[Block], Made], blocks: Sequence[Block], files
     """Call ``make`` on each block in parallel, with a progress bar if any of ``files`` is not in the cache yet."""
     known = all((cache_dir() / f"{name}.npz").is_file() for name in files)
     with ThreadPoolExecutor(threads_of(None)) as pool:
-        yield from tqdm(
-            pool.map(make, blocks), "pack blocks", len(blocks), unit="block", disable=known, dynamic_ncols=True
-        )
+        yield from Bar(pool.map(make, blocks), "pack blocks", len(blocks), unit="block", disable=known)

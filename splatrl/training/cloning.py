@@ -8,11 +8,11 @@ from torch import Tensor, nn
 from torch.distributions import Distribution
 from torch.nn.functional import smooth_l1_loss
 from torchrl.modules import ActorValueOperator
-from tqdm import tqdm
 
 from splatrl.training.distributions import Choice
 from splatrl.training.heads import distribution
 from splatrl.values import require_number
+from splatrl.waits import Bar
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Cloner:
             raise ValueError(f"frame: expected 0 first, where an episode begins, got {int(shown['frame'][0])}")
         count = len(shown["target"])
         bars = {"total": epochs * count, "initial": done * count, "desc": "imitate", "unit": "frame"}
-        with tqdm(**bars, leave=False, dynamic_ncols=True) as bar:
+        with Bar(**bars, leave=False) as bar:
             for number in range(done, epochs):
                 for group in self.optimizer.param_groups:
                     group["lr"] = self.settings.lr * (1.0 - number / epochs if anneal else 1.0)

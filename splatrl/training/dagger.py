@@ -13,13 +13,13 @@ from torch import Tensor
 from torch.nn.functional import one_hot
 from torchrl.data import Categorical, TensorSpec
 from torchrl.envs import EnvBase
-from tqdm import tqdm
 
 from splatrl.curriculum import Plan
 from splatrl.training.actor import Actor
 from splatrl.training.collectors import HostCollector
 from splatrl.training.learner import Learner
 from splatrl.values import require_number
+from splatrl.waits import Bar
 
 TAUGHT = "taught"
 """Key of the action that the teacher would have taken in a frame."""
@@ -84,7 +84,7 @@ def visited(
     """
     drives = torch.rand(env.numel()) < guided if guided else torch.zeros(env.numel(), dtype=torch.bool)
     acts = partial(_taught_actor, Actor(learner.model), env, plans, drives.to(env.device))
-    with tqdm(total=frames, desc="collect and label", unit="frame", leave=False, dynamic_ncols=True) as bar:
+    with Bar(total=frames, desc="collect and label", unit="frame", leave=False) as bar:
 
         def actor(td: TensorDictBase) -> TensorDictBase:
             bar.update(env.numel())

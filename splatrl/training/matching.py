@@ -13,13 +13,13 @@ from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
-from tqdm import tqdm
 
 from splatrl.envs.sensors import ImageGoal
 from splatrl.geometry import along_heading
 from splatrl.training.device_memory import with_room
 from splatrl.training.heads import orthogonal
 from splatrl.values import require_number
+from splatrl.waits import Bar
 
 READS = ("pixels", ImageGoal.KEY)
 
@@ -79,7 +79,7 @@ def views(env: EnvBase, frames: int) -> Views:
     image = torch.empty(shape, dtype=torch.uint8, device=with_room(env.device, math.prod(shape)))
     planar, scene = torch.empty(2, frames, 3), torch.zeros(2, frames, dtype=torch.int64)
     batches = torch.arange(frames).split(env.numel())
-    for rows in tqdm(batches, desc="collect views", unit="batch", leave=False, dynamic_ncols=True):
+    for rows in Bar(batches, desc="collect views", unit="batch", leave=False):
         begun = env.reset()
         for number, key in enumerate(READS):
             image[number, rows] = begun[key].to(image.device)
@@ -133,7 +133,7 @@ class Matcher:
         parameters = [*self._trunk.parameters(), *head.parameters()]
         optimizer = torch.optim.Adam(parameters, lr=self.settings.lr)
         steps = math.ceil(self.settings.pairs / size)
-        bar = tqdm(range(steps), desc="match views", unit="batch", leave=False, dynamic_ncols=True)
+        bar = Bar(range(steps), desc="match views", unit="batch", leave=False)
         for step in bar:
             for group in optimizer.param_groups:
                 group["lr"] = self.settings.lr * (1.0 - step / steps)

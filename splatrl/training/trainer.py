@@ -9,8 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from splatrl.files import remove_stale
 from splatrl.training.checkpoint import Checkpoints, save_checkpoint
 from splatrl.training.history import packed, unpacked, write_table
@@ -19,6 +17,7 @@ from splatrl.training.ppo import PPO
 from splatrl.training.stage import Resumable, Stage
 from splatrl.training.trackers import Tracker
 from splatrl.values import require_number
+from splatrl.waits import Bar
 
 TABLE = "progress.csv"
 KEPT = "imitation"
@@ -134,8 +133,8 @@ class Trainer:
         self._test_prepared()
         begun = self.ppo.frames
         total = begun + (self.ppo.total_frames - self.ppo.frames) // batch * batch
-        bars = {"total": total, "initial": begun, "unit": "frame", "desc": "train", "dynamic_ncols": True}
-        with interrupts() as interrupted, tqdm(**bars) as bar:
+        bars = {"total": total, "initial": begun, "unit": "frame", "desc": "train"}
+        with interrupts() as interrupted, Bar(**bars) as bar:
             while not self.ppo.finished:
                 before = self.ppo.frames
                 row = self.ppo.iterate()

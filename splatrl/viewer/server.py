@@ -39,6 +39,7 @@ def open_server(host: str, port: int, label: str) -> "viser.ViserServer":
     with redirect_stdout(io.StringIO()):  # viser draws its address in a box
         server = viser.ViserServer(host, port, label=label, verbose=False)
     server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large")
+    server.gui.main_panel.dock_right()  # beside the scene, whose right half a floating panel would hide
     _keep_to_itself(server, host)
     return server
 

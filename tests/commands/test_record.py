@@ -154,10 +154,12 @@ def test_invalid_arguments_are_reported_and_nothing_is_written(
     scene: list[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     given = [each.format(new=tmp_path / "new", demos=demos) for each in arguments]
     with pytest.raises(SystemExit, match=message):
         call(module, monkeypatch, *(scene if module is record else []), *given)
+    assert "record:" not in capsys.readouterr().err, "the world is not built first, and no bar is drawn"
     assert not (tmp_path / "new").exists()
 
 

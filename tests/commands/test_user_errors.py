@@ -193,6 +193,7 @@ ERRORS = [
     ("evaluate run=run ~evaluation", "evaluation: no such key. Valid keys at the top level: run, out, place,"),
     # The other commands.
     ("evaluate", "run: expected a value, got none; type run=<run folder>"),
+    ("train task:fps", "task:fps: expected key=value; did you mean task=fps?"),
     ("evaluate nowhere", "nowhere: expected key=value; did you mean run=nowhere?"),
     ("evaluate run=empty +foo=3", "foo: no such key. Valid keys at the top level: run, out, place,"),
     ("clips run=empty ++checkpont=best", "checkpont: no such key, did you mean checkpoint?"),

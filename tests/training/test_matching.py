@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 import torch
 from omegaconf import DictConfig
-from tqdm import tqdm
 
 from splatrl.building import build_model, build_trainer, build_world, trainers
 from splatrl.configuration import load_config
@@ -17,7 +16,7 @@ from splatrl.made_with import check_made_with
 from splatrl.training import Matcher, MatchingSettings, load_checkpoint, views
 from splatrl.training.history import unpacked
 from splatrl.training.matching import drawn, seen_from, views_of
-from splatrl.waits import late_bar
+from splatrl.waits import Bar, late_bar
 from tests.two_rooms import in_both
 
 FEW = ["task.nearest=0.3", "task.goals=6", "task.test_goals=3", "robot.body.radius=0.1"]
@@ -88,7 +87,7 @@ def test_matching_frames_count_and_come_before_all_others(
 ) -> None:
     bars: list[str] = []
 
-    def bar(what: str, total: int, unit: str) -> tqdm:
+    def bar(what: str, total: int, unit: str) -> Bar:
         bars.append(what)
         return late_bar(what, total, unit)
 

@@ -164,7 +164,9 @@ def test_a_drag_with_the_pointer_changes_the_yaml(tab: "Tab", page: Page, world:
     drawn(tab)
     tab.get_by_role("button", name="save to scene.yaml").wait_for()
     before = (folder / "scene.yaml").read_text()
-    x, y = 450, 280  # the middle of the view, where the goal's handle is: its axes begin there
+    view = tab.locator("canvas").first.bounding_box()
+    assert view is not None
+    x, y = view["x"] + view["width"] / 2, view["y"] + view["height"] / 2  # the goal's handle, where its axes begin
     for away in (14, 22, 30, 38, 46, 54, 62):  # along the handle's axis, whose length on the screen is not known
         tab.mouse.move(x + away, y)
         tab.mouse.down()

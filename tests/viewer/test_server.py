@@ -57,6 +57,13 @@ def test_a_page_that_opens_leaves_nothing_in_the_log(caplog: pytest.LogCaptureFi
     assert [one.getMessage() for one in caplog.records if one.name.startswith("websockets")] == []
 
 
+def test_the_panel_is_docked_beside_the_scene(server: viser.ViserServer) -> None:
+    visitor = Visitor(address(server))
+    docked = visitor.find("GuiSetPanelPositionMessage")
+    assert docked["position"] == {"kind": "edge", "edge": "right"}, "a floating panel hides half of the scene"
+    visitor.close()
+
+
 def test_no_page_can_request_a_public_share_url(server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[object] = []
     monkeypatch.setattr(viser.ViserServer, "request_share_url", lambda self: asked.append(self))

@@ -7,8 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
-from tqdm import tqdm
-
 from splatrl.documents import read_json, write_json
 from splatrl.files import cache_dir, checked_name, digest_of
 from splatrl.native.threads import usable_cores
@@ -20,6 +18,7 @@ from splatrl.scenes.scene import Bounds, checked_bounds
 from splatrl.scenes.town.build import around_gaussians, block_gaussians
 from splatrl.scenes.town.plan import SIZE
 from splatrl.values import require_number
+from splatrl.waits import Bar
 
 DIGESTS = "digests.json"
 """The digests of a town's files, the last file that is written."""
@@ -97,7 +96,7 @@ def _make(folder: Path, seed: int, blocks: int) -> None:
 
     _write(folder / "around.spz", lambda: around_gaussians(seed, numbers, numbers))
     with ThreadPoolExecutor(usable_cores()) as pool:
-        for _ in tqdm(pool.map(make, places), "town", len(places), unit="block", dynamic_ncols=True):
+        for _ in Bar(pool.map(make, places), "town", len(places), unit="block"):
             pass
     low, high = SIZE * numbers[0], SIZE * (numbers[-1] + 1)
     bounds: dict[str, Bounds] = {
