@@ -4,6 +4,7 @@ All robots form one batch in one scene. A robot whose episode ends starts the ne
 """
 
 import argparse
+import math
 
 import gymnasium
 import numpy as np
@@ -38,7 +39,7 @@ def main() -> None:
     parser.add_argument("--task", default="splatrl/Grid-v0")
     parser.add_argument("--robots", type=int, default=32)
     parser.add_argument("--steps", type=int, default=32, help="steps per robot between updates")
-    parser.add_argument("--frames", type=int, default=60_000)
+    parser.add_argument("--frames", type=int, default=60_000, help="rounded up to whole updates")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     torch.manual_seed(options.seed)
@@ -48,7 +49,7 @@ def main() -> None:
     seen = torch.from_numpy(envs.reset(seed=options.seed)[0])
     agent(seen)  # gives the lazy layer its size
     optimizer = torch.optim.Adam(agent.parameters(), lr=1e-3, eps=1e-5)
-    for update in range(options.frames // (options.robots * options.steps)):
+    for update in range(math.ceil(options.frames / (options.robots * options.steps))):
         shape = (options.steps, options.robots)
         views = torch.zeros(shape + seen.shape[1:], dtype=torch.uint8)
         actions, chances, values, rewards, dones = (torch.zeros(shape) for _ in range(5))

@@ -55,6 +55,12 @@ def test_ppo_in_one_file_learns_to_reach_near_goals() -> None:
 
 
 @pytest.mark.slow
+def test_ppo_in_one_file_rounds_frames_up_to_whole_updates() -> None:
+    lines = run("cleanrl_ppo.py", "--frames", "40", "--robots", "4", "--steps", "8").splitlines()
+    assert [line.split()[0] for line in lines] == ["32", "64"]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", ["direct", "process", "ray"])
 def test_the_collector_runs_with_each_backend(backend: str) -> None:
     lines = [line for line in run("collectors.py", backend, "--frames", "320").splitlines() if line.startswith(backend)]

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 from tensordict import TensorDictBase
-from torchrl.envs import Compose, EnvBase, FrameSkipTransform, Transform, TransformedEnv
+from torchrl.envs import Compose, EnvBase, FrameSkipTransform, ObservationNorm, Transform, TransformedEnv
 
 AnyTransform: TypeAlias = Transform | Callable[[TensorDictBase], TensorDictBase]
 
@@ -49,7 +49,8 @@ def check_transform(env: EnvBase, transform: AnyTransform) -> None:
 
     Raises:
         ValueError: for TorchRL's frame skip, which repeats the step from the same state, or a transform that drops what
-            the next step reads from the observations, so that TorchRL hands on the old values instead.
+            the next step reads from the observations, so that TorchRL hands on the old values instead. What is dropped
+            is not known while an ``ObservationNorm`` waits for statistics, which come from the env it is added to.
     """
     if isinstance(transform, Compose):
         for each in transform:
@@ -60,7 +61,7 @@ def check_transform(env: EnvBase, transform: AnyTransform) -> None:
             "FrameSkipTransform: expected splatrl.envs.transforms.FrameSkip instead; TorchRL's transform would repeat "
             "each step from the same state, because this env keeps its state in the TensorDict"
         )
-    elif isinstance(transform, Transform):
+    elif isinstance(transform, Transform) and not _awaits_statistics(env, transform):
         around = TransformedEnv(env, transform.clone(), auto_unwrap=False)
         if dropped := _observed(env) & {*around.state_spec.keys(True, True)} - _observed(around):
             raise ValueError(
@@ -68,6 +69,13 @@ def check_transform(env: EnvBase, transform: AnyTransform) -> None:
                 f"drops {', '.join(sorted(map(str, dropped)))} from the observations; select keys of collected batches "
                 "instead"
             )
+
+
+def _awaits_statistics(env: EnvBase, transform: Transform) -> bool:
+    """Return whether a transform, or one within it, is an ``ObservationNorm`` before ``init_stats``, without specs."""
+    transforms = [transform, *(around.transform for around in layers(env)[1])]
+    modules = [one for each in transforms for one in each.modules()]
+    return any(isinstance(one, ObservationNorm) and not one.initialized for one in modules)
 
 
 def _observed(env: EnvBase) -> set[str | tuple[str, ...]]:

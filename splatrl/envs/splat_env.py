@@ -42,8 +42,9 @@ class SplatEnv(StateWhenAsked):
 
     In a step, the task's motion carries out the actions, the drawing renders what the robots then see, and the task
     judges the result once. On a GPU neither a step nor a reset synchronises with the host. A reset of some rows draws
-    start states for all rows, of which TorchRL keeps the requested ones; only the requested images are rendered. Under
-    ``torch.compile``, step and reset run eagerly, between the graphs of the surrounding code.
+    start states for all rows, of which TorchRL keeps the requested ones; only the requested images are rendered, and
+    transforms find in the other rows what the env returned last. Under ``torch.compile``, step and reset run eagerly,
+    between the graphs of the surrounding code.
 
     With several scenes, each episode takes place in one of them, drawn when it begins: ``scene`` [B, 1] int64, which
     travels in the TensorDict and must accompany a given ``state``. Checker and task select the values of each row's
@@ -111,6 +112,7 @@ class SplatEnv(StateWhenAsked):
         self.curriculum.seat(self.numel())
         self.made_by: Callable[..., SplatEnv] | None = None
         self.generator = torch.Generator(self.device)
+        self._last: dict[str, Tensor] = {}  # what the env returned last, shown for robots that a reset leaves alone
         self._action = task.motion.action_spec  # of one robot
         self._task_keys, self._sensor_keys = tuple(task.memory_spec), tuple(self.senses.memory_spec())
         specs = env_specs(task, self.senses, self.scenes, self.batch_size, self.device)
@@ -150,6 +152,7 @@ class SplatEnv(StateWhenAsked):
         """
         super().to(device)
         self.__dict__.pop("lattice_steps", None)
+        self._last = {}
         self.task = self.task.to(self.device)
         if self.generator.device != self.device:
             self.generator = torch.Generator(self.device).manual_seed(self.generator.initial_seed())
@@ -184,7 +187,8 @@ class SplatEnv(StateWhenAsked):
         only = None if mask is None else mask.flatten()
         start = self.lifecycle.given(given, only) if set_state else self.lifecycle.draw(only, seeds)
         kept = given if set_state else NOTHING
-        return self._made(self.rules.begun(start, kept, given.get("camera_offset", None), only))
+        begun = self.rules.begun(start, kept, given.get("camera_offset", None), only)
+        return self._made(begun if only is None else self._among_last(begun, only))
 
     def restarted(self, after: Mapping[str, Tensor], rows: Tensor) -> dict[str, Tensor]:
         """Return a step's result, [B, ...] by key, with some rows replaced by new episodes as in a reset.
@@ -226,8 +230,22 @@ class SplatEnv(StateWhenAsked):
         old |= {key: held[key] for key, zeros in old.items() if key in held and _alike(held[key], zeros)}
         return dict(zip(fresh, with_rows(list(old.values()), rows, list(fresh.values())), strict=True))
 
+    def _among_last(self, begun: dict[str, Tensor], only: Tensor) -> dict[str, Tensor]:
+        """Return beginnings of episodes in some rows, [B] bool; other rows repeat the observations returned last.
+
+        TorchRL discards these rows, but only after transforms have read them: statistics would count blank views.
+        """
+        ends = set(self.done_keys)
+        return {
+            key: torch.where(only.view(-1, *[1] * (new.ndim - 1)), new, self._last[key])
+            if key in self._last and key not in ends
+            else new
+            for key, new in begun.items()
+        }
+
     def _made(self, values: dict[str, Tensor]) -> TensorDict:
         """Wrap the env's own entries in a TensorDict, skipping its checks of each entry's shape and device."""
+        self._last = values
         return TensorDict._new_unsafe(values, batch_size=self.batch_size, device=self.device)
 
     def _step_proc_data(self, next_tensordict: TensorDictBase) -> TensorDictBase:

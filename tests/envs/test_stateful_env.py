@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import torch
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torchrl.collectors import Collector
 from torchrl.envs import (
@@ -17,6 +18,7 @@ from torchrl.envs import (
     EnvBase,
     ExcludeTransform,
     FrameSkipTransform,
+    ObservationNorm,
     RenameTransform,
     RewardScaling,
     RewardSum,
@@ -211,6 +213,7 @@ def test_a_transform_that_drops_what_the_next_step_reads_is_refused(
 
 
 def test_transforms_that_leave_what_the_next_step_reads_are_accepted() -> None:
+    torch.manual_seed(0)  # actions with which no episode ends
     env = tiny_env((2,))
     env = env.append_transform(RenameTransform(["state"], ["place"], ["state"], ["place"]))
     env = env.append_transform(SelectTransform("pixels", *env.state_spec.keys()))
@@ -218,6 +221,42 @@ def test_transforms_that_leave_what_the_next_step_reads_are_accepted() -> None:
     after = env.rollout(3, break_when_any_done=False)
     assert torch.equal(after["place"][:, 1:], after["next", "place"][:, :-1])
     assert not {"outcome", "pixels"} & {*after["next"].keys()}
+
+
+@pytest.mark.parametrize("together", [False, True])
+def test_an_observation_norm_takes_its_statistics_from_the_env_that_it_is_added_to(together: bool) -> None:
+    env, transforms = tiny_env((2,)), [ObservationNorm(in_keys=["free_fraction"]), RewardSum()]
+    for transform in [Compose(*transforms)] if together else transforms:
+        env = env.append_transform(transform)
+    with pytest.raises(ValueError, match="FrameSkipTransform: expected"):
+        env.append_transform(FrameSkipTransform(2))
+    env.transform[0].init_stats(8, reduce_dim=(0, 1), cat_dim=1)
+    with pytest.raises(ValueError, match="SelectTransform: expected"):
+        env.append_transform(SelectTransform("pixels"))
+    assert {"episode_reward", "free_fraction"} <= {*env.rollout(2).keys()}
+
+
+class Watch(Transform):
+    """Keeps what a transform finds in a reset."""
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        self.found = tensordict_reset.clone()
+        return tensordict_reset
+
+
+@pytest.mark.parametrize("around", [StatefulEnv, TransformedEnv])
+def test_in_a_partial_reset_transforms_find_other_robots_as_they_were_last(around: type[TransformedEnv]) -> None:
+    watch = Watch()
+    env = around(tiny_env((3,)), watch)
+    last = env.step(env.reset().set("action", torch.tensor([4, 4, 4])))["next"].clone()
+    ended = torch.tensor([[True], [False], [True]])
+    last["done"], last["terminated"] = ended, ended
+    fresh = env.maybe_reset(last.exclude("reward"))
+    rest = ~ended.flatten()
+    for key in ("pixels", "state", "step_count"):
+        assert torch.equal(watch.found[key][rest], last[key][rest])
+        assert torch.equal(watch.found[key][~rest], fresh[key][~rest])
+    assert not watch.found["done"].any()
 
 
 def test_action_transforms_work_around_it(tmp_path: Path) -> None:

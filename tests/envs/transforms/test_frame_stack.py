@@ -44,6 +44,7 @@ def test_a_step_depends_on_its_input_alone() -> None:
 
 
 def test_a_given_state_keeps_the_views_that_are_given_with_it() -> None:
+    torch.manual_seed(0)  # actions with which no episode ends
     env = stacked()
     given = env.rollout(4)[:, -1].exclude("next", "action")
     again = env.reset(given.clone(), set_state=True)
