@@ -3,6 +3,7 @@
 import re
 import shlex
 import sys
+from collections import Counter
 from pathlib import Path
 from pydoc import locate
 
@@ -50,6 +51,11 @@ def test_the_readme_lists_every_package_and_every_page() -> None:
 def test_the_readme_shows_every_command() -> None:
     scripts = re.findall(r"^(splatrl-\w+) = ", (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
     assert scripts and all(script in README for script in scripts)
+
+
+def test_no_change_stands_twice_in_the_changelog() -> None:  # as after a merge of what was moved meanwhile
+    changes = [line for line in (ROOT / "CHANGELOG.md").read_text().splitlines() if line.startswith("- ")]
+    assert [line for line, times in Counter(changes).items() if times > 1] == []
 
 
 @pytest.mark.parametrize("page", [*DOCS, *sorted(ROOT.glob("*.md"))], ids=lambda path: path.name)

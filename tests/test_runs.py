@@ -12,7 +12,7 @@ from PIL import Image
 
 from splatrl.building import build_world
 from splatrl.configuration import config_elsewhere, run_config
-from splatrl.made_with import actions_of, made_with
+from splatrl.made_with import actions_of, check_actions, made_with
 from splatrl.motions import DriveMotion, NavigateMotion
 from splatrl.runs import load_policy
 from splatrl.scenes import write_gaussians
@@ -179,6 +179,15 @@ def test_a_robot_with_other_actions_than_the_policy_is_refused_or_mentioned(run:
     trained_with(3)
     with pytest.raises(ValueError, match=r"last\.pt: expected the actions of a policy, got "):
         load_policy(folder, world=world)
+
+
+def test_limits_of_actions_that_a_file_rounds_are_the_same_limits(tmp_path: Path) -> None:
+    half = math.pi / 2
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_actions(tmp_path, [[-0.25, -1.5708], [0.5, 1.5708]], [[-0.25, -half], [0.5, half]])
+    with pytest.warns(match=r"\[-0.25, -1.57\] to \[0.5, 1.57\] in training, and now are \[-0.25, -1.6\] to"):
+        check_actions(tmp_path, [[-0.25, -1.6], [0.5, 1.6]], [[-0.25, -half], [0.5, half]])
 
 
 def test_the_actions_of_a_policy_are_their_names_or_their_limits() -> None:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from splatrl.configuration import config_elsewhere, resumed_config, run_config, 
 from splatrl.configuration.elsewhere import TYPED
 from splatrl.files import alone_in
 from splatrl.made_with import check_made_with, made_with
+from splatrl.runs import load_policy
 from splatrl.scenes import write_gaussians
 from splatrl.training import load_checkpoint
 from tests.preloaded import Process, start
@@ -199,6 +201,13 @@ def test_resuming_a_run_with_changed_settings_is_refused_by_default(
 
 def then(folder: Path) -> dict[str, Any]:
     return load_checkpoint(folder / "checkpoints" / "last.pt")["made_with"]
+
+
+def test_a_checkpoint_holds_the_actions_of_the_robot_which_then_meets_its_own_policy(run: tuple[Path, str]) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        trained = load_policy(run[0])
+    assert then(run[0])["actions"] == list(trained.world.task.motion.action_names) != []
 
 
 def test_settings_that_do_not_affect_training_may_change_on_resume(run: tuple[Path, str]) -> None:

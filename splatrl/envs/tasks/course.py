@@ -28,7 +28,7 @@ class CourseRewards(FiniteRewards):
     Attributes:
         progress: per metre by which the robot came nearer to the next place; passing it counts as reaching its centre.
         passed: for passing a place.
-        crash: for touching anything, or leaving the bounds.
+        crash: for touching anything, falling over, or leaving the bounds.
         slack: added in every step.
 
     Raises:

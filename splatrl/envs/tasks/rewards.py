@@ -86,7 +86,5 @@ class OutcomeTask(TaskModule):
     def _outcome(self, step: Step, goal: Tensor) -> Tensor:
         """Return the outcome of each step, with collision before bounds before goal: [B] bool -> [B] int64."""
         outcome = torch.where(step.move.inside, goal * Outcome.GOAL, Outcome.OUT_OF_BOUNDS)  # RUNNING is 0
-        collides = step.move.free_fraction < 1
-        if self.motion.leaves:  # with physics
-            collides |= self.motion.fallen(step.move.state)
+        collides = (step.move.free_fraction < 1) | self.motion.fallen(step.move.state)
         return torch.where(collides, Outcome.COLLISION, outcome)

@@ -26,7 +26,7 @@ class Route(Course):
 
     A ball of one colour hovers above the next waypoint, and one of another colour above the waypoint after it. Cars
     drive through the balls. A waypoint is passed within ``reach``; a car that is more than ``leeway`` beyond the bounds
-    has left them. ``Course`` describes the rest.
+    has left them. A robot that falls over has crashed. ``Course`` describes the rest.
 
     Observation: ``pixels`` [B, H, W, 3] uint8, the ego view.
     Action: the motion's; for ``car`` [B, 2] float32, speed in metres per second and mean steering angle in radians.
