@@ -18,7 +18,7 @@ from splatrl.capture.photo_files import read_photo
 from splatrl.capture.world import Placed
 from splatrl.collision.pictures import FREE, SOLID
 from splatrl.envs.robot import Robot
-from splatrl.evaluation.chart import font
+from splatrl.evaluation.figure_style import font
 from splatrl.evaluation.topdown import DEPTH, footprint, top_down
 from splatrl.files import replacing
 from splatrl.renderers import NativeRenderer

@@ -22,9 +22,7 @@ def run(cfg: DictConfig) -> None:
     check_config(cfg)
     require_number("frames", cfg.frames, 1, 10**7, whole=True)
     folder = Path(cfg.run)
-    out = Path(cfg.out or folder / "export")
-    if out.is_file():
-        raise ValueError(f"out: expected a folder, got {out}, a file")
+    out = _chosen_folder(Path(cfg.out)) if cfg.out else folder / "export"
     own = config_elsewhere(folder, cfg.place, cfg.allow_targets)
     torch.set_num_threads(own.threads)
     trained = load_policy(folder, cfg.checkpoint, "cpu", own, place=cfg.place)
@@ -32,6 +30,20 @@ def run(cfg: DictConfig) -> None:
     found = export_policy(trained.model, trained.world, out, cfg.frames, facts)
     print(f"{out / POLICY}: outputs differ from PyTorch by at most {found:.1e} on {cfg.frames:,} views")
     print(f"{out / RUNNER}: runs the policy on a video or a camera")
+
+
+def _chosen_folder(out: Path) -> Path:
+    """Return the folder that was typed for an export.
+
+    Raises:
+        ValueError: if it holds files of an export, of which the script may have been changed.
+    """
+    if out.is_file():
+        raise ValueError(f"out: expected a folder, got {out}, a file")
+    for name in (POLICY, RUNNER):
+        if (out / name).exists():
+            raise ValueError(f"out: expected a folder without {name}, got {out}, which holds one")
+    return out
 
 
 if __name__ == "__main__":

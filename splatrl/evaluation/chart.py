@@ -1,18 +1,15 @@
 """The map panel of a video: its background is drawn once, and the robot is drawn on it for every frame."""
 
-import functools
 import math
 from itertools import chain
-from pathlib import Path
 
-import matplotlib
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from splatrl.bodies import Body, Box, Sphere
 from splatrl.envs.tasks import Mark, Outcome
-from splatrl.evaluation.figure_style import BLUE, INK, MISSED, PARTLY, REACHED, mark_styles
+from splatrl.evaluation.figure_style import BLUE, INK, MISSED, PARTLY, REACHED, font, mark_styles
 from splatrl.evaluation.recording import Recording
 from splatrl.evaluation.start_maps import ARROW
 from splatrl.evaluation.topdown import MapView
@@ -29,12 +26,6 @@ COLORS = {
     Outcome.OUT_OF_BOUNDS: MISSED,
     Outcome.STOPPED: MISSED,
 }
-
-
-@functools.cache
-def font(size: int) -> ImageFont.FreeTypeFont:
-    """Load the font that ships with matplotlib, so that every machine has it."""
-    return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", size)
 
 
 class Chart:
@@ -115,12 +106,12 @@ class Chart:
 
     def _legend(self, pen: ImageDraw.ImageDraw, styles: dict[str, tuple[str, int]]) -> None:
         """Draw a legend of the marks in the lower right corner."""
-        words = font(14 * FINE)
-        left = FINE * (self.size[0] - 12) - max(pen.textlength(name, words) for name in styles)
+        fonts = {name: font(14 * FINE, name) for name in styles}
+        left = FINE * (self.size[0] - 12) - max(pen.textlength(name, fonts[name]) for name in styles)
         for row, (name, (color, corners)) in enumerate(reversed(styles.items())):
             y = FINE * (self.size[1] - 16 - 20 * row)
             _shape(pen, (left - 12 * FINE, y), 5, color, corners)
-            pen.text((left, y), name, INK, words, "lm", stroke_width=2 * FINE, stroke_fill="white")
+            pen.text((left, y), name, INK, fonts[name], "lm", stroke_width=2 * FINE, stroke_fill="white")
 
     def _ruler(self, pen: ImageDraw.ImageDraw) -> None:
         """Draw a scale bar whose length is a round number of metres."""

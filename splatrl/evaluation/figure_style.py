@@ -9,6 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.font_manager import fontManager, get_font
 from matplotlib.text import Text
+from PIL import ImageFont
 
 from splatrl.envs.tasks.base import Mark
 from splatrl.files import replacing
@@ -37,11 +38,28 @@ def legible(name: str) -> str:
 @cache
 def _family(letter: str) -> str | None:
     """Return a font family that has a letter, matplotlib's own if it does; None if no installed family has it."""
-    code = ord(letter)
-    if get_font(fontManager.findfont(OWN_FONT)).get_char_index(code):
+    if _has(OWN_FONT, letter):
         return OWN_FONT
+    code = ord(letter)
     others = (font for font in fontManager.ttflist if not font.name.startswith((OWN_FONT, "Last Resort")))
     return next((font.name for font in others if get_font(font.fname).get_char_index(code)), None)
+
+
+def font(size: int, words: str = "") -> ImageFont.FreeTypeFont:
+    """Load a font for Pillow: matplotlib's own, or an installed one that has more letters of some words."""
+    families = dict.fromkeys([OWN_FONT, *filter(None, map(_family, words))])
+    if len(families) == 1:
+        return _loaded(OWN_FONT, size)
+    return _loaded(max(families, key=lambda family: sum(_has(family, letter) for letter in words)), size)
+
+
+@cache
+def _loaded(family: str, size: int) -> ImageFont.FreeTypeFont:
+    return ImageFont.truetype(fontManager.findfont(family), size)
+
+
+def _has(family: str, letter: str) -> bool:
+    return bool(get_font(fontManager.findfont(family)).get_char_index(ord(letter)))
 
 
 def save_figure(figure: Figure, path: Path) -> None:

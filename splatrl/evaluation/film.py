@@ -11,9 +11,9 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from splatrl.evaluation.chart import font
 from splatrl.evaluation.clip_files import film_images
 from splatrl.evaluation.clips import predictions
+from splatrl.evaluation.figure_style import font
 from splatrl.evaluation.policy_camera import Eye
 from splatrl.evaluation.rollouts import acting
 from splatrl.evaluation.video import encode
@@ -105,5 +105,6 @@ def _page(image: Image.Image, view: Tensor, chances: Sequence[float], names: Seq
         y, best = top + row * each, chance == max(chances)
         bar = (wide + 10, y, wide + 10 + round((PANEL - 20) * chance), y + each - 4)
         pen.rectangle(bar, fill="#2a9d8f" if best else "#465a5a")
-        pen.text((wide + 16, y + (each - 4) / 2), name, fill="white" if best else "#bbbbbb", font=font(13), anchor="lm")
+        place, color = (wide + 16, y + (each - 4) / 2), "white" if best else "#bbbbbb"
+        pen.text(place, name, fill=color, font=font(13, name), anchor="lm")
     return page

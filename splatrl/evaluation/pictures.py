@@ -109,7 +109,7 @@ class Pictures:
             self.view,
             path,
             env.drawing,
-            motion.action_names,
+            motion.action_names or motion.controls,
             fps=steps_a_second(motion),
             outside=outside,
             goals=env.task.goals_for_success,

@@ -50,8 +50,8 @@ def draw_terrain(
 ) -> None:
     """Draw ground and boxes over a scene, from above and obliquely, as PNG.
 
-    Outlines of boxes are coloured by the height of their tops above the ground; the ground is drawn as a 25 cm grid,
-    and dashed lines mark the bounds.
+    The scene is drawn without its view-dependent colours. Outlines of boxes are coloured by the height of their tops
+    above the ground; the ground is drawn as a 25 cm grid, and dashed lines mark the bounds.
 
     Args:
         gaussians: the scene's Gaussians, world frame.
@@ -61,6 +61,7 @@ def draw_terrain(
         path: file to write, ending in .png.
         antialiased: whether to render the scene antialiased.
     """
+    gaussians = gaussians.replace(sh=gaussians.sh[:, :1])  # each picture copies what it shows of a scene
     boxes = surveyed.terrain.boxes.numpy()
     floor = float(surveyed.ground.height(0.5 * (np.array(lower) + np.array(upper))))
     corners = np.stack([boxes[:, :2] - boxes[:, 3:5], boxes[:, :2] + boxes[:, 3:5]])
@@ -68,7 +69,6 @@ def draw_terrain(
     high = np.maximum(upper, corners[1].max(0, initial=-np.inf)) + AROUND
     tops = boxes[:, 2] + boxes[:, 5] - surveyed.ground.height(boxes[:, :2])
     cut = floor + max(float(tops.max(initial=0.0)), 0.0) + ABOVE
-    shown = gaussians[gaussians.means[:, 2] < cut]
     scale = tops.max(initial=0.1)
     colors = colormaps[COLORS](tops / scale)
     sides = [min(max((high[0] - low[0]) / (high[1] - low[1]), 0.6), 2.4), 4 / 3]  # relative to their height
@@ -88,7 +88,8 @@ def draw_terrain(
     left.set_title(f"{len(boxes)} boxes; dashed: walkable area")
     left.set_xlabel("x (m)")
     left.set_ylabel("y (m)")
-    _oblique(right, make(shown), surveyed, low, high, colors, (np.array(lower), np.array(upper)))
+    shown = make(gaussians[gaussians.means[:, 2] < cut])
+    _oblique(right, shown, surveyed, low, high, colors, (np.array(lower), np.array(upper)))
     right.set_title(
         f"ground at {floor:+.3f} m in the middle of the walkable area,\n"
         f"tilted by {math.degrees(surveyed.ground.tilt):.2f}°; 25 cm grid"

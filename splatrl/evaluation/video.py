@@ -8,23 +8,21 @@ from types import MappingProxyType
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
-from torch import Tensor
+from PIL import Image, ImageDraw
 
 from splatrl.cameras import Cameras
 from splatrl.envs.drawing import Drawing, Shot
 from splatrl.envs.robot import Robot
-from splatrl.envs.tasks import Outcome
-from splatrl.evaluation.chart import COLORS, Chart, font
-from splatrl.evaluation.figure_style import INK
+from splatrl.evaluation.captions import STRIP, Captions
+from splatrl.evaluation.chart import Chart
+from splatrl.evaluation.figure_style import INK, font
 from splatrl.evaluation.recording import Recording
 from splatrl.evaluation.topdown import MapView
 from splatrl.files import replacing
-from splatrl.values import tenths
 from splatrl.waits import Bar
 
-PANEL, WIDEST, GAP, STRIP = 384, 512, 8, 60
-"""Height of the panels, maximum width of the map, space around the panels and height of the caption, pixels."""
+PANEL, WIDEST, GAP = 384, 512, 8
+"""Height of the panels, maximum width of the map and space around the panels, pixels."""
 HOLD = 0.7
 """Extra time for which the last frame of an episode is held, seconds."""
 X264 = {"crf": "18", "preset": "veryfast", "x264-params": "mbtree=0"}
@@ -54,7 +52,8 @@ def rollout_video(
         view: background and marks of the map.
         path: the video file.
         drawing: draws the ego view large, with the policy's own pixels in its corner; None enlarges those pixels.
-        action_names: names of the actions, by index; empty for continuous actions.
+        action_names: names of discrete actions, by index, or of the numbers of a continuous one; empty for numbers
+            without names.
         fps: steps per second of video.
         outside: gives cameras that look at the robot of a recording, one per step, for a third panel; needs
             ``drawing``.
@@ -86,7 +85,8 @@ def _frames(
     outside: Callable[[Recording], Cameras] | None,
     goals: int | None,
 ) -> Iterator[Image.Image]:
-    for number, recording in enumerate(recordings, 1):
+    captions: Captions | None = None
+    for number, recording in enumerate(recordings):
         last = len(recording.action)
         panels = [_views(recording, robot, drawing)]
         if outside is not None and drawing is not None:
@@ -99,15 +99,8 @@ def _frames(
             for panel in drawn:
                 page.paste(panel, (left, GAP + (PANEL - panel.height) // 2))
                 left += panel.width + GAP
-            facts = [
-                ("episode", f"{number} of {len(recordings)}"),
-                ("step", str(step)),
-                ("action", _action(recording.action[step - 1], action_names) if step else "none yet"),
-                ("return", tenths(float(recording.episode_return[step]))),
-            ]
-            if recording.goals is not None:
-                facts.append(("goals", f"{int(recording.goals[step])} of {goals}"))
-            _caption(page, facts, recording.outcome if step == last else Outcome.RUNNING)
+            captions = captions or Captions(recordings, action_names, goals, page.width)
+            captions.write(page, number, step)
             for _ in range(1 + _held(fps) * (step == last)):
                 yield page
 
@@ -141,37 +134,6 @@ def _drawn(recording: Recording, drawing: Drawing, cameras: Cameras) -> Iterator
         memory = {key: value[rows] for key, value in recording.memory.items()}
         parts = None if recording.parts is None else recording.parts.rows(rows)
         yield from drawing.draw(Shot(cameras[rows], memory, parts)).pixels.cpu().numpy()
-
-
-def _action(action: Tensor, names: Sequence[str]) -> str:
-    if names:
-        return names[int(action)]
-    return " ".join(f"{round(value, 2) + 0.0:.2f}" for value in action.reshape(-1).tolist())
-
-
-def _caption(page: Image.Image, facts: list[tuple[str, str]], outcome: Outcome) -> None:
-    """Write the facts below the panels, and the outcome as a badge."""
-    pen = ImageDraw.Draw(page)
-    column, top = page.width / (len(facts) + 1), page.height - STRIP + 4
-    for number, (name, value) in enumerate([*facts, ("outcome", "")]):
-        left = number * column + 2 * GAP
-        pen.text((left, top), name, fill="#aaaaaa", font=font(12), anchor="lt")
-        pen.text((left, top + 36), value, fill="white", font=fitting(value, column - GAP), anchor="ls")
-    if outcome is Outcome.RUNNING:
-        pen.text((left, top + 36), "running", fill="white", font=font(18), anchor="ls")
-        return
-    words = outcome.name.replace("_", " ").lower()
-    wide = pen.textlength(words, font=font(16))
-    pen.rounded_rectangle((left - 6, top + 17, left + wide + 6, top + 44), 5, fill=COLORS[outcome])
-    pen.text((left, top + 30), words, fill="white", font=font(16), anchor="lm")
-
-
-def fitting(words: str, width: float) -> ImageFont.FreeTypeFont:
-    """Return the largest font, from 18 down to 8 pixels, in which words fit a width in pixels."""
-    size = 18
-    while size > 8 and font(size).getlength(words) > width:
-        size -= 1
-    return font(size)
 
 
 def encode(

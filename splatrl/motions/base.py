@@ -86,6 +86,11 @@ class Motion(Protocol):
         ...
 
     @property
+    def controls(self) -> Sequence[str]:
+        """A name for each number of a continuous action, with its unit where that is known; empty if there are none."""
+        ...
+
+    @property
     def action_spec(self) -> TensorSpec:
         """Spec of one robot's action."""
         ...

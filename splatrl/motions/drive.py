@@ -87,6 +87,11 @@ class DriveMotion(StoppingMotion):
         return self.time_step
 
     @property
+    def controls(self) -> tuple[str, str]:
+        """Names of the two velocities of an action."""
+        return "forward (m/s)", "turn (rad/s)"
+
+    @property
     def action_spec(self) -> Bounded:
         """Spec of one robot's action, [2]: linear velocity, metres per second, and angular, radians per second."""
         return Bounded(low=self.limits[0], high=self.limits[1], shape=(2,), dtype=torch.float32)

@@ -34,6 +34,11 @@ class MotionModule(nn.Module):
         """None: an action is a single move."""
         return None
 
+    @property
+    def controls(self) -> Sequence[str]:
+        """Nothing: the numbers of an action have no names."""
+        return ()
+
     def region(self: PlannedMotion) -> Tensor:
         """Return the corners of the box around all starts: [2, 3] float32, metres."""
         places = self.body_to_world(self.states())[:, :3, 3]

@@ -1,6 +1,7 @@
 """What robots do once they stand in a MuJoCo world: how their states step, and what they say."""
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -50,6 +51,11 @@ class SimulatedMotion(TwinMotion):
     limits: Tensor
     home: Tensor
     still: Tensor
+
+    @property
+    def controls(self) -> Sequence[str]:
+        """Names of the numbers of an action: those of the twin if the robot takes its actions, or of the actuators."""
+        return self.twin.controls if self.driven else self.world.actuators()
 
     @property
     def action_spec(self) -> Bounded:

@@ -70,15 +70,19 @@ class RobotWorld:
             raise ValueError(f"{self.path}: expected a camera called {camera!r}, got {', '.join(known) or 'none'}")
         return str(model.body(int(model.cam_bodyid[number])).name)
 
+    def actuators(self) -> list[str]:
+        """Return the names of the robot's actuators, or their numbers where they have none."""
+        names = (self.model.actuator(number).name.removeprefix(ROBOT) for number in range(self.model.nu))
+        return [name or str(number) for number, name in enumerate(names)]
+
     def control_limits(self) -> Tensor:
         """Return the lowest and highest controls: [2, nu] float32.
 
         Raises:
             ValueError: for a robot without actuators, or one whose actuator has no ``ctrlrange``.
         """
-        for number in range(self.model.nu):
-            if not self.model.actuator_ctrllimited[number]:
-                name = self.model.actuator(number).name.removeprefix(ROBOT) or number
+        for name, limited in zip(self.actuators(), self.model.actuator_ctrllimited, strict=True):
+            if not limited:
                 raise ValueError(f"{self.path}: actuator {name!r}: expected a ctrlrange, found none")
         if not self.model.nu:
             raise ValueError(f"{self.path}: expected at least one <actuator>, found none")
@@ -95,7 +99,7 @@ class RobotWorld:
         servo &= (model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED) & (offset == 0.0) & (position == 0.0)
         servo &= np.isclose(model.actuator_gainprm[:, 0], -velocity, atol=0.0)
         servo &= (np.sort(model.actuator_gear) == [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]).all(1)  # one axis, not geared
-        return [model.actuator(number).name.removeprefix(ROBOT) for number in range(model.nu)] if servo.all() else []
+        return self.actuators() if servo.all() else []
 
     def robot_joints(self) -> list[str]:
         """Return the names of the robot's joints behind its free joint, in the order of their positions."""

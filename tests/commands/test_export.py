@@ -183,6 +183,10 @@ def test_other_observations_of_a_policy_are_given_on_the_command_line(
             ["run={run}", "out={run}/config.yaml"],
             "splatrl-export: out: expected a folder, got .*config.yaml, a file",
         ),
+        (
+            ["run={run}", "out={run}/held"],
+            "splatrl-export: out: expected a folder without run_policy.py, got .*/held, which holds one",
+        ),
         (["run={run}", "frames=none"], "splatrl-export: frames: expected a number"),
         (["run={run}", "checkpoint=first"], "splatrl-export: checkpoint: expected last or best, got 'first'"),
         (["run={run}", "scene.path=moved"], "splatrl-export: .*/moved: expected a file or a folder, found none"),
@@ -192,6 +196,8 @@ def test_other_observations_of_a_policy_are_given_on_the_command_line(
 def test_invalid_arguments_are_reported(
     run: Path, arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    (run / "held").mkdir(exist_ok=True)
+    (run / "held" / "run_policy.py").touch()  # a script to which somebody has added their own lines
     with pytest.raises(SystemExit, match=message):
         command(monkeypatch, *(argument.format(run=run) for argument in arguments))
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from splatrl.envs.tasks import Mark
 from splatrl.evaluation import start_maps, training_figures
-from splatrl.evaluation.figure_style import GOAL, MISSED, PARTLY, REACHED, legible
+from splatrl.evaluation.figure_style import GOAL, MISSED, OWN_FONT, PARTLY, REACHED, font, legible
 from splatrl.evaluation.start_maps import start_map, success_map
 from splatrl.evaluation.topdown import MapView, TopDown
 from splatrl.evaluation.training_figures import learning_curve, scene_bars
@@ -135,6 +135,13 @@ def test_letters_are_drawn_in_a_font_that_has_them_or_as_escapes_without_warning
         warnings.simplefilter("error")
         scene_bars(names, [0.5, 0.3, 0.2], tmp_path / "bars.png")
     assert [legible(name) for name in names] == [*names[:2], r"\U000f1234 a"]
+
+
+def test_videos_take_an_installed_font_that_has_the_letters() -> None:
+    plain, fallen_back = font(14, "Größe, сад 1"), font(14, "\N{TOP SQUARE BRACKET}")
+    assert plain.getname()[0] == OWN_FONT != fallen_back.getname()[0]
+    missing = font(14, "\U000f1234").getmask("\U000f1234")
+    assert bytes(fallen_back.getmask("\N{TOP SQUARE BRACKET}")) != bytes(missing)
 
 
 def test_the_suffix_sets_the_file_format(tmp_path: Path) -> None:

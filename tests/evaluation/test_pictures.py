@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -27,6 +28,18 @@ def test_a_video_shows_fewer_episodes_if_all_would_not_fit_at_the_longest_length
     assert shown([5, 5, 5, 5], 400) == [0, 1, 2, 3]
     assert shown([200, 3, 2, 200], 400) == [1, 3]
     assert shown([200, 200, 200, 3], 10) == [3]  # the last one, in full
+
+
+@pytest.mark.filterwarnings("ignore:.* starts are farther from the goal")
+def test_a_video_names_the_numbers_of_actions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[Any] = []
+    monkeypatch.setattr(pictures, "rollout_video", lambda *given, **_: told.append(given[5]))
+    for task in ("drive", "grid"):
+        world = build_one_world(load_config([*tiny_overrides(tmp_path, task), "task.max_steps=1"]))
+        env = world.env(1)
+        drawn = Pictures(world.scene.gaussians, world.occupancy, world.plan, env, tmp_path)
+        drawn.video(env, env.rand_action, 0, 10)
+    assert told == [("forward (m/s)", "turn (rad/s)"), world.task.motion.action_names]
 
 
 def test_a_map_says_how_many_starts_of_how_many_were_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -42,6 +42,15 @@ def test_nothing_is_cut_off_at_the_edges_of_the_picture(tmp_path: Path, half: tu
     assert (np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]]) == 255).all()
 
 
+def test_view_dependent_colours_which_take_most_of_the_memory_are_not_drawn(tmp_path: Path) -> None:
+    plain = tiny_gaussians()
+    plain = plain.replace(sh=plain.sh[:, :1])
+    glossy = plain.replace(sh=torch.cat([plain.sh, torch.full((len(plain), 15, 3), 0.2)], 1))
+    for name, gaussians in (("plain", plain), ("glossy", glossy)):
+        draw_terrain(gaussians, surveyed(), LOWER, UPPER, tmp_path / f"{name}.png")
+    assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "glossy.png").read_bytes()
+
+
 def test_the_view_is_from_the_side_without_boxes() -> None:
     boxes = surveyed((0.0, -1.0, 0.2, 0.5, 0.1, 0.2)).terrain.boxes.numpy()
     assert _open_side(boxes, np.zeros(2)) == pytest.approx(math.pi / 2)

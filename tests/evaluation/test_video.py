@@ -3,19 +3,22 @@
 import itertools
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
 import pytest
 import torch
+from PIL import Image, ImageDraw
 from torch import Tensor
 
 from splatrl.envs.drawing import SceneDrawing, Shot, View
 from splatrl.envs.tasks import Mark, Outcome
+from splatrl.evaluation.captions import Captions
 from splatrl.evaluation.figure_style import BLUE, MISSED, REACHED
 from splatrl.evaluation.recording import Recording
 from splatrl.evaluation.topdown import MapView, TopDown
-from splatrl.evaluation.video import fitting, rollout_video
+from splatrl.evaluation.video import rollout_video
 from splatrl.renderers import Parts, ReferenceRenderer
 from tests.tiny import tiny_gaussians, tiny_motion, tiny_robot
 
@@ -102,9 +105,10 @@ def test_a_goal_image_is_shown_in_the_corner_of_the_view(tmp_path: Path, shown: 
 
 def test_goals_are_counted_where_an_episode_has_several(tmp_path: Path) -> None:
     goals = torch.tensor([0, 1, 1, 2])
-    rollout_video([replace(RECORDINGS[0], goals=goals)], tiny_robot(), VIEW, tmp_path / "clip.mp4", goals=5)
-    width = frames(tmp_path / "clip.mp4")[0].shape[1]
-    column = slice(round(4 / 6 * width), round(5 / 6 * width))
+    one = [replace(RECORDINGS[0], goals=goals)]
+    rollout_video(one, tiny_robot(), VIEW, tmp_path / "clip.mp4", goals=5)
+    lefts = Captions(one, (), 5, frames(tmp_path / "clip.mp4")[0].shape[1]).lefts
+    column = slice(round(lefts[4]) - 4, round(lefts[5]) - 12)
     shown = [picture[STRIP, column] for picture in frames(tmp_path / "clip.mp4")[:4]]
     changed = [bool((np.abs(one - other).max(-1) > 60).any()) for one, other in itertools.pairwise(shown)]
     assert changed == [True, False, True]
@@ -180,16 +184,50 @@ def test_the_action_that_led_to_a_frame_is_named_or_shown_as_numbers(tmp_path: P
         rollout_video(one, tiny_robot(), VIEW, tmp_path / "clip.mp4", action_names=names)
         for kept, picture in zip((first, second), frames(tmp_path / "clip.mp4"), strict=False):
             kept.append(picture)
-    assert all((picture == first[0]).all() for picture in first)  # no action has been taken yet
+    assert (first[1] == first[0]).all()  # no action has been taken yet
     assert (second[1] == second[0]).all()  # both are +y
     for other in second[2:]:
         changed = (np.abs(second[0] - other).max(-1) > 60).nonzero()
         assert len(changed[0]) > 10 and changed[0].min() >= STRIP.start
 
 
-def test_a_caption_is_shrunk_to_fit_its_column() -> None:
-    assert fitting("+x", 150).size == 18
-    assert fitting("1.31 -2.08 -0.41 0.52", 150).getlength("1.31 -2.08 -0.41 0.52") <= 150
+RATES = ("thrust", "roll_rate", "pitch_rate", "yaw_rate")
+
+
+def flight(*numbers: float) -> Recording:
+    """One step with a continuous action."""
+    return replace(recording(60, Outcome.OUT_OF_BOUNDS, steps=1), action=torch.tensor([numbers]))
+
+
+@pytest.mark.parametrize(
+    ("numbers", "names", "width", "columns"),
+    [
+        (4, RATES, 1000, RATES),
+        (4, RATES, 400, ("action",)),
+        (4, (), 1000, ("action",)),
+        (12, tuple(f"front_left_hip_{number}" for number in range(12)), 800, ("action",)),
+        (80, (), 1000, ("action",)),
+        (2, ("forward (m/s)", "turn (rad/s)"), 792, ("forward (m/s)", "turn (rad/s)")),
+    ],
+)
+def test_the_numbers_of_an_action_have_names_where_they_fit_and_no_text_touches_the_next(
+    numbers: int, names: tuple[str, ...], width: int, columns: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[tuple[str, float, float]] = []
+
+    def text(pen: ImageDraw.ImageDraw, at: tuple[float, float], words: str, **how: Any) -> None:
+        drawn.append((words, at[0], pen.textbbox(at, words, how["font"], how["anchor"])[2]))
+
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", text)
+    captions = Captions([flight(*[-1.25] * numbers)], names, 5, width)
+    for step in (0, 1):
+        drawn.clear()
+        captions.write(Image.new("RGB", (width, STRIP.start + 60)), 0, step)
+        assert tuple(name for name, *_ in drawn[:-1:2]) == ("episode", "step", *columns, "return", "outcome")
+        lefts = [left for _, left, _ in drawn[:-1:2]] + [width]
+        for words, left, right in drawn:
+            assert right <= next(other for other in lefts if other > left) - 8, words
+    assert ("80 numbers" in [words for words, *_ in drawn]) == (numbers == 80)
 
 
 def test_a_failed_video_leaves_the_previous_file(tmp_path: Path) -> None:

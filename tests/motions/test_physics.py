@@ -422,6 +422,8 @@ def test_a_robot_that_turns_before_it_goes_forward_is_refused(tmp_path: Path) ->
 def test_only_two_velocity_servos_say_how_fast_a_robot_is(tmp_path: Path, motors: str, driven: bool) -> None:
     motion = cart(tmp_path, CART.format(wheels="", motors=motors))
     assert motion.driven is driven and motion.step == pytest.approx(0.04)
+    actuators = ["forward", "turn", "2"][: motion.limits.shape[1]]  # the third has no name
+    assert list(motion.controls) == (["forward (m/s)", "turn (rad/s)"] if driven else actuators)
     own: dict[str, Any] = {**SPEEDS, "linear": None, "angular_deg": None}
     if driven:
         found = PhysicsMotion(motion.path, "eye", **own)
