@@ -54,7 +54,7 @@ def test_tensorboard_shows_frames_once_that_a_killed_training_repeats(tmp_path: 
             tracker.scalars({"success": 0.5}, frames)
         tracker.close()
         (path,) = (path for path in (tmp_path / "mine").iterdir() if path.name.startswith("events"))
-        path.rename(path.with_name(f"{number}.{path.name}"))  # named by the second and a counter, which may pass from 9 to 10
+        path.rename(path.with_name(f"{number}.{path.name}"))  # their own numbers are in order only up to 9
         events = EventAccumulator(str(tmp_path / "mine")).Reload()
         assert [event.step for event in events.Scalars("success")] == [64, 128, 192, 256][: logged[-1] // 64]
 
