@@ -137,13 +137,15 @@ def build_trainer(
         test,
         logger.test_interval,
         checkpoint.interval,
-        make_tracker(logger.backend, folder, logger.exp_name, logger.project, logger.online, plain),
-        made,
-        teaching,
+        made_with=made,
+        prepare=teaching,
     )
     if resumes is not None:
         trainer.resume(partial(resumes, made))
         trainer.prepare = [] if trainer.prepared else _teaching(cfg, world, ppo, folder)
+    trainer.tracker = make_tracker(
+        logger.backend, folder, logger.exp_name, logger.project, logger.online, plain, ppo.frames
+    )
     return trainer
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from splatrl.array_files import read_arrays
 from splatrl.files import replacing
@@ -15,7 +15,7 @@ MOST = 2**24
 """Maximum bytes of a file's weights."""
 
 
-class Dense:
+class Dense(nn.Module):
     """Dense layers with ReLUs between them and a tanh at the end.
 
     PyTorch sums matrix products in an order that depends on the batch size. Here products are summed pairwise, in an
@@ -29,6 +29,7 @@ class Dense:
     """
 
     def __init__(self, layers: Sequence[tuple[Tensor, Tensor]]):
+        super().__init__()
         if not layers:
             raise ValueError("layers: expected at least one, got none")
         given = layers[0][0].shape[-1]
@@ -41,7 +42,14 @@ class Dense:
                     f"got {weight.dtype} {list(weight.shape)} and {list(bias.shape)}"
                 )
             given = len(bias)
-        self.layers = [(weight.T.contiguous(), bias) for weight, bias in layers]
+            self.register_buffer(f"weight{number}", weight.T.contiguous(), persistent=False)
+            self.register_buffer(f"bias{number}", bias, persistent=False)
+        self.count = len(layers)
+
+    @property
+    def layers(self) -> list[tuple[Tensor, Tensor]]:
+        """Weight [in, out] and bias [out] of each layer."""
+        return [(self.get_buffer(f"weight{each}"), self.get_buffer(f"bias{each}")) for each in range(self.count)]
 
     @property
     def size(self) -> tuple[int, int]:
@@ -83,11 +91,10 @@ class Dense:
         with replacing(path) as stream:
             np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
 
-    def __call__(self, values: Tensor) -> Tensor:
+    def forward(self, values: Tensor) -> Tensor:
         """Apply the network: [B, in] float32 -> [B, out] float32 in [-1, 1]."""
-        last = len(self.layers) - 1
+        last = self.count - 1
         for number, (weight, bias) in enumerate(self.layers):
-            weight, bias = weight.to(values.device), bias.to(values.device)
             values = pairwise_sum(values.unsqueeze(2) * weight) + bias
             values = values.clamp_min(0.0) if number < last else values.tanh()
         return values

@@ -37,7 +37,13 @@ class Tracker(Protocol):
 
 
 def make_tracker(
-    backend: str, folder: Path, exp_name: str, project: str, online: bool, settings: Mapping[str, Any]
+    backend: str,
+    folder: Path,
+    exp_name: str,
+    project: str,
+    online: bool,
+    settings: Mapping[str, Any],
+    frames: int = 0,
 ) -> Tracker | None:
     """Make the tracker that a config names; None for csv, which the run folder has anyway.
 
@@ -48,6 +54,7 @@ def make_tracker(
         project: wandb project to which the run is added.
         online: whether wandb uploads the run while it goes on, rather than leaving that to ``wandb sync``.
         settings: the whole config as plain values, to be shown with the run.
+        frames: frames from which the training goes on; what a killed process logged beyond them is replaced.
 
     Raises:
         ValueError: for any other backend, or a name that cannot be the name of a file.
@@ -57,7 +64,7 @@ def make_tracker(
     if backend == "csv":
         return None
     if backend == "tensorboard":
-        return TensorBoardTracker(folder / exp_name, settings)
+        return TensorBoardTracker(folder / exp_name, settings, frames)
     return WandbTracker(folder, exp_name, project, online, settings)
 
 
@@ -76,10 +83,11 @@ class TensorBoardTracker:
     Args:
         folder: folder of the event files; a resumed training adds its own beside the first.
         settings: the config, shown as text.
+        frames: frames from which the training goes on; TensorBoard hides what earlier files have beyond them.
     """
 
-    def __init__(self, folder: Path, settings: Mapping[str, Any]):
-        self._writer = import_module(MODULES["tensorboard"]).SummaryWriter(str(folder))
+    def __init__(self, folder: Path, settings: Mapping[str, Any], frames: int):
+        self._writer = import_module(MODULES["tensorboard"]).SummaryWriter(str(folder), purge_step=frames + 1)
         self._writer.add_text("config", "\n".join(f"    {key}: {value}" for key, value in flat(settings)))
 
     def scalars(self, values: Mapping[str, float], frames: int) -> None:

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Callable
+from copy import deepcopy
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -82,6 +83,12 @@ def test_a_walk_equals_strides_with_the_departures_of_the_gait() -> None:
     for _ in range(10):
         state = other.move(state, walk.gait(walk.felt(state)), NOTHING).state
     assert torch.equal(state, after)
+
+
+def test_the_weights_of_the_gait_stay_on_the_device_of_the_motion() -> None:
+    gait = deepcopy(usual()).to("meta").gait  # a device that every machine has
+    assert gait is not None and {each.device.type for layer in gait.layers for each in layer} == {"meta"}
+    assert gait(torch.zeros(3, FELT, device="meta")).shape == (3, JOINTS)
 
 
 def test_joint_commands_are_the_trot_plus_clamped_departures(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -107,8 +107,10 @@ def test_matching_frames_count_and_come_before_all_others(
 
 
 def test_a_training_stopped_after_matching_continues_there_with_the_same_bytes(
-    made: tuple[DictConfig, World | Worlds], tmp_path: Path
+    made: tuple[DictConfig, World | Worlds], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    tracked: list[int] = []
+    monkeypatch.setattr(trainers, "make_tracker", lambda *settings: tracked.append(settings[-1]))
     cfg = made[0].copy()
     cfg.merge_with_dotlist(["matching.frames=32", "matching.pairs=64", "env.num_envs=16", "collector.total_frames=128"])
     cfg.merge_with_dotlist(["dagger.rounds=2", "dagger.epochs=1", "dagger.frames_per_round=16"])
@@ -127,6 +129,7 @@ def test_a_training_stopped_after_matching_continues_there_with_the_same_bytes(
     torch.manual_seed(99)
     again = build_trainer(cfg, made[1], tmp_path / "stopped", check_made_with)
     assert len(again.prepare) == 1 and again.ppo.frames == 32 and not again.prepared
+    assert tracked == [0, 0, 32], "a tracker replaces what it was told beyond these frames"
     again.fit()
     one, other = (load_checkpoint(tmp_path / name / "checkpoints" / "last.pt") for name in ("whole", "stopped"))
     assert all(torch.equal(value, other["ppo"]["model"][key]) for key, value in one["ppo"]["model"].items())

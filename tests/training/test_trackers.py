@@ -44,6 +44,21 @@ def test_tensorboard_holds_numbers_figures_and_videos(tmp_path: Path, media: lis
     assert "seed: 3" in text and "task.max_steps: 50" in text
 
 
+def test_tensorboard_shows_frames_once_that_a_killed_training_repeats(tmp_path: Path) -> None:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    for number, (begun, logged) in enumerate(((0, [64, 128, 192]), (128, [192, 256]), (0, [64]))):
+        tracker = make_tracker("tensorboard", tmp_path, "mine", "", False, SETTINGS, begun)
+        assert tracker is not None
+        for frames in logged:
+            tracker.scalars({"success": 0.5}, frames)
+        tracker.close()
+        (path,) = (path for path in (tmp_path / "mine").iterdir() if path.name.startswith("events"))
+        path.rename(path.with_name(f"{number}.{path.name}"))  # their own numbers are in order only up to 9
+        events = EventAccumulator(str(tmp_path / "mine")).Reload()
+        assert [event.step for event in events.Scalars("success")] == [64, 128, 192, 256][: logged[-1] // 64]
+
+
 def test_a_gif_has_the_frames_and_the_timing_of_the_video(tmp_path: Path, media: list[Path]) -> None:
     size, data = gif(media[1])
     path = tmp_path / "a.gif"
