@@ -133,6 +133,13 @@ def test_houses_of_two_storeys_stand_upright_wherever_the_camera_began(axis: str
     assert known.floor == pytest.approx(-began, abs=0.01)
 
 
+def test_a_tall_house_on_a_small_footprint_stands_upright_or_its_axis_is_only_a_guess() -> None:
+    assert axis_name(guess_upright(house(BOXES, 3)).up) == "z"
+    for boxes, storeys in ((BOXES, 4), ([], 3), ([], 4)):
+        guess = guess_upright(house(boxes, storeys))
+        assert axis_name(guess.up) in ("z", "-z") or guess.axis_guess.confidence == GUESS
+
+
 @pytest.mark.parametrize("storeys", [1, 2])
 def test_which_way_up_an_empty_house_stands_is_only_a_guess_wherever_the_camera_began(storeys: int) -> None:
     for began in (1.0, 4.3):
