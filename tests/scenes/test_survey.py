@@ -287,13 +287,13 @@ def degrees_between(a: np.ndarray, b: np.ndarray) -> float:
 
 @pytest.mark.parametrize(
     ("first", "count"),
-    [(0, 15), pytest.param(0, 200, marks=pytest.mark.slow), pytest.param(1000, 200, marks=pytest.mark.slow)],
+    [(1000, 15), pytest.param(0, 200, marks=pytest.mark.slow), pytest.param(1000, 200, marks=pytest.mark.slow)],
 )
 def test_a_guess_called_fairly_sure_is_right_in_19_of_20_generated_places(first: int, count: int) -> None:
     """At most 1 in 20 of these is off by more than 2°, and at most 1 in 10 of those that are at least called likely.
 
-    Three quarters are at least called likely. The wording was calibrated on the first 200 places, and nothing was
-    calibrated on those from 1000 on.
+    Three fifths are called fairly sure, and three quarters at least likely. The wording was calibrated on the first 200
+    places, and nothing was calibrated on those from 1000 on.
     """
     found: dict[str, list[bool]] = {SURE: [], LIKELY: [], GUESS: []}
     for seed in range(first, first + count):
@@ -306,7 +306,7 @@ def test_a_guess_called_fairly_sure_is_right_in_19_of_20_generated_places(first:
         least = max(confidences, key=[SURE, LIKELY, GUESS].index)
         found[least].append(degrees_between(guess.up, up.numpy()) < 2.0)
     sure, said = found[SURE], found[SURE] + found[LIKELY]
-    assert len(sure) >= 0.4 * count and sum(sure) >= 0.95 * len(sure)
+    assert len(sure) >= 0.6 * count and sum(sure) >= 0.95 * len(sure)
     assert len(said) >= 0.75 * count and sum(said) >= 0.9 * len(said)
 
 
