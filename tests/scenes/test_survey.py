@@ -140,6 +140,24 @@ def test_a_tall_house_on_a_small_footprint_stands_upright_or_its_axis_is_only_a_
         assert axis_name(guess.up) in ("z", "-z") or guess.axis_guess.confidence == GUESS
 
 
+def test_worktops_and_desks_are_no_ceiling() -> None:
+    kitchen = [(0, 0, 0, 6, 0.8, 0.9), (0, 0.8, 0, 0.8, 4, 0.9), (2, 1.8, 0, 4.5, 3, 0.9)]
+    office = [(x, y, 0, x + 1, y + 1.2, 1.2) for x in (0.4, 1.8, 3.2, 4.6) for y in (0.4, 2.4)]
+    for tops in (kitchen, office):
+        upright = guess_upright(surfaces([FLOOR, CEILING, *WALLS, *tops], 0.1))
+        assert axis_name(upright.up) == "z" and upright.metres_per_unit == 1.0
+        assert upright.ceiling == pytest.approx(2.5, abs=0.01)
+
+
+def test_a_floor_of_which_furniture_hides_half_lies_below_the_ceiling() -> None:
+    seen = (0.0, 0.0, 0.0, 6.0, 1.9, 0.0)
+    sofa = [(0.0, 1.9, 0.8, 6.0, 3.2, 0.8), (0.0, 1.9, 0.0, 6.0, 1.9, 0.8)]
+    shelf = [(0.0, 3.2, 1.8, 6.0, 4.0, 1.8), (0.0, 3.2, 0.8, 6.0, 3.2, 1.8)]
+    upright = guess_upright(surfaces([seen, CEILING, *WALLS, *sofa, *shelf]))
+    assert axis_name(upright.up) == "z"
+    assert (upright.floor, upright.ceiling) == (pytest.approx(0.0, abs=0.01), pytest.approx(2.5, abs=0.01))
+
+
 @pytest.mark.parametrize("storeys", [1, 2])
 def test_which_way_up_an_empty_house_stands_is_only_a_guess_wherever_the_camera_began(storeys: int) -> None:
     for began in (1.0, 4.3):
