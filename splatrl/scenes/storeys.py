@@ -23,8 +23,8 @@ _BINS = 40
 _APART = 6
 """Maximum number of bins between the flat surfaces of a level, such as a ceiling and the floor above it."""
 _WIDE, _WIDE_AT_ENDS = 0.6, 0.35
-"""Minimum ratios of a level's cells to those of the widest: worktops, shelves and galleries cover less. At the lower and
-upper end of a place there are none of these, but furniture hides floors, and films miss parts of ceilings."""
+"""Minimum ratios of a level's cells to those of the widest: worktops, shelves and galleries cover less. At the ends of
+a place there are none of these, but furniture hides floors, and films miss parts of ceilings."""
 _END = 4
 """Bins at either end of a place that belong to its end."""
 _SHARED = 0.5
