@@ -22,8 +22,11 @@ _BINS = 40
 """Bins of height; a flat surface lies in two of them."""
 _APART = 6
 """Maximum number of bins between the flat surfaces of a level, such as a ceiling and the floor above it."""
-_WIDE = 0.35
-"""Minimum ratio of a level's cells to those of the widest: shelves and galleries cover less."""
+_WIDE, _WIDE_AT_ENDS = 0.6, 0.35
+"""Minimum ratios of a level's cells to those of the widest: worktops, shelves and galleries cover less. At the ends of
+a place there are none of these, but furniture hides floors, and films miss parts of ceilings."""
+_END = 4
+"""Bins at either end of a place that belong to its end."""
 _SHARED = 0.5
 """Minimum fraction of a level's cells that the next level covers, too: roofs and terraces cover none of the ground."""
 _EVEN = 0.5
@@ -119,7 +122,9 @@ def _levels(heights: Floats, cells: Ints, count: int, low: float, high: float) -
     seen = (bins > 0) & (bins <= _BINS)
     grid[bins[seen], cells[seen]] = True
     wide = (grid[:-1] | grid[1:]).sum(1)  # of two bins, the second of which is one more than the index
-    found = np.flatnonzero(wide >= max(1.0, _WIDE * wide.max()))
+    least = np.full(len(wide), _WIDE * wide.max())
+    least[:_END] = least[-_END:] = _WIDE_AT_ENDS * wide.max()
+    found = np.flatnonzero(wide >= np.maximum(1.0, least))
     levels = list[Level]()
     if not len(found):
         return levels

@@ -16,6 +16,7 @@ from splatrl.scenes.storeys import find_storeys
 from splatrl.scenes.walls import CLEAR, find_walls
 
 Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 SURE, LIKELY, GUESS, GIVEN = "fairly sure", "likely", "only a guess", "given"
 UNKNOWN = "unknown"
@@ -124,11 +125,12 @@ def guess_upright(
     """Guess up, the floor, the walls and the units from the positions and orientations of opaque Gaussians.
 
     The ground is the layer that holds the most Gaussians, mainly those that lie flat in it, and on which the most
-    stands upright; directions near a file axis are preferred. Rival layers lower the confidence. Which way along the
-    normal of the ground is up, what stands on it or on the floors above and below it tells (``sides.py``). The guess
-    fails for scenes without ground. A layer is as thick as the captured place
-    suggests, without sky and other surroundings that are far larger. In what could be a corridor, which looks much the
-    same on its side, the axis is only a guess unless the file states which one is vertical.
+    stands upright; the floors and ceilings of several storeys count together, and directions near a file axis are
+    preferred. Rival layers lower the confidence. Which way along the normal of the ground is up, what stands on it or
+    on the floors above and below it tells (``sides.py``). The guess fails for scenes without ground. A layer is as
+    thick as the captured place suggests, without sky and other surroundings that are far larger. In what could be a
+    corridor, which looks much the same on its side, the axis is only a guess unless the file states which one is
+    vertical.
 
     Args:
         gaussians: Gaussians in the file's frame.
@@ -141,7 +143,7 @@ def guess_upright(
     near = ((points >= place.min(0)) & (points <= place.max(0))).all(1)
     size = float(np.linalg.norm(np.subtract(*np.quantile(points[near], [0.99, 0.01], axis=0)))) or 1.0
     if up is None:
-        layer, axis_guess = _ground(points, normals, weights, _THICKNESS * size, vertical)
+        layer, axis_guess = _ground(points, normals, weights, near, _THICKNESS * size, vertical)
     else:
         given = np.asarray(up, np.float64)
         layer = layer_at(points, normals, weights, given / np.linalg.norm(given), _THICKNESS * size)
@@ -183,13 +185,16 @@ def guess_upright(
 
 
 def _ground(
-    points: Floats, normals: Floats, weights: Floats, thickness: float, vertical: ArrayLike | None
+    points: Floats, normals: Floats, weights: Floats, near: Mask, thickness: float, vertical: ArrayLike | None
 ) -> tuple[Layer, Guess]:
     """Return the layer with the most evidence of being the ground, and how clearly it beats its rivals."""
     layers = [
         leaning_layer(points, normals, weights, layer) for layer in heavy_layers(points, normals, weights, thickness)
     ]
-    evidence = [_evidence(normals, weights, layer, vertical) for layer in layers]
+    evidence = [
+        _evidence(normals, weights, layer, _floors(points[near], normals[near], weights[near], layer), vertical)
+        for layer in layers
+    ]
     order = np.argsort(evidence)[::-1]
     ratio = evidence[order[0]] / max(evidence[order[1]] if len(order) > 1 else 0.0, 1e-9)
     guess = Guess(
@@ -226,13 +231,30 @@ def _doubted(guess: Guess, points: Floats, normals: Floats, layer: Layer) -> Gue
     return Guess(GUESS, f"this could be a corridor, whose floor and walls are alike{IF_WRONG}")
 
 
-def _evidence(normals: Floats, weights: Floats, layer: Layer, vertical: ArrayLike | None) -> float:
-    """Return the evidence that a layer is the ground, from its weight and that of the surfaces perpendicular to it."""
+def _floors(points: Floats, normals: Floats, weights: Floats, layer: Layer) -> float:
+    """Return the weight of a layer or, if that is more, the one of a mean level for each storey between the levels.
+
+    A floor and its ceiling are one storey, as two opposite walls would be, and say no more than one layer.
+    """
+    levels = find_storeys(points, normals, weights, layer.normal).levels
+    if len(levels) < 2:
+        return layer.weight
+    heights, flat = points @ layer.normal, np.abs(normals @ layer.normal) > ALIGNED
+    ends = [(level.bottom - layer.thickness, level.top + layer.thickness) for level in levels]
+    within = np.any([(heights >= bottom) & (heights <= top) for bottom, top in ends], axis=0)
+    return max(layer.weight, (1 - 1 / len(levels)) * float(weights[flat & within].sum()))
+
+
+def _evidence(normals: Floats, weights: Floats, layer: Layer, floors: float, vertical: ArrayLike | None) -> float:
+    """Return the evidence that a layer is the ground.
+
+    It comes from the weights of the layer, of all ``_floors`` together, and of the surfaces perpendicular to it.
+    """
     flatness = np.linalg.norm(normals, axis=1)
     across = (np.abs(normals @ layer.normal) < _ACROSS * flatness) & (flatness > 0.5)
     prefers = _PREFERENCE if np.abs(layer.normal).max() > _NEAR_AXIS else 1.0
     prefers *= _STATED if _along(layer, vertical) else 1.0
-    return prefers * layer.weight**2 * (_BARE + float(weights[across].sum()))
+    return prefers * layer.weight * floors * (_BARE + float(weights[across].sum()))
 
 
 def _walls(points: Floats, up: Floats) -> Floats | None:

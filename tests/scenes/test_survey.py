@@ -133,6 +133,31 @@ def test_houses_of_two_storeys_stand_upright_wherever_the_camera_began(axis: str
     assert known.floor == pytest.approx(-began, abs=0.01)
 
 
+def test_a_tall_house_on_a_small_footprint_stands_upright_or_its_axis_is_only_a_guess() -> None:
+    assert axis_name(guess_upright(house(BOXES, 3)).up) == "z"
+    for boxes, storeys in ((BOXES, 4), ([], 3), ([], 4)):
+        guess = guess_upright(house(boxes, storeys))
+        assert axis_name(guess.up) in ("z", "-z") or guess.axis_guess.confidence == GUESS
+
+
+def test_worktops_and_desks_are_no_ceiling() -> None:
+    kitchen = [(0, 0, 0, 6, 0.8, 0.9), (0, 0.8, 0, 0.8, 4, 0.9), (2, 1.8, 0, 4.5, 3, 0.9)]
+    office = [(x, y, 0, x + 1, y + 1.2, 1.2) for x in (0.4, 1.8, 3.2, 4.6) for y in (0.4, 2.4)]
+    for tops in (kitchen, office):
+        upright = guess_upright(surfaces([FLOOR, CEILING, *WALLS, *tops], 0.1))
+        assert axis_name(upright.up) == "z" and upright.metres_per_unit == 1.0
+        assert upright.ceiling == pytest.approx(2.5, abs=0.01)
+
+
+def test_a_floor_of_which_furniture_hides_half_lies_below_the_ceiling() -> None:
+    seen = (0.0, 0.0, 0.0, 6.0, 1.9, 0.0)
+    sofa = [(0.0, 1.9, 0.8, 6.0, 3.2, 0.8), (0.0, 1.9, 0.0, 6.0, 1.9, 0.8)]
+    shelf = [(0.0, 3.2, 1.8, 6.0, 4.0, 1.8), (0.0, 3.2, 0.8, 6.0, 3.2, 1.8)]
+    upright = guess_upright(surfaces([seen, CEILING, *WALLS, *sofa, *shelf]))
+    assert axis_name(upright.up) == "z"
+    assert (upright.floor, upright.ceiling) == (pytest.approx(0.0, abs=0.01), pytest.approx(2.5, abs=0.01))
+
+
 @pytest.mark.parametrize("storeys", [1, 2])
 def test_which_way_up_an_empty_house_stands_is_only_a_guess_wherever_the_camera_began(storeys: int) -> None:
     for began in (1.0, 4.3):
@@ -280,13 +305,13 @@ def degrees_between(a: np.ndarray, b: np.ndarray) -> float:
 
 @pytest.mark.parametrize(
     ("first", "count"),
-    [(0, 15), pytest.param(0, 200, marks=pytest.mark.slow), pytest.param(1000, 200, marks=pytest.mark.slow)],
+    [(1000, 15), pytest.param(0, 200, marks=pytest.mark.slow), pytest.param(1000, 200, marks=pytest.mark.slow)],
 )
 def test_a_guess_called_fairly_sure_is_right_in_19_of_20_generated_places(first: int, count: int) -> None:
     """At most 1 in 20 of these is off by more than 2°, and at most 1 in 10 of those that are at least called likely.
 
-    Three quarters are at least called likely. The wording was calibrated on the first 200 places, and nothing was
-    calibrated on those from 1000 on.
+    Three fifths are called fairly sure, and three quarters at least likely. The wording was calibrated on the first 200
+    places, and nothing was calibrated on those from 1000 on.
     """
     found: dict[str, list[bool]] = {SURE: [], LIKELY: [], GUESS: []}
     for seed in range(first, first + count):
@@ -299,7 +324,7 @@ def test_a_guess_called_fairly_sure_is_right_in_19_of_20_generated_places(first:
         least = max(confidences, key=[SURE, LIKELY, GUESS].index)
         found[least].append(degrees_between(guess.up, up.numpy()) < 2.0)
     sure, said = found[SURE], found[SURE] + found[LIKELY]
-    assert len(sure) >= 0.4 * count and sum(sure) >= 0.95 * len(sure)
+    assert len(sure) >= 0.6 * count and sum(sure) >= 0.95 * len(sure)
     assert len(said) >= 0.75 * count and sum(said) >= 0.9 * len(said)
 
 
