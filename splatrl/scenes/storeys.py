@@ -35,8 +35,8 @@ _HALVES = (0.15, 0.45), (0.55, 0.85)
 """Fractions of a storey's height between which things stand or hang; beyond them are its floor and its ceiling."""
 _FEET = (0.05, 0.15), (0.85, 0.95)
 """Fractions between which things in a half reach the floor, or the ceiling, from which they hang."""
-_FEW = (0.02, 0.05, 0.003)
-"""Added to what is compared, so that few things say little: weight, fraction of the cells, weight of flat surfaces."""
+_FEW = (0.02, 0.05, 0.02)
+"""Added to what is compared, so that few things say little: weight, fraction of the cells, weight."""
 _OPEN = 0.1
 """Fraction of the weight beyond the outermost levels from which a place counts as open there."""
 
@@ -75,8 +75,8 @@ def find_storeys(points: Floats, normals: Floats, weights: Floats, up: Floats) -
     """Find the levels of a place, and on which side of them things stand.
 
     The lower and the upper half of each storey are compared by the weight of what reaches its floor or its ceiling, by
-    the cells that are filled in only one half (walls fill both), and by the weight of flat surfaces, such as seats,
-    tables and worktops.
+    the cells that are filled in only one half (walls fill both), and by all that it holds. Flat surfaces tell nothing:
+    the tops of cupboards on a wall are as flat as tables.
 
     Args:
         points: [N, 3] means of the Gaussians, in their own frame and unit.
@@ -98,14 +98,15 @@ def find_storeys(points: Floats, normals: Floats, weights: Floats, up: Floats) -
     compared = np.zeros((2, len(_FEW)))
     for lower, upper in pairwise(levels):
         share = (heights - lower.top) / max(upper.bottom - lower.top, 1e-12)
-        halves = [
-            (share > start) & (share < end) & _around(cells[(share > near) & (share < far)], side)[cells]
-            for (start, end), (near, far) in zip(_HALVES, _FEET, strict=True)
+        halves = [(share > start) & (share < end) for start, end in _HALVES]
+        things = [
+            half & _around(cells[(share > near) & (share < far)], side)[cells]
+            for half, (near, far) in zip(halves, _FEET, strict=True)
         ]
-        filled = [_covered(cells[half], side**2) for half in halves]
-        for own, half in enumerate(halves):
+        filled = [_covered(cells[own], side**2) for own in things]
+        for own in range(2):
             alone = filled[own] & ~filled[1 - own]
-            compared[own] += weights[half].sum(), alone.mean(), weights[half & flat].sum()
+            compared[own] += weights[things[own]].sum(), alone.mean(), weights[halves[own]].sum()
     standing = float(((compared[0] - compared[1]) / (compared.sum(0) + _FEW)).mean())
     least = _EVEN * max(np.diff([level.height for level in levels]), default=0.0)
     above, below = (

@@ -149,6 +149,13 @@ def test_worktops_and_desks_are_no_ceiling() -> None:
         assert upright.ceiling == pytest.approx(2.5, abs=0.01)
 
 
+def test_wardrobes_whose_tops_are_nearer_to_the_ceiling_do_not_turn_a_room_upside_down() -> None:
+    fourth = (0.0, 4.0, 0.0, 6.0, 4.0, 2.5)
+    wardrobes = [(0.0, 0.0, 0.0, 2.4, 0.6, 1.8), (3.5, 3.4, 0.0, 6.0, 4.0, 1.8)]
+    upright = guess_upright(surfaces([FLOOR, CEILING, *WALLS, fourth, *wardrobes]))
+    assert axis_name(upright.up) == "z"
+
+
 def test_a_floor_of_which_furniture_hides_half_lies_below_the_ceiling() -> None:
     seen = (0.0, 0.0, 0.0, 6.0, 1.9, 0.0)
     sofa = [(0.0, 1.9, 0.8, 6.0, 3.2, 0.8), (0.0, 1.9, 0.0, 6.0, 1.9, 0.8)]
