@@ -28,7 +28,7 @@ def restart(env: EnvBase, after: TensorDictBase) -> TensorDictBase:
     done = after["done"]
 
     def chosen(fresh: Tensor, old: Tensor) -> Tensor:
-        return torch.where(done.view(-1, *[1] * (fresh.ndim - 1)), fresh, old)
+        return where_marked(done.flatten(), fresh, old)
 
     values: dict[str, Tensor | TensorDictBase] = {}
     for key, fresh in _reset_where(env, done).items():
@@ -112,6 +112,22 @@ def _with_rows_of(old: Tensor | TensorDictBase | None, rows: Tensor, fresh: Tens
     if isinstance(fresh, TensorDictBase):
         return fresh.apply(lambda new, one: _with_rows_of(one, rows, new), old)
     return with_rows([old], rows, [fresh.index_select(0, rows)])[0]
+
+
+def where_marked(only: Tensor, fresh: Tensor, old: Tensor) -> Tensor:
+    """Take the rows that ``only`` [B] bool marks from a fresh batch, and the others from an old one: [B, ...] each.
+
+    Nothing synchronises with the host. Bytes, as of images, are taken eight at a time, since a CPU selects one number
+    after another.
+    """
+    if fresh.dtype is torch.uint8 and fresh[0].numel() % 8 == 0:
+        chosen = torch.where(only.unsqueeze(1), _words(fresh), _words(old))
+        return chosen.view(torch.uint8).view(fresh.shape)
+    return torch.where(only.view(-1, *[1] * (fresh.ndim - 1)), fresh, old)
+
+
+def _words(values: Tensor) -> Tensor:
+    return values.flatten(1).view(torch.int64)
 
 
 def with_rows(old: Sequence[Tensor], rows: Tensor, fresh: Sequence[Tensor]) -> list[Tensor]:

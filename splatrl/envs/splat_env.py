@@ -17,7 +17,7 @@ from splatrl.device_faults import Faulty
 from splatrl.envs.drawing.base import Drawing
 from splatrl.envs.lattice_steps import LatticeSteps, suits
 from splatrl.envs.lifecycle import Lifecycle
-from splatrl.envs.restart import StateWhenAsked, maybe_reset, with_rows
+from splatrl.envs.restart import StateWhenAsked, maybe_reset, where_marked, with_rows
 from splatrl.envs.robot import Robot
 from splatrl.envs.rules import Rules
 from splatrl.envs.senses import Senses
@@ -237,9 +237,7 @@ class SplatEnv(StateWhenAsked):
         """
         ends = set(self.done_keys)
         return {
-            key: torch.where(only.view(-1, *[1] * (new.ndim - 1)), new, self._last[key])
-            if key in self._last and key not in ends
-            else new
+            key: where_marked(only, new, self._last[key]) if key in self._last and key not in ends else new
             for key, new in begun.items()
         }
 

@@ -6,7 +6,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import step_mdp
 
-from splatrl.envs.restart import with_rows
+from splatrl.envs.restart import where_marked, with_rows
 from splatrl.renderers.base import among_zeros
 from tests.envs.test_device import NAMES, made, whole_overlay
 from tests.tiny import CountingRenderer, tiny_env, tiny_renderer
@@ -83,6 +83,16 @@ def test_new_rows_replace_the_given_ones_and_the_others_stay(dtype: torch.dtype,
     assert torch.equal(merged[rows], turned(fresh)) and torch.equal(alone[rows], fresh)
     assert torch.equal(merged[[1, 2, 4, 6]], turned(old)[[1, 2, 4, 6]]) and not alone[[1, 2, 4, 6]].any()
     assert torch.equal(with_rows([old], rows[:0], [fresh[:0]])[0], old)
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.int64, torch.float32])
+@pytest.mark.parametrize("shape", [(1,), (4, 4, 3), (3, 3, 3)])
+def test_marked_rows_are_fresh_and_the_others_stay(dtype: torch.dtype, shape: tuple[int, ...]) -> None:
+    generator = torch.Generator().manual_seed(0)
+    old, fresh = ((200 * torch.rand(5, *shape, generator=generator)).to(dtype) for _ in range(2))
+    only, rows = torch.tensor([True, False, False, True, False]), torch.tensor([0, 3])
+    for new in (fresh, fresh.transpose(1, -1).contiguous().transpose(1, -1)):  # the latter is not contiguous
+        assert torch.equal(where_marked(only, new, old), with_rows([old], rows, [fresh[rows]])[0])
 
 
 @pytest.mark.parametrize("row", [-1, 7])
