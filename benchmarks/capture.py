@@ -34,7 +34,7 @@ from tqdm import tqdm
 import splatrl
 from splatrl.cameras import Cameras
 from splatrl.capture.check import colour_corrected, psnr, ssim
-from splatrl.capture.fit import FitSettings, held_out
+from splatrl.capture.fitting.fit import FitSettings, held_out
 from splatrl.capture.jerks import camera_leaps, jerks
 from splatrl.capture.pipeline import build_scene, reconstruct
 from splatrl.capture.settings import CaptureSettings

@@ -23,8 +23,8 @@ from tqdm import tqdm
 import splatrl
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.capture.base import Reconstruction
-from splatrl.capture.fit import FitSettings, Fitting, fit, held_out
-from splatrl.capture.fit_pictures import frame_of, pictures
+from splatrl.capture.fitting.fit import FitSettings, Fitting, fit, held_out
+from splatrl.capture.fitting.pictures import frame_of, pictures
 from splatrl.renderers import NativeRenderer
 from splatrl.scenes.gaussians import Gaussians
 

@@ -21,7 +21,7 @@ from town import BATCH, FOV, into_one_block, nearest_first, town
 from splatrl.bodies import Body
 from splatrl.building import build_world
 from splatrl.cameras import Cameras, intrinsics
-from splatrl.capture.fit_cuda import CudaFitter
+from splatrl.capture.fitting.cuda import CudaFitter
 from splatrl.collision import Occupancy
 from splatrl.collision.cuda import CudaChecker
 from splatrl.configuration import load_config

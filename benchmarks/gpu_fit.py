@@ -9,8 +9,8 @@ from gpu_device import Rate, in_turns, peak_memory, rate
 from torch import Tensor
 
 from splatrl.cameras import Cameras
-from splatrl.capture.fit_cuda import CudaFitter
-from splatrl.capture.fit_model import Model
+from splatrl.capture.fitting.cuda import CudaFitter
+from splatrl.capture.fitting.model import Model
 from splatrl.native import _core
 from splatrl.scenes import Gaussians
 

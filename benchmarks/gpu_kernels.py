@@ -15,7 +15,7 @@ from pathlib import Path
 from collision import BODIES
 from gpu_device import CHAINS, RATE, STEPS
 
-from splatrl.capture import fit_structs
+from splatrl.capture.fitting import structs as fit
 from splatrl.collision import cuda as collide
 from splatrl.files import replacing
 from splatrl.native.cuda.compiler import compiled, kept_at, nvrtc_versions
@@ -32,7 +32,7 @@ def kernels() -> Iterator[tuple[str | Path, dict[str, int]]]:
     for body in BODIES.values():
         yield "collide", collide.kernel_defines(body)
     for degree in DEGREES:
-        yield "fit", fit_structs.kernel_defines(degree)
+        yield "fit", fit.kernel_defines(degree)
     yield RATE, {"CHAINS": CHAINS, "STEPS": STEPS}
 
 

@@ -6,7 +6,7 @@
 
 Each yard is filmed as in ``benchmarks/capture.py``, its images are matched, and the cameras are found by both of
 COLMAP's mappers: incremental and global. Each row gives the number of registered images, the jerks of the camera's path
-(by which ``splatrl.capture.mapping`` chooses), how well the scale is carried on where that is worst (by which
+(by which ``splatrl.capture.sfm.mapping`` chooses), how well the scale is carried on where that is worst (by which
 ``splatrl.capture.carrying`` warns) and the ratio of the largest to the smallest scale of an eighth of the film, and the
 root-mean-square and maximum camera error in metres, after alignment by the closest similarity. ``--keep FOLDER`` keeps
 films and matches.
@@ -28,11 +28,11 @@ from record import print_markdown, write_json
 
 from splatrl.capture.frames import read_photos
 from splatrl.capture.jerks import jerks, leaps
-from splatrl.capture.job import Job
-from splatrl.capture.mapping import camera_places, find_cameras, least_carried, map_at_once, map_one_by_one
 from splatrl.capture.poses import job_of
 from splatrl.capture.settings import CaptureSettings
-from splatrl.capture.structure import match_images
+from splatrl.capture.sfm.job import Job
+from splatrl.capture.sfm.mapping import camera_places, find_cameras, least_carried, map_at_once, map_one_by_one
+from splatrl.capture.sfm.structure import match_images
 from splatrl.capture.truth import Truth, closest_similarity, distances, poses_at, read_truth
 
 PARTS = 8

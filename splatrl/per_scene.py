@@ -6,12 +6,25 @@ formulas broadcast, so they work alike with a tensor [2] shared by all rows and 
 
 import copy
 from collections.abc import Sequence
-from typing import Any, TypeVar, cast
+from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
 import torch
 from torch import Tensor, nn
 
 Module = TypeVar("Module", bound=nn.Module)
+
+
+@runtime_checkable
+class SelfStacking(Protocol):
+    """A module that stacks itself and selects its rows itself, in place of ``stacked`` and ``rows_of``."""
+
+    def joined(self, scenes: Sequence[Any]) -> Any:
+        """Join modules of several scenes, one for each, into one of all of them."""
+        ...
+
+    def at(self, scene: Tensor) -> Any:
+        """Return the joined module for rows in given scenes, [B] int64."""
+        ...
 
 
 def stacked(modules: Sequence[Module], name: str = "task") -> Module:
@@ -25,8 +38,8 @@ def stacked(modules: Sequence[Module], name: str = "task") -> Module:
         ValueError: if anything else differs; the error names its key.
     """
     first = modules[0]
-    if hasattr(first, "joined"):  # it knows how to stack itself
-        return cast(Module, cast(Any, first).joined(modules))
+    if isinstance(first, SelfStacking):
+        return cast(Module, first.joined(modules))
     result = copy.copy(first)
     result._buffers, result._modules = dict(first._buffers), dict(first._modules)
     if any(type(module) is not type(first) for module in modules):
@@ -54,8 +67,8 @@ def rows_of(module: Module, scene: Tensor) -> Module:
         module: module made by ``stacked``.
         scene: [B] int64, the scene of each row.
     """
-    if hasattr(module, "joined"):
-        return cast(Module, cast(Any, module).at(scene))
+    if isinstance(module, SelfStacking):
+        return cast(Module, module.at(scene))
     result = copy.copy(module)
     result._buffers, result._modules = dict(module._buffers), dict(module._modules)
     for key in getattr(module, "of_scene", ()):

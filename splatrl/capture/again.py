@@ -6,12 +6,12 @@ from pathlib import Path
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
 from splatrl.capture.drift import below_floor, leap
 from splatrl.capture.kept import kept_depths, kept_moving, recipe_of
-from splatrl.capture.mapping import NEARLY
 from splatrl.capture.masks import in_view, masks_of, write_masks
 from splatrl.capture.moving import small_fit
 from splatrl.capture.placing import Poses, place_photos
 from splatrl.capture.progress import Progress, Say
 from splatrl.capture.settings import CaptureSettings
+from splatrl.capture.sfm.mapping import NEARLY
 from splatrl.capture.stages import Stages, fingerprint
 from splatrl.capture.world import Placed
 

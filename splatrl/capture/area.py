@@ -35,6 +35,8 @@ _VOXELS = (256, 50)
 """Maximum and minimum number of voxels along the diagonal, where ``VOXEL`` does not suit the size of the place."""
 VOXEL = 0.05
 """Edge of a voxel in places the size of a room or a garden, metres."""
+AROUND = 0.05
+"""Radius of the sphere around a camera that must be free where people walked, metres."""
 SOLID = DensitySettings(cutoff=0.91)
 """Density settings that decide what counts as solid in a fit. Real surfaces absorb all light within a voxel; what lets
 a tenth of it through is matter that the fit could not place well, in front of bare walls and behind edges."""
@@ -91,11 +93,11 @@ def dense_voxels(gaussians: Gaussians, placed: Placed) -> Occupancy:
     return Occupancy.from_gaussians(gaussians, edge, SOLID, crop)
 
 
-def path_is_free(occupancy: Occupancy, camera_to_world: Tensor, radius: float = 0.05) -> Tensor:
+def path_is_free(occupancy: Occupancy, camera_to_world: Tensor) -> Tensor:
     """Return whether a sphere around each camera touches nothing solid: [N, 4, 4] -> [N] bool."""
     places = camera_to_world[:, :3, 3].float()
     turns = torch.eye(3).expand(len(places), 3, 3)
-    return ~NativeChecker(occupancy, Sphere(radius)).collides(rigid(turns, places))
+    return ~NativeChecker(occupancy, Sphere(AROUND)).collides(rigid(turns, places))
 
 
 def _bounds(placed: Placed, walked: Walk) -> Bounds:

@@ -10,9 +10,9 @@ from pathlib import Path
 import torch
 
 from splatrl.capture.base import Reconstruction
-from splatrl.capture.fit import FitSettings, fit, trained
-from splatrl.capture.fit_checkpoint import CHECKPOINT, Checkpoint
-from splatrl.capture.fit_pictures import frame_of
+from splatrl.capture.fitting.checkpoint import CHECKPOINT, Checkpoint
+from splatrl.capture.fitting.fit import FitSettings, fit, trained
+from splatrl.capture.fitting.pictures import frame_of
 from splatrl.capture.moving import find_moving, small_fit
 from splatrl.capture.progress import Progress, Say
 from splatrl.capture.stages import Stages, fingerprint

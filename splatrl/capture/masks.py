@@ -15,7 +15,7 @@ from scipy import ndimage
 from torch import Tensor
 
 from splatrl.capture.base import Photos, Reconstruction
-from splatrl.capture.fit import held_out
+from splatrl.capture.fitting.fit import held_out
 from splatrl.capture.undistort import distorted
 
 MUCH, MORE = 0.03, 0.01

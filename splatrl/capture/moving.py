@@ -16,8 +16,8 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras, depths_at, pixel_places
 from splatrl.capture.base import Reconstruction
-from splatrl.capture.fit import FitSettings, Fitting, trained
-from splatrl.capture.fit_pictures import Pictures, frame_of, pictures
+from splatrl.capture.fitting.fit import FitSettings, Fitting, trained
+from splatrl.capture.fitting.pictures import Pictures, frame_of, pictures
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.stereo import Depths, confirmed, resized
 from splatrl.renderers import NativeRenderer

@@ -10,19 +10,19 @@ from splatrl.capture.area import dense_voxels
 from splatrl.capture.base import CaptureError, Photos, unless_forced
 from splatrl.capture.check import Quality
 from splatrl.capture.drift import leap
-from splatrl.capture.fit import held_out
-from splatrl.capture.fit_pictures import frame_of
+from splatrl.capture.fitting.fit import held_out
+from splatrl.capture.fitting.pictures import frame_of
 from splatrl.capture.floaters import without_floaters
 from splatrl.capture.folder import share_of, write_scene
 from splatrl.capture.frames import read_photos
 from splatrl.capture.kept import kept_depths, kept_fit, kept_moving
 from splatrl.capture.look import look
-from splatrl.capture.mapping import ENOUGH
 from splatrl.capture.placing import place_photos
 from splatrl.capture.poses import check_libraries
 from splatrl.capture.progress import Progress, Say, silent
 from splatrl.capture.recordings import is_recording, read_recording
 from splatrl.capture.settings import CaptureSettings
+from splatrl.capture.sfm.mapping import ENOUGH
 from splatrl.capture.stages import Stages
 from splatrl.capture.unchanging import said, too_much, with_mask
 from splatrl.capture.world import Placed

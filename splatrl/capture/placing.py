@@ -5,15 +5,15 @@ from pathlib import Path
 
 from splatrl.capture.base import CaptureError, Photos, unless_forced
 from splatrl.capture.depth_points import with_measured_points
-from splatrl.capture.fisheye import straightened
 from splatrl.capture.poses import find_poses
 from splatrl.capture.progress import Progress, Say
 from splatrl.capture.quarters import how_turned
 from splatrl.capture.scale import Distance
 from splatrl.capture.settings import CaptureSettings
+from splatrl.capture.sfm.fisheye import straightened
+from splatrl.capture.sfm.zoom import REFUSED, zoomed
 from splatrl.capture.upright_check import why_not_upright
 from splatrl.capture.world import FEWEST, Placed, place
-from splatrl.capture.zoom import REFUSED, zoomed
 
 
 @dataclass(frozen=True)

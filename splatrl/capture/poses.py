@@ -8,13 +8,13 @@ import torch
 from torch import Tensor
 
 from splatrl.array_files import read_arrays
-from splatrl.capture import mapping, structure
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
 from splatrl.capture.carrying import carried
 from splatrl.capture.child import run_child
-from splatrl.capture.job import Job, write_job
 from splatrl.capture.lens import Lens
 from splatrl.capture.progress import Progress, silent
+from splatrl.capture.sfm import mapping, structure
+from splatrl.capture.sfm.job import Job, write_job
 from splatrl.capture.stages import Stages, fingerprint
 from splatrl.capture.undistort import undistorted
 from splatrl.extras import require
@@ -67,7 +67,7 @@ def find_poses(
         model = read_arrays(work / structure.MODEL)
     except (FileNotFoundError, ValueError):  # nothing there yet, or damaged
         write_job(work, job)
-        run_child("splatrl.capture.structure", work, progress)
+        run_child("splatrl.capture.sfm.structure", work, progress)
         model = read_arrays(work / structure.MODEL)
     _check_share(photos, model["images"], least)
     return _reconstruction(photos, model, stages, exact_camera, progress)

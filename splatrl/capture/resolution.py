@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, replace
 
 from splatrl.capture.base import Reconstruction
-from splatrl.capture.fit import FitSettings
+from splatrl.capture.fitting.fit import FitSettings
 from splatrl.envs.robot import Robot
 
 MARGIN = 2.0

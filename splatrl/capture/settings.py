@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from splatrl.capture.base import Reconstruction
-from splatrl.capture.fit import FitSettings
+from splatrl.capture.fitting.fit import FitSettings
 from splatrl.capture.marker import MARKER_SIDE
 from splatrl.capture.resolution import Resolution
 from splatrl.capture.scale import Distance

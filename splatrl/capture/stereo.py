@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from splatrl.capture.base import CaptureError, Reconstruction
-from splatrl.capture.fit_pictures import Frame, Pictures, pictures
+from splatrl.capture.fitting.pictures import Frame, Pictures, pictures
 from splatrl.capture.progress import Progress, silent
 from splatrl.images import read_grey
 from splatrl.native import _core

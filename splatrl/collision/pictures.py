@@ -21,6 +21,8 @@ LIGHT = {"top": 1.0, "x": 0.78, "y": 0.58}
 CUBE = {"top": [(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)], "x": [(0, 0, 0), (0, 1, 0), (0, 1, 1), (0, 0, 1)]}
 CUBE["y"] = [(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1)]
 """Corners of the same faces of the unit cube."""
+SIDE = 900
+"""Length of the longer side of a picture of blocks, pixels."""
 
 
 def draw_maps(voxels: Voxels, path: Path, low: float, high: float) -> None:
@@ -67,9 +69,7 @@ def draw_maps(voxels: Voxels, path: Path, low: float, high: float) -> None:
         canvas.print_png(stream)
 
 
-def draw_blocks(
-    voxels: Voxels, path: Path, below: float | None = None, quarter_turns: int = 0, size: int = 900
-) -> None:
+def draw_blocks(voxels: Voxels, path: Path, below: float | None = None, quarter_turns: int = 0) -> None:
     """Draw the solid voxels as blocks seen from above a corner, coloured by height, as a PNG.
 
     The view is isometric, from the corner of lowest x and y. Only faces towards the viewer are drawn, back to front.
@@ -80,7 +80,6 @@ def draw_blocks(
         below: height at which the scene is cut open, metres; None cuts nothing.
         quarter_turns: counter-clockwise quarter turns of the scene before it is drawn: 1 looks from the highest y, 2
             from the highest x and y, 3 from the highest x.
-        size: length of the picture's longer side, pixels.
     """
     occupied = voxels.occupied
     if below is not None:
@@ -91,7 +90,7 @@ def draw_blocks(
     project = np.array([[across, -across, 0.0], [-up, -up, -1.0]])  # a step along x, y and z, as right and down
     corners = np.stack(np.meshgrid(*[(0, extent) for extent in shape], indexing="ij"), -1).reshape(-1, 3) @ project.T
     first, last = corners.min(0), corners.max(0)
-    scale = 2 * (size - 40) / max(*(last - first), 1.0)
+    scale = 2 * (SIDE - 40) / max(*(last - first), 1.0)
     width, height = ((last - first) * scale + 80).tolist()
     image = Image.new("RGB", (round(width), round(height)), "white")
     pen = ImageDraw.Draw(image)

@@ -64,6 +64,11 @@ class SeveralCheckers:
         return SeveralCheckers, (self.checkers,)
 
 
+def checkers_of(checker: Checker | SeveralCheckers) -> list[Checker]:
+    """Return the checker of each scene, in order: those of a ``SeveralCheckers``, or the only one."""
+    return checker.checkers if isinstance(checker, SeveralCheckers) else [checker]
+
+
 def _natively(checkers: Sequence[Checker]) -> _core.Colliders | None:
     """Join the checkers' grids for one call, if all are native, else return None; the checkers must outlive it."""
     native = [checker for checker in checkers if isinstance(checker, NativeChecker)]

@@ -7,7 +7,7 @@ from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 
-from splatrl.capture.fit import FitSettings
+from splatrl.capture.fitting.fit import FitSettings
 from splatrl.capture.marker import MARKER_SIDE, write_marker_page
 from splatrl.capture.pipeline import capture
 from splatrl.capture.resolution import Resolution

@@ -12,7 +12,6 @@ from torch import Tensor
 from torchrl.data import Bounded, Categorical, TensorSpec
 from torchrl.envs import EnvBase
 
-from splatrl.device_faults import Faulty
 from splatrl.envs.nesting import check_layers, layers
 
 Pixels = npt.NDArray[np.uint8]
@@ -115,13 +114,6 @@ def act(env: EnvBase, present: TensorDictBase, space: gymnasium.Space[Any], acti
     if continuous:
         action = torch.lerp(spec.low, spec.high, (action + 1) / 2)
     return present.set("action", action)
-
-
-def raise_faults(env: EnvBase) -> None:
-    """Raise errors that renderer or checker recorded on the device: Gymnasium's arrays synchronise with it anyway."""
-    base = layers(env)[0]
-    if isinstance(base, Faulty):
-        base.raise_faults()
 
 
 def _observed_keys(env: EnvBase) -> list[str]:

@@ -18,11 +18,11 @@ from splatrl.envs.gymnasium_conversion import (
     infos_of,
     infos_of_one,
     observed,
-    raise_faults,
     seen_by,
     spaces_of,
     views_of,
 )
+from splatrl.envs.nesting import raise_faults
 
 
 class GymnasiumEnv(gymnasium.Env[Observation, Action]):
@@ -73,7 +73,7 @@ class GymnasiumEnv(gymnasium.Env[Observation, Action]):
         if self._present is None or self._over:
             raise gymnasium.error.ResetNeeded("step: expected a call to reset() first")
         step = self.env.step(act(self.env, self._present, self.action_space, action))
-        raise_faults(self.env)
+        raise_faults(self.env)  # waits for nothing more: Gymnasium's arrays synchronise anyway
         after = step["next"]
         self._present = self.env.step_mdp(step)
         terminated, truncated = bool(after["terminated"]), bool(after["truncated"])

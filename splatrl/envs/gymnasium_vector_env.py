@@ -25,11 +25,11 @@ from splatrl.envs.gymnasium_conversion import (
     infos_of,
     masked,
     observed,
-    raise_faults,
     seen_by,
     spaces_of,
     views_of,
 )
+from splatrl.envs.nesting import raise_faults
 from splatrl.values import checked_seed
 
 
@@ -142,7 +142,7 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
         """Take a step in which all robots act."""
         same = self.autoreset_mode == AutoresetMode.SAME_STEP
         step, self._present = self.env.step_and_maybe_reset(acted) if same else self._stepped(acted)
-        raise_faults(self.env)
+        raise_faults(self.env)  # waits for nothing more: Gymnasium's arrays synchronise anyway
         after = step["next"]
         infos, ended = self._told(), column(after, "done")
         if same and ended.any():

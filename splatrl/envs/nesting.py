@@ -6,6 +6,8 @@ from typing import Any, TypeAlias
 from tensordict import TensorDictBase
 from torchrl.envs import Compose, EnvBase, FrameSkipTransform, ObservationNorm, Transform, TransformedEnv
 
+from splatrl.device_faults import Faulty
+
 AnyTransform: TypeAlias = Transform | Callable[[TensorDictBase], TensorDictBase]
 
 
@@ -16,6 +18,13 @@ def layers(env: EnvBase) -> tuple[EnvBase, list[TransformedEnv]]:
         around.append(env)
         env = env.base_env
     return env, around
+
+
+def raise_faults(env: EnvBase) -> None:
+    """Wait for the device, and raise the errors that renderer and checker recorded on it; see ``Faulty``."""
+    base = layers(env)[0]
+    if isinstance(base, Faulty):
+        base.raise_faults()
 
 
 def state_of(env: EnvBase) -> dict[str, Any]:

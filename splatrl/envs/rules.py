@@ -8,7 +8,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from splatrl.collision.base import Checker
-from splatrl.collision.several import SeveralCheckers
+from splatrl.collision.several import SeveralCheckers, checkers_of
 from splatrl.envs.senses import Senses, Standing
 from splatrl.envs.tasks.base import NOTHING, Anywhere, Outcome, Step, Task
 
@@ -58,7 +58,7 @@ class Rules(NamedTuple):
     @property
     def scenes(self) -> int:
         """Number of scenes."""
-        return len(self.checker.checkers) if isinstance(self.checker, SeveralCheckers) else 1
+        return len(checkers_of(self.checker))
 
     @property
     def reads(self) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from torchrl.envs import Transform, TransformedEnv
 
 from splatrl.collision.base import Checker
 from splatrl.collision.nothing import NoChecker
-from splatrl.collision.several import SeveralCheckers
+from splatrl.collision.several import SeveralCheckers, checkers_of
 from splatrl.curriculum.starts import Curriculum
 from splatrl.device_faults import Faulty
 from splatrl.envs.drawing.base import Drawing
@@ -107,7 +107,7 @@ class SplatEnv(StateWhenAsked):
         check_batch_size(batch_size)
         super().__init__(device=device, batch_size=torch.Size(batch_size))
         self.drawing, self.checker, self.robot = drawing, checker, robot
-        self.scenes = len(checker.checkers) if isinstance(checker, SeveralCheckers) else 1
+        self.scenes = len(checkers_of(checker))
         self.task, self.curriculum, self.sensors = task, curriculum, dict(sensors or {})
         self.curriculum.seat(self.numel())
         self.made_by: Callable[..., SplatEnv] | None = None
@@ -140,9 +140,9 @@ class SplatEnv(StateWhenAsked):
     @property
     def capturable(self) -> bool:
         """Whether a step can be captured in a CUDA graph: parts that record errors on the device never synchronise."""
-        checkers = self.checker.checkers if isinstance(self.checker, SeveralCheckers) else [self.checker]
         if self.task.motion.steps_on_host:
             return False
+        checkers = checkers_of(self.checker)
         return isinstance(self.drawing.renderer, Faulty) and all(isinstance(c, (Faulty, NoChecker)) for c in checkers)
 
     def to(self, device: torch.device | str) -> "SplatEnv":

@@ -207,7 +207,7 @@ def _results(env: EnvBase) -> dict[str, torch.dtype]:
 def _begun(env: EnvBase, given: Mapping[str, Tensor], count: int) -> dict[str, Tensor]:
     """Draw the initial memory of task and sensors for all episodes, for keys missing in ``given``: [N, ...] by key."""
     base, rows = layers(env)[0], env.numel()
-    keys = [key for key in getattr(base, "remembered", ()) if key not in given]
+    keys = [key for key in base.remembered if key not in given]
     found: dict[str, list[Tensor]] = {key: [] for key in keys}
     for first in range(0, count if keys else 0, rows):
         some = torch.arange(first, first + rows).clamp_max(count - 1)

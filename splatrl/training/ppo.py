@@ -7,8 +7,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
 
-from splatrl.device_faults import Faulty
-from splatrl.envs.nesting import check_layers, layers, set_state, state_of
+from splatrl.envs.nesting import check_layers, raise_faults, set_state, state_of
 from splatrl.envs.tasks import Outcome
 from splatrl.training.actor import Actor
 from splatrl.training.collectors import Collector, HostCollector, device_collector
@@ -116,9 +115,7 @@ class PPO:
             ValueError: if renderer or checker refused their input, which they note on the device.
         """
         batch = self.collector.collect()
-        base = layers(self.env)[0]
-        if isinstance(base, Faulty):
-            base.raise_faults()
+        raise_faults(self.env)
         return batch
 
     def state_dict(self) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from splatrl.capture.job import Job
+from splatrl.capture.sfm.job import Job
 from splatrl.capture.truth import Truth
 
 pytest.importorskip("pycolmap")

@@ -8,8 +8,8 @@ import pytest
 
 from splatrl.array_files import read_arrays
 from splatrl.capture.carrying import WEAK, carried
-from splatrl.capture.job import Job
-from splatrl.capture.structure import MODEL, _keep
+from splatrl.capture.sfm.job import Job
+from splatrl.capture.sfm.structure import MODEL, _keep
 from tests.capture.walks import similarity_of
 
 COUNT, HINGE = 40, 24

@@ -9,15 +9,15 @@ import pytest
 from splatrl.array_files import read_arrays
 from splatrl.capture import placing
 from splatrl.capture.base import Photos
-from splatrl.capture.fisheye import fisheye
 from splatrl.capture.lens import WIDEST, Lens
 from splatrl.capture.photo_files import read_photo
 from splatrl.capture.poses import find_poses
 from splatrl.capture.settings import CaptureSettings
+from splatrl.capture.sfm.fisheye import fisheye
+from splatrl.capture.sfm.structure import MODEL, run
+from splatrl.capture.sfm.zoom import adjust
 from splatrl.capture.stages import Stages
-from splatrl.capture.structure import MODEL, run
 from splatrl.capture.undistort import undistorted
-from splatrl.capture.zoom import adjust
 from tests.capture.ray_cast import photos_of, room_image, walk
 from tests.capture.test_poses import _similar
 from tests.capture.test_zoom import SECONDS, seen_from_a_circle

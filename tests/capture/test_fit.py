@@ -10,9 +10,9 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.capture.base import CaptureError, Reconstruction
-from splatrl.capture.fit import FitSettings, Fitting, fit, held_out
-from splatrl.capture.fit_cameras import turned
-from splatrl.capture.fit_model import share
+from splatrl.capture.fitting.cameras import turned
+from splatrl.capture.fitting.fit import FitSettings, Fitting, fit, held_out
+from splatrl.capture.fitting.model import share
 from splatrl.capture.stereo import IGNORED
 from splatrl.native import _core
 from splatrl.renderers import NativeRenderer, ReferenceRenderer

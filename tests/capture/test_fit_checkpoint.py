@@ -9,8 +9,8 @@ import pytest
 from torch import Tensor
 
 from splatrl.capture.base import Reconstruction
-from splatrl.capture.fit import FitSettings, Fitting, fit
-from splatrl.capture.fit_checkpoint import Checkpoint
+from splatrl.capture.fitting.checkpoint import Checkpoint
+from splatrl.capture.fitting.fit import FitSettings, Fitting, fit
 from splatrl.scenes.gaussians import Gaussians
 from tests.capture.test_fit import SETTINGS, same_bytes, tiny_capture
 from tests.preloaded import start
@@ -24,8 +24,8 @@ SHORT = replace(FULL, views=60)
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from splatrl.capture.fit import fit
-from splatrl.capture.fit_checkpoint import Checkpoint
+from splatrl.capture.fitting.fit import fit
+from splatrl.capture.fitting.checkpoint import Checkpoint
 from tests.capture.test_fit_checkpoint import FULL
 from tests.capture.test_fit import tiny_capture
 
@@ -144,7 +144,7 @@ def test_a_checkpoint_is_written_whenever_the_interval_has_passed(
     capture: Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = iter(range(0, 10_000, 3))
-    monkeypatch.setattr("splatrl.capture.fit_checkpoint.time.monotonic", lambda: next(clock))
+    monkeypatch.setattr("splatrl.capture.fitting.checkpoint.time.monotonic", lambda: next(clock))
     write, written = Checkpoint.write, []
 
     def noted(self: Checkpoint, state: dict[str, Tensor]) -> None:

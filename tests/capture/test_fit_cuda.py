@@ -8,11 +8,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from splatrl.capture import fit_cuda
 from splatrl.capture.base import Reconstruction
-from splatrl.capture.fit import FitSettings, Fitting, fit
-from splatrl.capture.fit_cuda import CudaFitter
-from splatrl.capture.fit_structs import kernel_defines
+from splatrl.capture.fitting import cuda as fit_cuda
+from splatrl.capture.fitting.cuda import CudaFitter
+from splatrl.capture.fitting.fit import FitSettings, Fitting, fit
+from splatrl.capture.fitting.structs import kernel_defines
 from splatrl.capture.stereo import IGNORED
 from splatrl.native import _core
 from tests.capture.test_fit import COUNT as FEW

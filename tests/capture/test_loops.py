@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from splatrl.capture.loops import likeness, loop_pairs
+from splatrl.capture.sfm.loops import likeness, loop_pairs
 
 RANDOM = np.random.default_rng(0)
 

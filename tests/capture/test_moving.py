@@ -11,8 +11,8 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras
 from splatrl.capture.base import Reconstruction
-from splatrl.capture.fit import FitSettings, fit, held_out, trained
-from splatrl.capture.fit_pictures import frame_of
+from splatrl.capture.fitting.fit import FitSettings, fit, held_out, trained
+from splatrl.capture.fitting.pictures import frame_of
 from splatrl.capture.moving import asked, difference, find_moving
 from splatrl.capture.stereo import Depths, find_depths
 from splatrl.renderers import NativeRenderer

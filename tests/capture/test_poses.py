@@ -14,17 +14,17 @@ import pytest
 import torch
 
 from splatrl.array_files import read_arrays
-from splatrl.capture import mapping
 from splatrl.capture import poses as poses_module
 from splatrl.capture.base import CaptureError
 from splatrl.capture.carrying import weakest
 from splatrl.capture.child import _pass_on, run_child
-from splatrl.capture.job import Job, write_job
-from splatrl.capture.mapping import SHARED, find_cameras
 from splatrl.capture.pipeline import reconstruct
 from splatrl.capture.poses import find_poses, job_of, missing_runs
 from splatrl.capture.settings import CaptureSettings
-from splatrl.capture.structure import MODEL, SPARSE, _keep, pairs, run
+from splatrl.capture.sfm import mapping
+from splatrl.capture.sfm.job import Job, write_job
+from splatrl.capture.sfm.mapping import SHARED, find_cameras
+from splatrl.capture.sfm.structure import MODEL, SPARSE, _keep, pairs, run
 from tests.capture import ray_cast
 from tests.capture.ray_cast import HALF, photos_of, walk
 

@@ -14,7 +14,7 @@ from PIL import Image, ImageFilter
 
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.depth_points import with_measured_points
-from splatrl.capture.fit import FitSettings
+from splatrl.capture.fitting.fit import FitSettings
 from splatrl.capture.lens import Lens
 from splatrl.capture.pipeline import capture
 from splatrl.capture.poses import find_poses

@@ -7,7 +7,7 @@ from omegaconf import OmegaConf
 
 from splatrl.bodies import Sphere
 from splatrl.capture.base import Reconstruction
-from splatrl.capture.fit import FitSettings
+from splatrl.capture.fitting.fit import FitSettings
 from splatrl.capture.resolution import Resolution
 from splatrl.configuration import conf_dir
 from splatrl.envs.robot import Robot

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.capture.base import CaptureError, Reconstruction
-from splatrl.capture.fit_pictures import frame_of, pictures
+from splatrl.capture.fitting.pictures import frame_of, pictures
 from splatrl.capture.stereo import Depths, find_depths
 from splatrl.native import _core
 from splatrl.renderers import NativeRenderer

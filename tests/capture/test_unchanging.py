@@ -15,10 +15,10 @@ from scipy import ndimage
 from splatrl.capture import pipeline
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.check import colour_corrected, psnr, ssim
-from splatrl.capture.job import DATABASE
 from splatrl.capture.matches import features
 from splatrl.capture.pipeline import reconstruct
 from splatrl.capture.settings import CaptureSettings
+from splatrl.capture.sfm.job import DATABASE
 from splatrl.capture.stereo import Depths
 from splatrl.capture.unchanging import FEWEST, MOST, REACH, left_out, left_out_at, said, too_much, unchanging, with_mask
 from tests.capture import ray_cast

@@ -14,11 +14,11 @@ from splatrl.array_files import read_arrays
 from splatrl.cameras import look_at
 from splatrl.capture import pipeline, placing
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
-from splatrl.capture.job import Job
 from splatrl.capture.pipeline import reconstruct
 from splatrl.capture.settings import CaptureSettings
-from splatrl.capture.structure import MODEL, _keep
-from splatrl.capture.zoom import CLOSE, PART, REFUSED, _parts, focal_lengths, zoomed
+from splatrl.capture.sfm.job import Job
+from splatrl.capture.sfm.structure import MODEL, _keep
+from splatrl.capture.sfm.zoom import CLOSE, PART, REFUSED, _parts, focal_lengths, zoomed
 from tests.capture.walks import ABOVE, walk
 
 pycolmap = pytest.importorskip("pycolmap")

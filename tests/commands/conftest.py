@@ -14,8 +14,8 @@ from splatrl.cameras import Cameras
 from splatrl.capture import folder as write_folder
 from splatrl.capture import kept, pipeline, placing
 from splatrl.capture.base import Photos, Reconstruction
-from splatrl.capture.fit import FitSettings
-from splatrl.capture.fit_pictures import Frame
+from splatrl.capture.fitting.fit import FitSettings
+from splatrl.capture.fitting.pictures import Frame
 from splatrl.capture.look import Look
 from splatrl.capture.progress import Progress
 from splatrl.capture.stereo import Depths

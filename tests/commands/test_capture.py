@@ -14,8 +14,8 @@ import splatrl
 from splatrl.capture import folder as write_folder
 from splatrl.capture import kept, pipeline, placing
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
-from splatrl.capture.fit import FitSettings
-from splatrl.capture.fit_checkpoint import Checkpoint
+from splatrl.capture.fitting.checkpoint import Checkpoint
+from splatrl.capture.fitting.fit import FitSettings
 from splatrl.capture.look import Look
 from splatrl.capture.progress import Progress
 from splatrl.capture.settings import CaptureSettings

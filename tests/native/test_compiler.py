@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from splatrl.bodies import Box, Capsule, Sphere
-from splatrl.capture.fit_structs import kernel_defines as fit_defines
+from splatrl.capture.fitting.structs import kernel_defines as fit_defines
 from splatrl.collision.cuda import kernel_defines as collision_defines
 from splatrl.native.cuda import compiler
 from splatrl.native.cuda.compiler import FOLDERS, compiled

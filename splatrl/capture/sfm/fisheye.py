@@ -11,9 +11,9 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from splatrl.capture.job import DATABASE, Job
-from splatrl.capture.pairing import match_pairs
-from splatrl.capture.zoom import adjust, mean_error
+from splatrl.capture.sfm.job import DATABASE, Job
+from splatrl.capture.sfm.pairing import match_pairs
+from splatrl.capture.sfm.zoom import adjust, mean_error
 
 if TYPE_CHECKING:  # the process that runs COLMAP needs no PyTorch, whose import takes seconds
     from splatrl.capture.base import Reconstruction

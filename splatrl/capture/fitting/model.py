@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Tensor
 
-from splatrl.capture.fit_pictures import Frame
+from splatrl.capture.fitting.pictures import Frame
 from splatrl.scenes.gaussians import Gaussians
 
 MEAN, LOG_SCALE, QUAT, LOGIT, SH = slice(0, 3), slice(3, 6), slice(6, 10), 10, 11

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from splatrl.capture.fit_structs import (
+from splatrl.capture.fitting.structs import (
     BACK_BYTES,
     BLEND_BYTES,
     CHANNELS,

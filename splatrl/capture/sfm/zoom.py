@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splatrl.capture.cuts import takes
-from splatrl.capture.job import Job
+from splatrl.capture.sfm.job import Job
 
 if TYPE_CHECKING:  # the process that runs COLMAP needs no PyTorch, whose import takes seconds
     from splatrl.capture.base import Reconstruction

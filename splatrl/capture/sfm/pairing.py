@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from splatrl.capture.job import DATABASE, Job
+from splatrl.capture.sfm.job import DATABASE, Job
 
 PAIRS = "pairs.txt"
 

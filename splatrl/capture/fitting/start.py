@@ -6,8 +6,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from splatrl.capture.base import CaptureError, Reconstruction
-from splatrl.capture.fit_model import LOG_SCALE, LOGIT, MEAN, QUAT, SH, Model
-from splatrl.capture.fit_pictures import Frame, Pictures
+from splatrl.capture.fitting.model import LOG_SCALE, LOGIT, MEAN, QUAT, SH, Model
+from splatrl.capture.fitting.pictures import Frame, Pictures
 from splatrl.capture.stereo import Depths
 from splatrl.spherical_harmonics import C0
 

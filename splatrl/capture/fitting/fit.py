@@ -13,12 +13,12 @@ import torch
 from torch import Tensor
 
 from splatrl.capture.base import CaptureError, Reconstruction
-from splatrl.capture.fit_cameras import Learned, turned
-from splatrl.capture.fit_checkpoint import Checkpoint
-from splatrl.capture.fit_cuda import CudaFitter
-from splatrl.capture.fit_model import LOG_SCALE, LOGIT, MEAN, QUAT, SH, Model
-from splatrl.capture.fit_pictures import Frame, Pictures, frame_of, pictures
-from splatrl.capture.fit_start import start
+from splatrl.capture.fitting.cameras import Learned, turned
+from splatrl.capture.fitting.checkpoint import Checkpoint
+from splatrl.capture.fitting.cuda import CudaFitter
+from splatrl.capture.fitting.model import LOG_SCALE, LOGIT, MEAN, QUAT, SH, Model
+from splatrl.capture.fitting.pictures import Frame, Pictures, frame_of, pictures
+from splatrl.capture.fitting.start import start
 from splatrl.capture.stereo import Depths, find_depths
 from splatrl.native import _core
 from splatrl.native.threads import usable_cores

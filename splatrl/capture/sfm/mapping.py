@@ -11,9 +11,9 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from splatrl.capture.carrying import carried, longest_stretch
-from splatrl.capture.fisheye import fisheye, match_through
 from splatrl.capture.jerks import jerks, leaps
-from splatrl.capture.job import DATABASE, Job, tell
+from splatrl.capture.sfm.fisheye import fisheye, match_through
+from splatrl.capture.sfm.job import DATABASE, Job, tell
 
 LEAST_INLIERS, LEAST_SHARE, TRIALS = 15, 0.15, 10
 """Minimum number and minimum ratio of inliers of a pose, and how often a pose is sought. COLMAP's 30, 0.25 and 3 leave

@@ -1,4 +1,4 @@
-"""Structure from motion with COLMAP, in a process of its own: ``python -m splatrl.capture.structure JOB``.
+"""Structure from motion with COLMAP, in a process of its own: ``python -m splatrl.capture.sfm.structure JOB``.
 
 COLMAP aborts where another thread reads its database, and only its logs show its progress; a process of its own can be
 killed at any time. What is in the database by then is not computed again. The process ends when its standard input
@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from splatrl.capture.fisheye import FISHEYE
-from splatrl.capture.job import DATABASE, Job, read_job, tell
-from splatrl.capture.loops import loop_pairs
-from splatrl.capture.mapping import find_cameras, joined, mapping_options
-from splatrl.capture.pairing import PAIRS, match_pairs
-from splatrl.capture.zoom import focal_lengths
+from splatrl.capture.sfm.fisheye import FISHEYE
+from splatrl.capture.sfm.job import DATABASE, Job, read_job, tell
+from splatrl.capture.sfm.loops import loop_pairs
+from splatrl.capture.sfm.mapping import find_cameras, joined, mapping_options
+from splatrl.capture.sfm.pairing import PAIRS, match_pairs
+from splatrl.capture.sfm.zoom import focal_lengths
 from splatrl.files import replacing
 
 MODEL, SEARCHED = "model.npz", "searched"
