@@ -6,7 +6,7 @@ formulas broadcast, so they work alike with a tensor [2] shared by all rows and 
 
 import copy
 from collections.abc import Sequence
-from typing import Any, Protocol, TypeVar, cast, runtime_checkable
+from typing import Any, Self, TypeVar, cast
 
 import torch
 from torch import Tensor, nn
@@ -14,17 +14,17 @@ from torch import Tensor, nn
 Module = TypeVar("Module", bound=nn.Module)
 
 
-@runtime_checkable
-class SelfStacking(Protocol):
-    """A module that stacks itself and selects its rows itself, in place of ``stacked`` and ``rows_of``."""
+class SelfStacking(nn.Module):
+    """A module that joins those of several scenes itself, and selects rows itself, in place of what is below."""
 
-    def joined(self, scenes: Sequence[Any]) -> Any:
-        """Join modules of several scenes, one for each, into one of all of them."""
-        ...
+    @classmethod
+    def joined(cls, scenes: Sequence[Self]) -> Self:
+        """Join the modules of several scenes, one for each, into one of all of them."""
+        raise NotImplementedError
 
-    def at(self, scene: Tensor) -> Any:
+    def at(self, scene: Tensor) -> Self:
         """Return the joined module for rows in given scenes, [B] int64."""
-        ...
+        raise NotImplementedError
 
 
 def stacked(modules: Sequence[Module], name: str = "task") -> Module:
@@ -39,7 +39,7 @@ def stacked(modules: Sequence[Module], name: str = "task") -> Module:
     """
     first = modules[0]
     if isinstance(first, SelfStacking):
-        return cast(Module, first.joined(modules))
+        return cast(Module, first.joined(cast(Any, modules)))
     result = copy.copy(first)
     result._buffers, result._modules = dict(first._buffers), dict(first._modules)
     if any(type(module) is not type(first) for module in modules):

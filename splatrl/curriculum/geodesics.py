@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, cast
+from typing import Any, Self, cast
 
 import numpy as np
 import torch
@@ -13,7 +13,7 @@ from splatrl.bodies import Box
 from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum.ground import Ground
 from splatrl.motions.base import PlannedMotion
-from splatrl.per_scene import rows_of, stacked
+from splatrl.per_scene import SelfStacking, rows_of, stacked
 
 MOST_DISTANCES = 2**29
 """Most distances, nodes times goals, to the goals of one scene or those of a file: each takes 4 bytes."""
@@ -23,7 +23,7 @@ NEAR = 2.0
 """Distance from a goal within which the straight-line distance is used, cells."""
 
 
-class Geodesics(nn.Module):
+class Geodesics(SelfStacking):
     """Look-up of geodesic distances to goals in one scene or several; a goal is a row that belongs to one scene.
 
     Attributes:
@@ -106,13 +106,13 @@ class Geodesics(nn.Module):
         return cls([place], [np.random.default_rng(seed).choice(nodes, wanted, replace=False)], for_training)
 
     @classmethod
-    def joined(cls, scenes: "Sequence[Geodesics]") -> "Geodesics":
+    def joined(cls, scenes: Sequence[Self]) -> Self:
         """Join the geodesics of several scenes, each given by its own."""
         metres = torch.cat([each.metres for each in scenes])
         grounds, nodes = [each.grounds[0] for each in scenes], [each._nodes[0] for each in scenes]
         return cls(grounds, nodes, scenes[0].for_training, metres).to(metres.device)
 
-    def at(self, scene: Tensor) -> "Geodesics":
+    def at(self, scene: Tensor) -> Self:
         """Return a view for rows in given scenes, [B] int64: ``draw`` then takes each row's goal from its scene."""
         result = nn.Module.__new__(type(self))
         result.__dict__ = {**self.__dict__, "_scene": scene}
