@@ -446,7 +446,7 @@ def test_only_two_velocity_servos_say_how_fast_a_robot_is(tmp_path: Path, motors
             {},
             "actuator 'push': expected a ctrlrange",
         ),
-        (BODY, MOTOR, {}, "task.motion.linear: expected a value, got none, which needs .* 'forward' and 'turn'; .* imagenav"),
+        (BODY, MOTOR, {}, "task.motion.linear: expected a value, got none, which needs .* 'turn'; .* imagenav"),
         (
             BODY,
             MOTOR,
