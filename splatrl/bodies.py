@@ -38,6 +38,11 @@ class Box:
         return 0.5 * math.hypot(*self.size)
 
     @property
+    def half_width(self) -> float:
+        """Distance from the vertical line through its origin to its nearest side, metres."""
+        return 0.5 * min(self.size[:2])
+
+    @property
     def half_height(self) -> float:
         """How far the body reaches above and below its origin along its own z, metres."""
         return 0.5 * self.size[2]
@@ -51,6 +56,11 @@ class Sphere:
 
     def __post_init__(self) -> None:
         _check_length("Sphere.radius", self.radius)
+
+    @property
+    def half_width(self) -> float:
+        """Distance from the vertical line through its origin to its nearest side, metres."""
+        return self.radius
 
     @property
     def half_height(self) -> float:
@@ -78,6 +88,11 @@ class Capsule:
     def radius(self) -> float:
         """Radius of the sphere about the origin that contains the body, metres."""
         return 0.5 * self.length + self.cap_radius
+
+    @property
+    def half_width(self) -> float:
+        """Distance from the vertical line through its origin to its nearest side, metres."""
+        return self.cap_radius
 
     @property
     def half_height(self) -> float:

@@ -180,9 +180,7 @@ class LegsMotion(PhysicsMotion):
 
     def fallen(self, state: Tensor) -> Tensor:
         """Return whether robots have fallen: [B, n] -> [B] bool."""
-        x, y, z = state[:, self.layout.position].unbind(1)
-        height = z - self.terrain.height(torch.stack([x, y], 1))
-        return ~((self.upright(state) > TILTED) & (height > LOW))
+        return ~((self.upright(state) > TILTED) & (self.above_ground(state) > LOW))
 
 
 class StridesMotion(LegsMotion):

@@ -15,7 +15,14 @@ from splatrl.motions.site import Fits, Site, narrowed
 from splatrl.physics import Physics, Terrain, level_ground
 from splatrl.physics.bank import Variation, bank
 from splatrl.physics.body_poses import BodyPoses
-from splatrl.physics.checks import require_heading, require_multiple, require_rest, require_shown, require_sound
+from splatrl.physics.checks import (
+    compare_axle,
+    require_heading,
+    require_multiple,
+    require_rest,
+    require_shown,
+    require_sound,
+)
 from splatrl.physics.compose import SCENE
 from splatrl.physics.gaussians import BodyGaussians, Models
 from splatrl.physics.looks import compare_looks, shown_bodies
@@ -121,6 +128,8 @@ class PhysicsMotion(SimulatedMotion):
         require_shown(self.things, self._shown)
         require_rest(self.world, self.physics, self.things, self.held)
         self.driven = driven(self.world)
+        if self.driven:
+            compare_axle(self.world, self.physics, self.things, self.held)
         speeds = twin_speeds(self.world, linear, angular_deg)
         height = float(self.home[self.layout.position][2])
         self.twin = DriveMotion(height, time_step, *speeds, lower, upper, spacing, headings)

@@ -39,7 +39,8 @@ def twin_speeds(
     if lacking and not driven(world):
         raise ValueError(
             f"task.motion.{lacking[0]}: expected a value, got none, which needs a robot whose only actuators are "
-            f"<velocity> servos called {FORWARD!r} and {TURN!r}; {world.path} has others"
+            f"<velocity> servos called {FORWARD!r} and {TURN!r}; {world.path} has others, with which "
+            "robots cannot take part in pointnav and imagenav either"
         )
     limits = world.model.actuator_ctrlrange.tolist()
     return limits[0] if linear is None else linear, math.degrees(limits[1][1]) if angular_deg is None else angular_deg

@@ -132,11 +132,18 @@ class SimulatedMotion(TwinMotion):
         return rotated(state[:, self.layout.orientation], top)[:, 2]
 
     def fallen(self, state: Tensor) -> Tensor:
-        """Return whether robots that drive on the ground lie on their side or back: [B, n] -> [B] bool.
+        """Return whether robots lie on their side or back: [B, n] -> [B] bool.
 
-        Those that take other actions than a speed and a turn rate may fly, to which no tilt is a fall: False.
+        They are tilted by more than 60°. Those that take other actions than a speed and a turn rate may fly, at any
+        tilt: they lie only where they are so low that they can touch the ground.
         """
-        return ~(self.upright(state) > TILTED) & self.driven
+        low = ~(self.above_ground(state) > self.world.radius)
+        return ~(self.upright(state) > TILTED) & (low | self.driven)
+
+    def above_ground(self, state: Tensor) -> Tensor:
+        """Return the height of first bodies above the ground: [B, n] -> [B] float64, metres."""
+        x_y, z = state[:, self.layout.position].split([2, 1], 1)
+        return z.squeeze(1) - self.terrain.height(x_y)
 
     def placed(self, planar: Tensor) -> Tensor:
         """Return states in which robots stand at rest on the ground, and things on it where their files place them.

@@ -1,12 +1,14 @@
 """Checks that a robot and its things work, before anyone learns with them."""
 
 import math
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from splatrl.geometry import quat_yaws, wrapped
 from splatrl.physics.gaussians import SHOWN_GROUPS
 from splatrl.physics.robot_world import RobotWorld
 from splatrl.physics.stepping import Physics
@@ -18,6 +20,11 @@ RESTING, SETTLED = 0.2, 0.02
 """Seconds for which a thing must rest where its file puts it, and metres by which its height may change meanwhile."""
 APART = 1e3
 """Distance between things, and from the robot, where it is checked that they rest, metres."""
+
+STARTING, TURNING, TURNED = 0.2, 0.4, 0.1
+"""Seconds in which a robot reaches its turn rate, then seconds and least radians over which its turn is measured."""
+OFF_AXLE = 0.05
+"""Largest distance from a robot's first body to the point about which it turns, metres, of which nobody is warned."""
 
 
 def require_multiple(held: float, timestep: float) -> int:
@@ -79,13 +86,9 @@ def require_rest(world: RobotWorld, physics: Physics, things: Things, held: floa
         things: their files.
         held: duration of a step of the physics, seconds.
     """
-    joints = {name: world.free_joint(name) for name in things.paths}
-    free = {name: physics.layout.free_joint(address) for name, address in joints.items() if address is not None}
+    before, free = _apart(world, physics, things)
     if not free:
         return
-    before = physics.state_of(world.qpos, world.act).unsqueeze(0)
-    for number, columns in enumerate(free.values()):
-        before[:, columns][:, 0] += APART * (number + 1)
     state, still = before, torch.from_numpy(world.ctrl).unsqueeze(0)
     for _ in range(math.ceil(RESTING / held)):
         state = physics.step(state, still).state
@@ -97,3 +100,43 @@ def require_rest(world: RobotWorld, physics: Physics, things: Things, held: floa
                 f"file puts it, got one that {'rises' if risen > 0 else 'falls'} by {100 * abs(risen):.3g} cm "
                 f"within {RESTING:g} s; set the pos of its body, and let its geoms touch (contype, conaffinity)"
             )
+
+
+def compare_axle(world: RobotWorld, physics: Physics, things: Things, held: float) -> None:
+    """Warn of a robot with the servos forward and turn that does not turn about its first body, as paths expect it to.
+
+    Args:
+        world: the robot among the things, on level ground.
+        physics: its physics.
+        things: their files.
+        held: duration of a step of the physics, seconds.
+    """
+    state, _ = _apart(world, physics, things)
+    turn = world.control_limits()[1:] * torch.tensor([0.0, 1.0])
+    poses = []
+    for seconds in (STARTING, TURNING):
+        for _ in range(math.ceil(seconds / held)):
+            state = physics.step(state, turn).state
+        poses.append((state[0, physics.layout.position][:2], quat_yaws(state[0, physics.layout.orientation])))
+    (start, before), (end, after) = poses
+    angle = float(wrapped(after - before))
+    if not abs(angle) > TURNED:
+        return
+    x, y = (end - start).tolist()
+    away = 0.5 * math.hypot(x, y) / abs(math.sin(0.5 * angle))  # of a chord's ends from the middle of its circle
+    if away > OFF_AXLE:
+        warnings.warn(
+            f"{world.path}: expected a robot that turns about the origin of its first body, as paths take it to, got "
+            f"one that turns about a point {away:.2g} m from it, and so may touch the walls of narrow lanes",
+            stacklevel=2,
+        )
+
+
+def _apart(world: RobotWorld, physics: Physics, things: Things) -> tuple[Tensor, dict[str, slice]]:
+    """Return the state at rest with all movable things far from the robot, [1, n], and their columns by name."""
+    joints = {name: world.free_joint(name) for name in things.paths}
+    free = {name: physics.layout.free_joint(address) for name, address in joints.items() if address is not None}
+    state = physics.state_of(world.qpos, world.act).unsqueeze(0)
+    for number, columns in enumerate(free.values()):
+        state[:, columns][:, 0] += APART * (number + 1)
+    return state, free

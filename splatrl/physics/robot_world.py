@@ -10,7 +10,7 @@ from torch import Tensor
 from splatrl.physics.compose import ROBOT, compose
 from splatrl.physics.mjcf import read_mjcf
 from splatrl.physics.optional import needed
-from splatrl.physics.standing import reach_of, top_of
+from splatrl.physics.standing import radius_of, reach_of, top_of
 from splatrl.physics.terrain import Terrain
 
 
@@ -22,6 +22,7 @@ class RobotWorld:
         things: for each thing's name, the name of its first body.
         top: upper bound on how high the robot and the things reach where their files place them, metres.
         reach: how far the robot reaches from the vertical line through its first body when it stands, metres.
+        radius: upper bound on how far it then reaches from the origin of that body, metres.
         qpos: [nq] float64, positions in the robot's first keyframe, or in the default pose without one.
         act: [na] float64, activations there, 0 without a keyframe.
         ctrl: [nu] float64, controls there, 0 without a keyframe.
@@ -42,7 +43,7 @@ class RobotWorld:
         if substep is not None:
             robot.option.timestep = substep
         alone, specs = robot.copy().compile(), {name: read_mjcf(place) for name, place in things.items()}
-        self.path, self.reach = path, reach_of(alone)
+        self.path, self.reach, self.radius = path, reach_of(alone), radius_of(alone)
         self.top = max(top_of(each) for each in (alone, *(spec.copy().compile() for spec in specs.values())))
         try:
             self.model, first, self.things = compose(robot, terrain, specs)

@@ -43,6 +43,17 @@ def reach_of(model: Any) -> float:
     return float(np.linalg.norm(away, axis=2).max(initial=0.0))
 
 
+def radius_of(model: Any) -> float:
+    """Return an upper bound on how far a standing model reaches from the origin of its first body, metres.
+
+    Only geoms that make contact count, each with the sphere around it.
+    """
+    data = at_home(model)
+    solid = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
+    away = np.linalg.norm(data.geom_xpos[solid] - data.xpos[1], axis=1)
+    return float((away + model.geom_rbound[solid]).max(initial=0.0))
+
+
 def on_ground(planar: Tensor, home: Tensor, terrain: Terrain) -> Tensor:
     """Return the poses of a robot's first body that stands on the ground, upright with respect to it.
 

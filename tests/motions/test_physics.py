@@ -408,6 +408,20 @@ def test_a_robot_that_turns_before_it_goes_forward_is_refused(tmp_path: Path) ->
         PhysicsMotion(tmp_path / "swapped.xml", "eye", threads=1)
 
 
+@pytest.mark.parametrize(("ahead", "warned"), [(0.03, False), (0.1, True)])
+def test_a_robot_that_does_not_turn_about_its_first_body_is_warned_of(
+    tmp_path: Path, ahead: float, warned: bool
+) -> None:
+    text = mjcf_path("wheels").read_text()
+    assert text.count('pos="0.03 ') == 2  # the wheels
+    (tmp_path / "moved.xml").write_text(text.replace('pos="0.03 ', f'pos="{ahead} '))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        PhysicsMotion(tmp_path / "moved.xml", "eye", {"ball": "ball"}, threads=1)
+    found = "moved.xml: expected a robot that turns about the origin of its first body"
+    assert any(found in str(one.message) and "a point 0.1 m from it" in str(one.message) for one in told) is warned
+
+
 @pytest.mark.parametrize(
     ("motors", "driven"),
     [
@@ -446,7 +460,7 @@ def test_only_two_velocity_servos_say_how_fast_a_robot_is(tmp_path: Path, motors
             {},
             "actuator 'push': expected a ctrlrange",
         ),
-        (BODY, MOTOR, {}, "task.motion.linear: expected a value, got none, which needs .* 'forward' and 'turn'; "),
+        (BODY, MOTOR, {}, "task.motion.linear: expected a value, got none, which needs .* 'turn'; .* imagenav"),
         (
             BODY,
             MOTOR,

@@ -4,7 +4,7 @@ import mujoco
 import pytest
 
 from splatrl.physics.robots import mjcf_path
-from splatrl.physics.standing import reach_of
+from splatrl.physics.standing import radius_of, reach_of
 
 ROBOT = """
 <mujoco>
@@ -22,6 +22,7 @@ ROBOT = """
 def test_a_robot_reaches_as_far_as_its_contacts_where_it_stands() -> None:
     model = mujoco.MjModel.from_xml_string(ROBOT.format(keyframe=""))
     assert reach_of(model) == pytest.approx(0.83, abs=2e-3)  # the capsule's box is as wide as the capsule
+    assert radius_of(model) == pytest.approx(0.83)
     key = '<keyframe><key qpos="2 1 0.9 1 0 0 0 1.5708"/></keyframe>'  # the boom hangs down
     assert reach_of(mujoco.MjModel.from_xml_string(ROBOT.format(keyframe=key))) == pytest.approx(0.5)
 

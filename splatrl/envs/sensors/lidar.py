@@ -19,7 +19,7 @@ class Lidar(PlainSensor):
     marks and sprites.
 
     Beams are ordered counter-clockwise, as in ROS's ``sensor_msgs/LaserScan``: the first points half the field of view
-    to the right of the body's +x. A 360° field does not repeat its first beam.
+    to the right of the body's +x. A 360° field does not repeat its first beam. A single beam points ahead.
 
     Args:
         beams: number of beams.
@@ -40,7 +40,8 @@ class Lidar(PlainSensor):
         self.reach = float(reach)
         self.beams, self.field_deg, self.elevation_deg = beams, float(field_deg), float(elevation_deg)
         gaps = beams if field_deg == 360.0 else max(beams - 1, 1)
-        azimuth = torch.deg2rad(torch.arange(beams, dtype=torch.float64) * field_deg / gaps - field_deg / 2)
+        first = 0.0 if beams == 1 else -field_deg / 2
+        azimuth = torch.deg2rad(first + torch.arange(beams, dtype=torch.float64) * field_deg / gaps)
         up = math.radians(elevation_deg)
         level = torch.stack([azimuth.cos(), azimuth.sin()], 1) * math.cos(up)
         self._beams = {torch.device("cpu"): torch.cat([level, torch.full((beams, 1), math.sin(up))], 1).float()}

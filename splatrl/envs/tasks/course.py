@@ -47,7 +47,8 @@ class Course(TaskModule):
     Subclasses define what courses look like, how robots begin, and when a place counts as passed.
 
     Reward: [B, 1] float32, see ``CourseRewards``.
-    Termination: at the last place, which is a success; when anything is touched; when the robot leaves the bounds.
+    Termination: at the last place, which is a success; when anything is touched or the robot falls over; when the
+        robot leaves the bounds.
     Truncation: after ``max_steps`` steps.
     State: [B, n] float64, the physics' (``PhysicsMotion``), whose first value is the number of the course. Memory:
         ``passed`` [B, 1] int64, number of places passed; ``next_place`` [B, 4] float32, pose of the next place in the

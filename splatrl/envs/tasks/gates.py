@@ -106,16 +106,11 @@ class Gates(Course):
             model.body_pos[body] = x, y, z
             model.body_quat[body] = yaw_quat(yaw)
 
-    def _height(self, state: Tensor) -> Tensor:
-        """Return the height of the quadrotor's centre above the ground, metres: [B, n] -> [B]."""
-        x_y, z = self._position(state).split([2, 1], 1)
-        return z.squeeze(1) - self.motion.terrain.height(x_y)
-
     def _crashed(self, state: Tensor) -> Tensor:
-        return self._height(state) < LOW
+        return (self.motion.above_ground(state) < LOW) | self.motion.fallen(state)
 
     def _outside(self, state: Tensor) -> Tensor:
-        return ~self.motion.inside(state) | (self._height(state) > (self.motion.ceiling or math.inf))
+        return ~self.motion.inside(state) | (self.motion.above_ground(state) > (self.motion.ceiling or math.inf))
 
     def _position(self, state: Tensor) -> Tensor:
         return state[:, self.motion.layout.position]

@@ -141,6 +141,13 @@ class NavigationTask(TaskModule):
                 f"task.success_distance={self.success_distance:g}, got {times}{self.motion.step:g}",
                 stacklevel=2,
             )
+        two_nodes = site.body.half_width + 0.5 * site.occupancy.resolution  # in the way of any wall, so each has a side
+        if self.cell > two_nodes + 1e-9:
+            warnings.warn(
+                f"task.cell: distances beside a wall one voxel thick may be those behind it, unless a cell is at most "
+                f"half the body's width plus half a voxel, {two_nodes:g} m, got {self.cell:g}",
+                stacklevel=2,
+            )
         self.choose_goals(site.checker, fits)
         connected, within = self.geodesics.grounds[0].connected, self.geodesics.within
 

@@ -169,6 +169,11 @@ def test_lidar_beams_go_counter_clockwise_from_behind() -> None:
         torch.testing.assert_close(beam, torch.tensor(way), atol=1e-6, rtol=0)
 
 
+@pytest.mark.parametrize("field", [0.0, 90.0, 360.0])
+def test_a_single_lidar_beam_points_ahead(field: float) -> None:
+    assert Lidar(beams=1, field_deg=field)._beams[torch.device("cpu")].tolist() == [[1.0, 0.0, 0.0]]
+
+
 def test_contact_is_felt_in_the_step_that_touches_and_not_after_a_reset() -> None:
     env = sensing_env((1,), contact=Contact())
     td = env.reset(TensorDict({"state": torch.tensor([[3, 3, 0]])}, [1]), set_state=True)  # x = 0.5, beside the block

@@ -60,15 +60,27 @@ def drive() -> Drive:
     return Drive(PhysicsMotion("wheels", "eye", threads=1), (0.9, 0.9, 0.0))
 
 
+def fly_to_a_pose() -> Drive:
+    return Drive(PhysicsMotion("quadrotor", "eye", linear=(0.0, 1.0), angular_deg=90.0, threads=1), (0.9, 0.9, 0.0))
+
+
 @pytest.mark.parametrize(
     ("make", "outcome"),
-    [(push, Outcome.OUT_OF_BOUNDS), (pointnav, Outcome.COLLISION), (drive, Outcome.COLLISION)],
+    [
+        (push, Outcome.OUT_OF_BOUNDS),
+        (pointnav, Outcome.COLLISION),
+        (drive, Outcome.COLLISION),
+        (route, Outcome.COLLISION),
+        (gates, Outcome.COLLISION),
+        (fly_to_a_pose, Outcome.COLLISION),
+    ],
 )
-def test_a_robot_on_wheels_that_falls_over_ends_its_episode(make: Callable[[], Task], outcome: Outcome) -> None:
+def test_a_robot_that_lies_on_its_side_ends_its_episode(make: Callable[[], Task], outcome: Outcome) -> None:
     task = make()
     motion = task.motion
     assert isinstance(motion, PhysicsMotion)
-    home = motion.placed(torch.tensor([[0.3, 0.2, 0.0]]).double()).expand(2, -1)
+    home = motion.placed(torch.tensor([[0.6, 0.2, 0.0]]).double()).repeat(2, 1)
+    home[:, motion.layout.position][:, 2] = motion.terrain.height(home[:, motion.layout.position][:, :2]) + 0.1
     anywhere = Anywhere(lambda: home, torch.Generator().manual_seed(0))
     before = home.clone()
     memory = task.begin(before, anywhere)
@@ -89,8 +101,10 @@ def test_a_robot_on_wheels_that_falls_over_ends_its_episode(make: Callable[[], T
         assert stopped.outcome.flatten().tolist() == [Outcome.COLLISION, Outcome.STOPPED]
 
 
-def test_a_quadrotor_may_take_any_attitude_and_does_not_fall() -> None:
+def test_a_quadrotor_may_take_any_attitude_in_the_air() -> None:
     motion = gates().motion
-    state = motion.placed(torch.zeros(1, 3).double())
-    state[:, motion.layout.orientation] = torch.tensor([0.0, 1.0, 0.0, 0.0]).double()  # upside down
-    assert not motion.fallen(state).any()
+    state = motion.placed(torch.zeros(3, 3).double())
+    state[1:, motion.layout.orientation] = torch.tensor([0.0, 1.0, 0.0, 0.0]).double()  # upside down
+    state[:, motion.layout.position][:, 2] = motion.terrain.height(torch.zeros(3, 2).double())
+    state[:, motion.layout.position][:, 2] += torch.tensor([0.11, 0.11, 0.13]).double()  # its hull has a radius of 0.12
+    assert motion.fallen(state).tolist() == [False, True, False]

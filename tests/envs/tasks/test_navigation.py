@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Sequence
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ from splatrl.evaluation.recording import record_episodes
 from splatrl.evaluation.rollouts import Episodes, knowing, run_episodes
 from splatrl.experiments.generalise import beeline
 from splatrl.geometry import wrapped
-from splatrl.motions import DriveMotion, ForwardMotion, NavigateMotion
+from splatrl.motions import DriveMotion, ForwardMotion, NavigateMotion, Site
 from splatrl.renderers import NoRenderer, Renderer
 from tests.tiny import BLOCK, HEIGHT, tiny_overrides, tiny_renderer
 
@@ -322,6 +322,22 @@ def test_steps_so_long_that_robots_may_step_over_a_goal_are_warned_of(
         warnings.simplefilter("always")
         splatrl.make_env([*given, *change])
     assert any("task.motion.step: robots may step over a goal unless" in str(one.message) for one in told) is warned
+
+
+@pytest.mark.parametrize(("radius", "warned"), [(0.01, True), (0.0249, True), (0.025, False)])
+def test_distances_through_thin_walls_are_warned_of(radius: float, warned: bool) -> None:
+    """A lane leads round the end of a wall one voxel thick, 1.5 m away; the goal is behind the wall."""
+    body = Sphere(radius)
+    wall = Occupancy.from_boxes([[0.0, -2.0, 0.0]], [[0.05, 1.0, 1.0]], 0.05)
+    motion = NavigateMotion(HEIGHT, lower=(-1.0 + 0.04 - radius, -1.5), upper=(1.0, 1.5))
+    task, nothing = PointNav(motion, goals=2, test_goals=1), cast(Any, None)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        task.settle(Site(nothing, wall, NativeChecker(wall, body), body, True), lambda poses: poses[:, 0, 0] < 2.0)
+    assert any("task.cell: distances beside a wall" in str(one.message) for one in told) is warned
+    place, goal = torch.tensor([[0.051 + radius, -0.5]]), np.array([[-0.31, -0.5]])
+    geodesics, row = task.geodesics.with_goals(goal, np.array([0]))
+    assert warned or float(geodesics.distance(place, row)) > 3.0
 
 
 def test_a_motion_that_cannot_stop_is_refused() -> None:
