@@ -22,9 +22,10 @@ class StableBaselinesVecEnv(VecEnv):
     """A batch of robots for the algorithms of Stable-Baselines3, all stepped in one call.
 
     Observation and action are those of ``GymnasiumVectorEnv``. A robot whose episode ends begins the next one in the
-    same step; its info then holds ``terminal_observation``, ``TimeLimit.truncated`` and ``is_success``, and the final
-    values of ``outcome``, ``goals``, ``success``, ``state`` and ``level``. Wrap it in ``VecMonitor`` to record episode
-    returns and lengths. ``seed(s)`` gives the robots the seeds s, s + 1, … for the next reset.
+    same step; its info then holds ``terminal_observation``, ``TimeLimit.truncated`` and the final values of all that
+    ``GymnasiumEnv`` tells, and ``reset_infos`` holds the values at the new beginning. Wrap it in ``VecMonitor`` to
+    record episode returns and lengths, and with ``info_keywords=("spl", ...)`` any of these values. ``seed(s)`` gives
+    the robots the seeds s, s + 1, … for the next reset.
 
     The curriculum begins at its easiest level in every new env, so make one for evaluation with ``curriculum=none``.
 
@@ -72,7 +73,7 @@ class StableBaselinesVecEnv(VecEnv):
                 info = _row(infos["final_info"], row)
                 info["terminal_observation"] = infos["final_obs"][row]
                 info["TimeLimit.truncated"] = bool(truncated[row] and not terminated[row])
-                info["is_success"] = info["success"]
+                self.reset_infos[row] = _row(infos, row)
             else:
                 info = _row(infos, row)
             told.append(info)
@@ -129,7 +130,7 @@ def _together(options: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
 
 def _row(infos: Infos, row: int) -> Infos:
     """Return the info of one robot, with scalars as Python numbers."""
-    values = {
-        key: infos[key][row] for key in ("outcome", "goals", "success", "state", "level", "scene") if key in infos
+    own = {
+        key: each for key, each in infos.items() if not key.startswith("_") and key not in ("final_obs", "final_info")
     }
-    return {key: value.item() if value.ndim == 0 else value for key, value in values.items()}
+    return {key: each[row].item() if each.ndim == 1 else each[row] for key, each in own.items()}
