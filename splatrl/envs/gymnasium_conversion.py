@@ -71,25 +71,24 @@ def begin(
         env: the robots' env.
         seed: seed of the env's generator; None leaves it as it is.
         options: infos of the moments at which episodes are to begin: ``state`` and, with several scenes, ``scene``, and
-            as much of what task and sensors remember as is to be restored; None draws episodes.
+            as much of what task, sensors and transforms remember as is to be restored; None draws episodes.
         seeds: a seed for each robot; see ``SplatEnv``.
 
     Raises:
         ValueError: for other options, or values that do not fit their spec.
     """
-    base = layers(env)[0]
-    carried = dict(base.state_spec.items())
-    needed = [key for key in ("state", "scene") if key in carried]
-    known = {*base.observation_spec.keys(), *ADDED}
+    specs = dict(env.observation_spec.items())
+    needed = [key for key in ("state", "scene") if key in specs]
+    known = specs.keys() | {*ADDED}
     if options and not ({*needed} <= options.keys() and {key.removeprefix("_") for key in options} <= known):
-        remembered = sorted(carried.keys() - {*needed, *COUNTED})
+        remembered = sorted({*layers(env)[0].state_spec.keys()} - {*needed, *COUNTED})
         wanted = " and ".join(map(repr, needed)) + (f", with any of {', '.join(remembered)}" if remembered else "")
         raise ValueError(f"options: expected {wanted}, got {sorted(options)}")
     if seed is not None:
         env.set_seed(int(seed))
     if not options:
         return env.reset() if seeds is None else env.reset(seeds=seeds)
-    read = {key: spec for key, spec in carried.items() if key in options and key not in COUNTED}
+    read = {key: spec for key, spec in specs.items() if key in options and key not in COUNTED}
     given = {key: _given(f"options[{key!r}]", options[key], spec) for key, spec in read.items()}
     return env.reset(TensorDict(given, env.batch_size, device=env.device), set_state=True)
 
@@ -168,8 +167,8 @@ def infos_of(env: EnvBase, td: TensorDictBase) -> Infos:
     They are copies, since clients may edit what they are given. ``is_success``, ``spl`` and ``soft_spl`` are computed
     from the others.
     """
-    held, specs = {*td.keys()} - {*_observed_keys(env)}, layers(env)[0].observation_spec
-    told = {key: td[key].cpu() for key, spec in specs.items() if key in held and spec.ndim <= 2}
+    held, specs = {*td.keys()} - {*_observed_keys(env)}, env.observation_spec
+    told = {key: td[key].cpu() for key, spec in specs.items(True, True) if key in held and spec.ndim <= 2}
     told = {key: each if key == "state" or each.shape[1:] != (1,) else each.squeeze(1) for key, each in told.items()}
     told["is_success"] = told["success"]
     if "start_distance" in told:

@@ -32,7 +32,7 @@ class GymnasiumEnv(gymnasium.Env[Observation, Action]):
         sensor's reading under the sensor's key.
     Action: the task's, ``Discrete``; for continuous control a ``Box`` of float32 in [-1, 1], as Gymnasium's clients
         expect, mapped linearly onto the task's limits: ``drive`` stands still at (-1/3, 0), not at 0.
-    Info: every number and vector that ``SplatEnv`` has beside the observation, under its name: ``outcome`` (int, an
+    Info: every number and vector that env and transforms have beside the observation, by key: ``outcome`` (int, an
         ``Outcome``), ``success`` (bool), ``state`` (the task's state, an array), ``step_count``, ``level`` (int, the
         curriculum's level, from 0, at which the episode began; -1 at a given state), with several scenes ``scene``, and
         what the task remembers, such as ``goal`` and ``distance_to_goal``. ``is_success`` equals ``success``, and
