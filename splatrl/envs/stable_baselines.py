@@ -53,7 +53,7 @@ class StableBaselinesVecEnv(VecEnv):
         """Restart all episodes; returns [B, H, W, 3] uint8, or a dictionary."""
         seeds = None if all(seed is None for seed in self._seeds) else list(self._seeds)
         observations, infos = self.vector.reset(seed=seeds, options=_together(self._options))
-        self.reset_infos = [_row(infos, row) for row in range(self.num_envs)]
+        self.reset_infos = _rows(infos)
         self._reset_seeds()
         self._reset_options()
         return observations
@@ -67,16 +67,12 @@ class StableBaselinesVecEnv(VecEnv):
         assert self._actions is not None, "step_wait: expected a call to step_async() first"
         observations, rewards, terminated, truncated, infos = self.vector.step(self._actions)
         done = terminated | truncated
-        told = []
-        for row in range(self.num_envs):
-            if done[row]:
-                info = _row(infos["final_info"], row)
-                info["terminal_observation"] = infos["final_obs"][row]
-                info["TimeLimit.truncated"] = bool(truncated[row] and not terminated[row])
-                self.reset_infos[row] = _row(infos, row)
-            else:
-                info = _row(infos, row)
-            told.append(info)
+        told = _rows(infos)
+        last = _rows(infos["final_info"]) if done.any() else []
+        for row in np.flatnonzero(done).tolist():
+            self.reset_infos[row], told[row] = told[row], last[row]
+            told[row]["terminal_observation"] = infos["final_obs"][row]
+            told[row]["TimeLimit.truncated"] = bool(truncated[row] and not terminated[row])
         return observations, rewards.astype(np.float32), done, told
 
     def close(self) -> None:
@@ -128,9 +124,10 @@ def _together(options: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
     return {key: np.stack([np.asarray(option[key]) for option in options]) for key in keys}
 
 
-def _row(infos: Infos, row: int) -> Infos:
-    """Return the info of one robot, with scalars as Python numbers."""
+def _rows(infos: Infos) -> list[Infos]:
+    """Return the info of each robot, with scalars as Python numbers."""
     own = {
         key: each for key, each in infos.items() if not key.startswith("_") and key not in ("final_obs", "final_info")
     }
-    return {key: each[row].item() if each.ndim == 1 else each[row] for key, each in own.items()}
+    columns = [each.tolist() if each.ndim == 1 else list(each) for each in own.values()]
+    return [dict(zip(own, row, strict=True)) for row in zip(*columns, strict=True)]
