@@ -7,6 +7,7 @@ from importlib import util
 from pathlib import Path
 
 import gymnasium
+import numpy as np
 import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -29,15 +30,25 @@ def test_the_list_of_examples_matches_the_files() -> None:
     assert listed == there
 
 
-def test_the_envhub_file_makes_a_suite_of_one_batch() -> None:
+def test_the_envhub_file_makes_a_suite_as_lerobot_steps_it() -> None:
     spec = util.spec_from_file_location("envhub_env", EXAMPLES / "envhub" / "env.py")
     assert spec is not None and spec.loader is not None
     module = util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    suites = module.make_env(n_envs=2)
-    env = suites["splatrl"][0]
-    assert isinstance(env, gymnasium.vector.VectorEnv) and env.num_envs == 2
-    assert env.reset(seed=0)[0].shape == (2, 64, 64, 3)
+    env = module.make_env(n_envs=2)["splatrl"][0]
+    assert isinstance(env, gymnasium.vector.SyncVectorEnv) and env.num_envs == 2  # LeRobot looks into its ``envs``
+    seen, _ = env.reset(seed=[0, 1])
+    assert (
+        seen["pixels"]["front"].shape == (2, 64, 64, 3) and env.call("task_description") == ("drive to the goal",) * 2
+    )
+    ahead, beyond = [0.5, 0.0], [-9.0, 9.0]  # metres and radians per second; what policies predict may be out of range
+    moved, *_ = env.step(np.array([ahead, beyond], np.float32))
+    assert np.linalg.norm((moved["agent_pos"] - seen["agent_pos"])[0, :2]) == pytest.approx(0.1)  # in 0.2 s
+    for _ in range(env.call("_max_episode_steps")[0]):
+        *_, terminated, truncated, info = env.step(np.array([beyond, beyond], np.float32))
+        if (terminated | truncated).any():
+            break
+    assert info["final_info"]["is_success"].dtype == bool
     env.close()
 
 

@@ -39,6 +39,14 @@ def test_the_library_snippet_runs(capsys: pytest.CaptureFixture[str]) -> None:
     assert "[8, 20, 64, 64, 3]" in capsys.readouterr().out.replace("torch.Size", "")
 
 
+@pytest.mark.parametrize("page", ["physics.md", "scenes.md"])
+def test_the_snippets_of_a_page_run(page: str) -> None:  # tests/envs/test_workers.py runs those of clients.md
+    snippets = [block for language, block in BLOCK.findall((ROOT / "docs" / page).read_text()) if language == "python"]
+    assert snippets
+    for snippet in snippets:
+        exec(compile(snippet, page, "exec"), {})
+
+
 def test_the_readme_lists_every_package_and_every_page() -> None:
     listed = README.split("## Where things are")[1]
     packages = {path.parent.name for path in (ROOT / "splatrl").glob("*/__init__.py")}

@@ -13,6 +13,8 @@ from torchrl.data import Bounded, Categorical, TensorSpec
 from torchrl.envs import EnvBase
 
 from splatrl.envs.nesting import check_layers, layers
+from splatrl.envs.rules import COUNTED
+from splatrl.envs.tasks.measures import path_measures
 
 Pixels = npt.NDArray[np.uint8]
 Observation = Pixels | dict[str, npt.NDArray[Any]]
@@ -20,6 +22,8 @@ Action = np.int64 | npt.NDArray[np.float32]
 Actions = npt.NDArray[np.int64] | npt.NDArray[np.float32]
 Infos = dict[str, Any]
 
+ADDED = ("is_success", "spl", "soft_spl", "final_obs", "final_info")
+"""Infos that no env holds: the name of ``success`` in other libraries, measures of navigation, and ends of episodes."""
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
 
 
@@ -65,21 +69,26 @@ def begin(
     Args:
         env: the robots' env.
         seed: seed of the env's generator; None leaves it as it is.
-        options: given states and, with several scenes, their scenes; None draws episodes.
+        options: infos of the moments at which episodes are to begin: ``state`` and, with several scenes, ``scene``, and
+            as much of what task, sensors and transforms remember as is to be restored; None draws episodes.
         seeds: a seed for each robot; see ``SplatEnv``.
 
     Raises:
         ValueError: for other options, or values that do not fit their spec.
     """
     specs = dict(env.observation_spec.items())
-    expected = {key: specs[key] for key in ("state", "scene") if key in specs}
-    if options and options.keys() != expected.keys():
-        raise ValueError(f"options: expected {' and '.join(map(repr, expected))}, got {sorted(options)}")
+    needed = [key for key in ("state", "scene") if key in specs]
+    known = specs.keys() | {*ADDED}
+    if options and not ({*needed} <= options.keys() and {key.removeprefix("_") for key in options} <= known):
+        remembered = sorted({*layers(env)[0].state_spec.keys()} - {*needed, *COUNTED})
+        wanted = " and ".join(map(repr, needed)) + (f", with any of {', '.join(remembered)}" if remembered else "")
+        raise ValueError(f"options: expected {wanted}, got {sorted(options)}")
     if seed is not None:
         env.set_seed(int(seed))
     if not options:
         return env.reset() if seeds is None else env.reset(seeds=seeds)
-    given = {key: _given(f"options[{key!r}]", options[key], spec) for key, spec in expected.items()}
+    read = {key: spec for key, spec in specs.items() if key in options and key not in COUNTED}
+    given = {key: _given(f"options[{key!r}]", options[key], spec) for key, spec in read.items()}
     return env.reset(TensorDict(given, env.batch_size, device=env.device), set_state=True)
 
 
@@ -144,11 +153,19 @@ def column(td: TensorDictBase, key: str) -> npt.NDArray[Any]:
     return td[key].squeeze(1).cpu().numpy()
 
 
-def infos_of(td: TensorDictBase) -> Infos:
-    """Return copies of the infos of a batch of robots, [B, ...] by key: clients may edit what they are given."""
-    held = set(td.keys())
-    columns = {key: column(td, key) for key in ("outcome", "goals", "success", "level", "scene") if key in held}
-    return {key: each.copy() for key, each in {**columns, "state": td["state"].cpu().numpy()}.items()}
+def infos_of(env: EnvBase, td: TensorDictBase) -> Infos:
+    """Return the infos of a batch of robots, [B, ...] by key: the numbers and vectors that are not observed.
+
+    They are copies, since clients may edit what they are given. ``is_success``, ``spl`` and ``soft_spl`` are computed
+    from the others.
+    """
+    held, specs = {*td.keys()} - {*_observed_keys(env)}, env.observation_spec
+    told = {key: td[key].cpu() for key, spec in specs.items(True, True) if key in held and spec.ndim <= 2}
+    told = {key: each if key == "state" or each.shape[1:] != (1,) else each.squeeze(1) for key, each in told.items()}
+    told["is_success"] = told["success"]
+    if "start_distance" in told:
+        told |= path_measures(told["success"], told)
+    return {key: each.numpy().copy() for key, each in told.items()}
 
 
 def infos_of_one(infos: Infos) -> Infos:

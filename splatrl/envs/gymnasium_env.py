@@ -32,11 +32,14 @@ class GymnasiumEnv(gymnasium.Env[Observation, Action]):
         sensor's reading under the sensor's key.
     Action: the task's, ``Discrete``; for continuous control a ``Box`` of float32 in [-1, 1], as Gymnasium's clients
         expect, mapped linearly onto the task's limits: ``drive`` stands still at (-1/3, 0), not at 0.
-    Info: ``outcome`` (int, an ``Outcome``), ``goals`` (int, number reached so far), ``success`` (bool), ``state`` (the
-        task's state, an array), ``level`` (int, the curriculum's level, from 0, at which the episode began; -1 at a
-        given state) and, with several scenes, ``scene`` (int, the scene in which the episode takes place).
-    Reset: ``reset(seed=...)`` seeds the starts, ``reset(options={"state": ...})`` begins at the given task state; with
-        several scenes ``options`` must hold its ``scene``, too.
+    Info: every number and vector that env and transforms have beside the observation, by key: ``outcome`` (int, an
+        ``Outcome``), ``success`` (bool), ``state`` (the task's state, an array), ``step_count``, ``level`` (int, the
+        curriculum's level, from 0, at which the episode began; -1 at a given state), with several scenes ``scene``, and
+        what the task remembers, such as ``goal`` and ``distance_to_goal``. ``is_success`` equals ``success``, and
+        navigation tasks add ``spl`` and ``soft_spl`` (``path_measures``).
+    Reset: ``reset(seed=...)`` seeds the starts. ``reset(options=info)`` begins at the state, in the scene and with the
+        memory of an info; the counters begin at zero. ``options`` may also be a part of an info: ``state`` must be in
+        it, with several scenes also ``scene``, and what the task remembers is drawn anew where it is left out.
     Curriculum: begins at its easiest level in every new env, so make one for evaluation with ``curriculum=none``.
 
     Example:
@@ -66,7 +69,7 @@ class GymnasiumEnv(gymnasium.Env[Observation, Action]):
         """Begin an episode and return its first observation and info."""
         super().reset(seed=seed)
         self._present, self._over = begin(self.env, seed, options, None if seed is None else [seed]), False
-        return seen_by(observed(self.env, self._present), 0), infos_of_one(infos_of(self._present))
+        return seen_by(observed(self.env, self._present), 0), infos_of_one(infos_of(self.env, self._present))
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, Infos]:
         """Take one action."""
@@ -79,7 +82,7 @@ class GymnasiumEnv(gymnasium.Env[Observation, Action]):
         terminated, truncated = bool(after["terminated"]), bool(after["truncated"])
         self._over = terminated or truncated
         seen = seen_by(observed(self.env, after), 0)
-        return seen, after["reward"].item(), terminated, truncated, infos_of_one(infos_of(after))
+        return seen, after["reward"].item(), terminated, truncated, infos_of_one(infos_of(self.env, after))
 
     def render(self) -> Pixels | None:
         """Return the current view, [H, W, 3] uint8; None without a render mode."""

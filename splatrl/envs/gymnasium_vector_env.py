@@ -41,12 +41,13 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
 
     Observation: [B, H, W, 3] uint8; with ``sensors`` a dictionary, see ``GymnasiumEnv``.
     Action: [B] int64, or [B, n] float32 in [-1, 1] for continuous control; see ``GymnasiumEnv``.
-    Info: ``outcome``, ``goals``, ``success``, ``state``, ``level`` and, with several scenes, ``scene`` that belong to
-        the observation, [B, ...] each. With same-step resets, ``final_obs`` and ``final_info`` hold the last
-        observation and info of robots whose episode ended. Each entry has a mask, [B] bool, under ``_<name>``.
+    Info: that of ``GymnasiumEnv`` for each robot, [B, ...] by key; it belongs to the observation. With same-step
+        resets, ``final_obs`` and ``final_info`` hold the last observation and info of robots whose episode ended. Each
+        entry has a mask, [B] bool, under ``_<name>``.
     Reset: a single seed is used for the whole batch. With a list of seeds, each robot's start depends only on its own
         seed, and everything drawn later depends on all of them; robots with None draw from the env's generator as
-        before. ``options={"reset_mask": ...}``, [B] bool, restarts only some of the robots.
+        before. ``options={"reset_mask": ...}``, [B] bool, restarts only some of the robots; other options are those
+        of ``GymnasiumEnv`` with a row for each robot.
     Curriculum: see ``GymnasiumEnv``.
 
     Args:
@@ -149,7 +150,7 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
             last, seen = np.full(self.num_envs, None, dtype=object), observed(self.env, after)
             for row in ended.nonzero()[0].tolist():
                 last[row] = seen_by(seen, row)
-            infos |= masked({"final_obs": last, "final_info": masked(infos_of(after), ended)}, ended)
+            infos |= masked({"final_obs": last, "final_info": masked(infos_of(self.env, after), ended)}, ended)
         if not same:
             self._over = ended
         reward = column(after, "reward").astype(np.float64)
@@ -176,7 +177,7 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
     def _told(self, rows: npt.NDArray[np.bool_] | None = None) -> Infos:
         """Return the infos that belong to the current observation, of all robots or of some, [B] bool."""
         assert self._present is not None
-        return masked(infos_of(self._present), np.ones(self.num_envs, dtype=bool) if rows is None else rows)
+        return masked(infos_of(self.env, self._present), np.ones(self.num_envs, dtype=bool) if rows is None else rows)
 
     def render(self) -> tuple[Pixels, ...] | None:
         """Return the current views, [H, W, 3] uint8 each; None without a render mode."""

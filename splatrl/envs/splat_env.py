@@ -173,6 +173,7 @@ class SplatEnv(StateWhenAsked):
         return maybe_reset(self, tensordict)
 
     @torch.compiler.disable
+    @torch.no_grad()
     def _reset(
         self,
         tensordict: TensorDictBase | None = None,
@@ -198,6 +199,7 @@ class SplatEnv(StateWhenAsked):
         return self.lifecycle.restart(after, rows, self.lattice_steps)
 
     @torch.compiler.disable
+    @torch.no_grad()
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         stepping = tensordict.get("_step", None)
         return self._made(self._after(tensordict) if stepping is None else self._some_after(tensordict, stepping))

@@ -22,9 +22,10 @@ class StableBaselinesVecEnv(VecEnv):
     """A batch of robots for the algorithms of Stable-Baselines3, all stepped in one call.
 
     Observation and action are those of ``GymnasiumVectorEnv``. A robot whose episode ends begins the next one in the
-    same step; its info then holds ``terminal_observation``, ``TimeLimit.truncated`` and ``is_success``, and the final
-    values of ``outcome``, ``goals``, ``success``, ``state`` and ``level``. Wrap it in ``VecMonitor`` to record episode
-    returns and lengths. ``seed(s)`` gives the robots the seeds s, s + 1, … for the next reset.
+    same step; its info then holds ``terminal_observation``, ``TimeLimit.truncated`` and the final values of all that
+    ``GymnasiumEnv`` tells, and ``reset_infos`` holds the values at the new beginning. Wrap it in ``VecMonitor`` to
+    record episode returns and lengths, and with ``info_keywords=("spl", ...)`` any of these values. ``seed(s)`` gives
+    the robots the seeds s, s + 1, … for the next reset.
 
     The curriculum begins at its easiest level in every new env, so make one for evaluation with ``curriculum=none``.
 
@@ -52,7 +53,7 @@ class StableBaselinesVecEnv(VecEnv):
         """Restart all episodes; returns [B, H, W, 3] uint8, or a dictionary."""
         seeds = None if all(seed is None for seed in self._seeds) else list(self._seeds)
         observations, infos = self.vector.reset(seed=seeds, options=_together(self._options))
-        self.reset_infos = [_row(infos, row) for row in range(self.num_envs)]
+        self.reset_infos = _rows(infos)
         self._reset_seeds()
         self._reset_options()
         return observations
@@ -66,16 +67,12 @@ class StableBaselinesVecEnv(VecEnv):
         assert self._actions is not None, "step_wait: expected a call to step_async() first"
         observations, rewards, terminated, truncated, infos = self.vector.step(self._actions)
         done = terminated | truncated
-        told = []
-        for row in range(self.num_envs):
-            if done[row]:
-                info = _row(infos["final_info"], row)
-                info["terminal_observation"] = infos["final_obs"][row]
-                info["TimeLimit.truncated"] = bool(truncated[row] and not terminated[row])
-                info["is_success"] = info["success"]
-            else:
-                info = _row(infos, row)
-            told.append(info)
+        told = _rows(infos)
+        last = _rows(infos["final_info"]) if done.any() else []
+        for row in np.flatnonzero(done).tolist():
+            self.reset_infos[row], told[row] = told[row], last[row]
+            told[row]["terminal_observation"] = infos["final_obs"][row]
+            told[row]["TimeLimit.truncated"] = bool(truncated[row] and not terminated[row])
         return observations, rewards.astype(np.float32), done, told
 
     def close(self) -> None:
@@ -127,9 +124,10 @@ def _together(options: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
     return {key: np.stack([np.asarray(option[key]) for option in options]) for key in keys}
 
 
-def _row(infos: Infos, row: int) -> Infos:
-    """Return the info of one robot, with scalars as Python numbers."""
-    values = {
-        key: infos[key][row] for key in ("outcome", "goals", "success", "state", "level", "scene") if key in infos
+def _rows(infos: Infos) -> list[Infos]:
+    """Return the info of each robot, with scalars as Python numbers."""
+    own = {
+        key: each for key, each in infos.items() if not key.startswith("_") and key not in ("final_obs", "final_info")
     }
-    return {key: value.item() if value.ndim == 0 else value for key, value in values.items()}
+    columns = [each.tolist() if each.ndim == 1 else list(each) for each in own.values()]
+    return [dict(zip(own, row, strict=True)) for row in zip(*columns, strict=True)]

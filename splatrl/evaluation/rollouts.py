@@ -14,6 +14,7 @@ from splatrl.envs.nesting import layers
 from splatrl.envs.restart import restart_from
 from splatrl.envs.tasks import Outcome
 from splatrl.envs.tasks.base import Memory
+from splatrl.envs.tasks.measures import path_measures
 
 MEASURES = ("distance_to_goal", "start_distance", "path_length", "collisions")
 """Observations of navigation tasks from which their measures are computed."""
@@ -79,21 +80,15 @@ class Episodes:
     def navigation(self) -> dict[str, float]:
         """Compute navigation measures under Habitat's names, averaged over the episodes; empty for other tasks.
 
-        ``success``: the fraction of episodes in which the robot stopped at its goal. ``spl``: success weighted by path
-        length (Anderson et al. 2018, eq. 1), that is start distance / max(start distance, path length), which is 1 if
-        both are 0, or 0 without success. ``soft_spl`` (Datta et al. 2020): the same with progress, the fraction of the
-        start distance by which the robot came nearer, in place of success. ``distance_to_goal``: distance at the end of
-        the episode, metres. ``collisions``: their number. Distances to goals are geodesic.
+        ``success``: the fraction of episodes in which the robot stopped at its goal. ``spl`` and ``soft_spl``: see
+        ``path_measures``. ``distance_to_goal``: distance at the end of the episode, metres. ``collisions``: their
+        number. Distances to goals are geodesic.
         """
         if not self.measures:
             return {}
-        far, start, path = (self.measures[key].double() for key in MEASURES[:3])
-        longer = torch.maximum(start, path)
-        ratio = torch.where(longer > 0.0, start / longer.clamp_min(1e-9), 1.0)
-        progress = (1.0 - far / start.clamp_min(1e-9)).clamp_min(0.0)
-        means = {"success": self.success.double(), "spl": self.success * ratio, "soft_spl": progress * ratio}
-        means |= {"distance_to_goal": far, "collisions": self.measures["collisions"].double()}
-        return {key: values.mean().item() for key, values in means.items()}
+        means = {"success": self.success, **path_measures(self.success, self.measures)}
+        means |= {key: self.measures[key] for key in ("distance_to_goal", "collisions")}
+        return {key: values.double().mean().item() for key, values in means.items()}
 
     def step_spl(self, shortest: Tensor) -> float:
         """Compute success weighted by path length (Anderson et al. 2018, eq. 1), with lengths in steps.

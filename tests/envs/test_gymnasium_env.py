@@ -17,13 +17,13 @@ from torchrl.envs import EnvBase
 from splatrl.envs.gymnasium_env import GymnasiumEnv
 from splatrl.envs.gymnasium_vector_env import GymnasiumVectorEnv
 from splatrl.envs.stateful_env import StatefulEnv
-from splatrl.envs.tasks import ImageNav, Outcome
+from splatrl.envs.tasks import ImageNav, NavigationTask, Outcome, PointNav
 from splatrl.envs.transforms.frame_stack import FrameStack
 from tests.envs.clients import BACK_X, FORWARD_X, LEFT_Y, SPIN, make_tiny, vector
 from tests.envs.rooms import coarse_apple, drive_env, painted_env
 from tests.envs.sensors.test_sensors import sensing_env
+from tests.envs.tasks.test_navigation import FORWARD, STOP, env_of, task_of
 from tests.envs.tasks.test_navigation import LEFT as TURN_LEFT
-from tests.envs.tasks.test_navigation import env_of, task_of
 from tests.tiny import tiny_env
 
 
@@ -84,6 +84,41 @@ def test_an_episode_begins_at_a_given_state_and_ends_with_its_outcome() -> None:
     assert env.step(np.int64(SPIN))[2:4] == (False, True)
 
 
+@pytest.mark.parametrize("kind", [PointNav, ImageNav])
+def test_an_episode_begins_again_where_an_info_was_told(kind: type[NavigationTask]) -> None:
+    env, others = GymnasiumEnv(env_of(task_of(kind))), GymnasiumVectorEnv(env_of(task_of(kind), (2,), 5))
+    env.reset(seed=1)
+    seen, *_, info = env.step(np.int64(TURN_LEFT))
+    again, told = env.reset(options=info)
+    counters = {"step_count": 0, "episode_return": 0.0, "level": -1}
+    assert all(np.array_equal(again[key], seen[key]) for key in seen)
+    assert {key: told[key] for key in counters} == counters
+    for key in info.keys() - counters.keys():
+        assert np.array_equal(told[key], info[key]), key
+    others.reset()
+    batched, _ = others.reset(options={key: np.stack([value, value]) for key, value in info.items()})
+    assert all(np.array_equal(batched[key][1], seen[key]) for key in seen)
+    assert not np.array_equal(env.reset(options={"state": info["state"]})[1]["goal"], info["goal"])
+
+
+def test_infos_tell_the_measures_of_navigation_under_habitats_names() -> None:
+    task = task_of()
+    env = GymnasiumEnv(env_of(task))
+    row = torch.zeros(1, dtype=torch.int64)
+    begun = task.episode(torch.tensor([[0.5, -1.0, 0.0]]), row, torch.zeros(1, 1))
+    goal = begun["goal"][0, :2].tolist()
+    env.reset(options={"state": [*goal, 0.0], **task.episode(torch.tensor([[*goal, 0.0]]), row, torch.zeros(1, 1))})
+    *_, info = env.step(np.int64(TURN_LEFT))
+    assert (info["success"], info["is_success"], info["spl"], info["distance_to_goal"]) == (False, False, 0.0, 0.0)
+    *_, info = env.step(np.int64(STOP))
+    assert (info["success"], info["is_success"], info["spl"], info["soft_spl"]) == (True, True, 1.0, 1.0)
+    env.reset(options={"state": [0.5, -1.0, 0.0], **begun})
+    *_, info = env.step(np.int64(FORWARD))
+    far, start, path = (info[key] for key in ("distance_to_goal", "start_distance", "path_length"))
+    assert info["soft_spl"] == pytest.approx(max(0.0, 1 - far / start) * start / max(start, path))
+    assert info["goal"].tolist() == begun["goal"][0].tolist() and info["collisions"] == 0 and info["step_count"] == 1
+
+
 def test_a_reset_without_a_seed_continues_the_random_sequence() -> None:
     env = make_tiny()
     runs = []
@@ -124,6 +159,11 @@ def unbounded_env() -> EnvBase:
             lambda env: env.reset(options={"pose": 1}),
             ValueError,
             r"options: expected 'state', got \['pose'\]",
+        ),
+        (
+            lambda env: GymnasiumEnv(env_of(task_of())).reset(options={"state": [0.5, -1.0, 0.0], "gaol": 1}),
+            ValueError,
+            r"options: expected 'state', with any of collisions, .*, goal, .*, got \['gaol', 'state'\]",
         ),
         (
             lambda env: env.reset(options={"state": [5, 0, 0]}),

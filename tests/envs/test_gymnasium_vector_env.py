@@ -253,6 +253,14 @@ def test_a_list_of_seeds_gives_the_starts_of_single_robots_under_pose_noise_too(
     assert states.tolist() == [single.reset(seed=seed)[1]["state"].tolist() for seed in (4, 7, 9)]
 
 
+def test_an_info_holds_what_transforms_drew_and_a_reset_to_it_shows_the_same_views() -> None:
+    env = vector(transformed((3,), 0, ("PoseNoise",), sprite=False))
+    seen, info = env.reset(seed=4)
+    again, told = env.reset(options=info)
+    assert info["camera_offset"].any() and np.array_equal(told["camera_offset"], info["camera_offset"])
+    assert np.array_equal(again, seen)
+
+
 def test_transforms_take_effect_through_the_gymnasium_interface() -> None:
     env = vector(TransformedEnv(tiny_env([3]), RewardScaling(0.0, 0.5)))
     env.reset(seed=0, options={"state": [[1, 5, 0], [0, 0, 0], [1, 3, 0]]})

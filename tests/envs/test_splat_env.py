@@ -373,6 +373,14 @@ def test_a_continuous_action_of_another_dtype_or_shape_is_refused() -> None:
             env.step(td.set("action", action))
 
 
+def test_an_action_may_carry_gradients_which_end_at_the_env() -> None:  # as of a rollout outside torch.no_grad()
+    def policy(td: TensorDict) -> TensorDict:
+        return td.set("action", torch.full((2, 2), 0.1, requires_grad=True).tanh())
+
+    rollout = drive_env((2,)).rollout(3, policy, break_when_any_done=False)
+    assert rollout["action"].requires_grad and not rollout["next"].requires_grad
+
+
 def test_a_reset_to_no_state_is_refused() -> None:
     env = tiny_env([2])
     with pytest.raises(ValueError, match=r"^state: expected torch\.int64 \[B, 3\] with set_state=True, got none"):

@@ -23,6 +23,7 @@ from splatrl.envs.stable_baselines import StableBaselinesVecEnv
 from splatrl.envs.tasks import Outcome
 from tests.envs.rooms import drive_env
 from tests.envs.sensors.test_sensors import sensing_env
+from tests.envs.tasks.test_navigation import LEFT, STOP, env_of, task_of
 from tests.preloaded import start
 from tests.tiny import tiny_env, tiny_overrides
 
@@ -63,6 +64,21 @@ def test_an_episode_ends_with_its_last_view_and_its_outcome() -> None:
         assert np.array_equal(infos[row]["terminal_observation"], last)
         assert infos[row]["state"].tolist() == state
     assert not np.array_equal(seen[0], infos[0]["terminal_observation"])
+    for row, begun in enumerate(env.reset_infos):  # of the new episodes, as in Stable-Baselines3's own envs
+        assert begun["step_count"] == 0 and np.array_equal(seen[row], single.reset(options=begun)[0])
+
+
+def test_a_monitor_records_measures_and_a_batch_begins_again_at_its_infos() -> None:
+    env = VecMonitor(StableBaselinesVecEnv(env_of(task_of(), (2,))), info_keywords=("spl", "distance_to_goal"))
+    env.seed(1)
+    first = env.reset()
+    env.set_options(env.unwrapped.reset_infos)
+    again = env.reset()
+    assert all(np.array_equal(again[key], first[key]) for key in first)
+    _, _, done, infos = env.step(np.array([STOP, LEFT]))
+    assert done.tolist() == [True, False] and infos[0]["is_success"] is False
+    assert {"r", "l", "spl", "distance_to_goal"} <= infos[0]["episode"].keys() and infos[0]["episode"]["spl"] == 0.0
+    assert infos[1]["goal"].shape == (3,) and "episode" not in infos[1]
 
 
 def test_an_episode_that_ends_at_the_limit_of_a_step_counter_is_not_truncated_too() -> None:
