@@ -3,8 +3,8 @@
 The films are synthetic, in generated yards and the backyard: a camera moves straight ahead or sideways, looks in one
 direction within some degrees, and up or down. The points of the reconstruction are the places' Gaussians in view,
 hidden or not, and the whole is rotated at random. ``--floor 0.06`` keeps this fraction of the points on the ground, as
-structure from motion does on a lawn. Prints the errors of up and of the camera's height over all places and both
-directions of movement.
+structure from motion does on a lawn, and ``--noise 0.02 --strays 0.02`` adds more noise and stray points, as in dim
+films. Prints the errors of up and of the camera's height over all places and both directions of movement.
 """
 
 import argparse
@@ -63,8 +63,10 @@ def film(middle: Floats, spread_deg: float, pitch_deg: float, sideways: bool, ra
     return camera_poses(torch.from_numpy(walk)).numpy()
 
 
-def seen(points: Floats, poses: Floats, random: np.random.Generator) -> Floats:
-    """Return the points that several images see, with noise: [P, 3]."""
+def seen(
+    points: Floats, poses: Floats, random: np.random.Generator, noise: float = NOISE, strays: float = 0.0
+) -> Floats:
+    """Return the points that several images see, with noise, and a fraction of stray points around them: [P, 3]."""
     count = np.zeros(len(points), int)
     for pose in poses[::5]:
         local = (points - pose[:3, 3]) @ pose[:3, :3]
@@ -74,7 +76,9 @@ def seen(points: Floats, poses: Floats, random: np.random.Generator) -> Floats:
     found = points[count >= SIGHTINGS]
     found = found[random.permutation(len(found))[:POINTS]]
     near = np.linalg.norm(found[:, None] - poses[None, ::30, :3, 3], axis=2).min(1)
-    return np.asarray(found + NOISE * near[:, None] * random.normal(size=found.shape))
+    low, high = found.min(0), found.max(0)
+    around = random.uniform(low - 0.3 * (high - low), high + 0.3 * (high - low), (int(strays * len(found)), 3))
+    return np.concatenate([found + noise * near[:, None] * random.normal(size=found.shape), around])
 
 
 def errors(points: Floats, poses: Floats, random: np.random.Generator) -> tuple[float, float, Ground]:
@@ -98,6 +102,8 @@ def main() -> None:
         "--pitches", type=float, nargs="+", default=[-10.0, 0.0, 10.0, 20.0, 30.0], help="downwards, degrees"
     )
     parser.add_argument("--floor", type=float, default=1.0, help="fraction of the ground's points to keep")
+    parser.add_argument("--noise", type=float, default=NOISE, help="of the points, relative to their distance")
+    parser.add_argument("--strays", type=float, default=0.0, help="stray points, as a fraction of the others")
     options = parser.parse_args()
     scenes = [splatrl.backyard(), *map(splatrl.yard, YARDS)]
     places = [(points_of(scene, options.floor), np.mean(scene.bounds, 0)[:2]) for scene in scenes]
@@ -109,7 +115,8 @@ def main() -> None:
                 for sideways in (False, True):
                     random = np.random.default_rng([number, sideways])
                     poses = film(middle, spread, pitch, sideways, random)
-                    found.append(errors(seen(points, poses, random), poses, random))
+                    kept = seen(points, poses, random, options.noise, options.strays)
+                    found.append(errors(kept, poses, random))
             off, height, grounds = zip(*found, strict=True)
             beyond = np.mean([up > ground.error_deg for up, ground in zip(off, grounds, strict=True)])
             by = [sum(ground.up_from == name for ground in grounds) for name in ("floor", "walls", "cameras")]

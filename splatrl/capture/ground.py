@@ -20,7 +20,9 @@ TOLERANCE = 0.025
 LARGEST_TILT = math.radians(10.0)
 """Largest angle between a floor's normal and the cameras' up, twice the error of the latter; beyond it, the plane is a
 slope or no floor."""
-MIN_INLIERS = 100
+MIN_INLIERS, SURE = 100, 300
+"""Minimum number of points on a floor, and the number from which its normal is off by no more than usual: among fewer,
+with much noise as in dim films, the best plane may pass through other things, too."""
 MIN_WIDTH = 0.15
 """Minimum deviation of a floor's points along its narrower side, in heights of the cameras: a narrower strip says
 little about up."""
@@ -86,7 +88,8 @@ def find_ground(camera_to_world: Floats, points: Floats, recorded_up: Floats | N
         normal, on_floor = found
         level = float(np.median(on_floor @ normal))
         tilt_deg = math.degrees(math.acos(min(1.0, float(normal @ held.up)))) if held.lean < ONE_WAY else 0.0
-        error_deg = max(ERROR_DEG["floor"], tilt_deg)
+        own_deg = 0.0 if len(on_floor) >= SURE else min(math.degrees(held.lean), ERROR_DEG["cameras"])
+        error_deg = max(ERROR_DEG["floor"], tilt_deg + own_deg)
         level_there = _ground(points, centers, normal, level, "floor", error_deg, len(on_floor))
         return replace(level_there, slope_deg=max(0.0, tilt_deg - math.degrees(held.lean)))
     if clear:
@@ -121,6 +124,25 @@ def _ground(
     """Return the ground at a level, with how far below it people measure heights from."""
     below = depth_below(points @ up - level, float(np.median(centers @ up)) - level)
     return Ground(up, level, below, up_from, error_deg, count)
+
+
+def leaning(ground: Ground, centers: Floats, points: Floats) -> float:
+    """Return by how much more than usual the cameras' height above a floor may be off, relative to it, because up is.
+
+    A floor that is seen on all sides of the cameras tells their height whatever up is; one that is seen only far ahead
+    of them does not.
+
+    Args:
+        ground: up and the floor.
+        centers: [N, 3] positions of the cameras.
+        points: [P, 3].
+    """
+    above = float(np.median(centers @ ground.up)) - ground.height
+    on_floor = points[np.abs(points @ ground.up - ground.height) <= TOLERANCE * above]
+    if not len(on_floor):
+        return 0.0
+    ahead = float(np.linalg.norm(np.cross(on_floor.mean(0) - centers.mean(0), ground.up)))
+    return math.tan(math.radians(ground.error_deg - ERROR_DEG[ground.up_from])) * ahead / above
 
 
 def depth_below(heights: Floats, above: float) -> float:

@@ -17,7 +17,7 @@ from splatrl.array_files import read_arrays
 from splatrl.capture.base import CaptureError
 from splatrl.files import digest_of, discard, new_folder, replacing
 
-VERSION = 8
+VERSION = 9
 """Version of what the stages keep: raise it when the same settings give another result."""
 STAMP, ARRAYS = "stamp.json", "arrays.npz"
 

@@ -1,4 +1,4 @@
-"""Depth of what photos show: measured by a sensor, or found by comparing neighbouring photos.
+"""Depth of what photos show: measured by a sensor, and elsewhere found by comparing neighbouring photos.
 
 Photos are compared by plane sweep (Collins 1996): among many depths, each pixel takes the one at which its neighbours
 show the same, smoothed along four directions (semi-global matching, Hirschmüller 2008). Depths that other photos
@@ -97,7 +97,8 @@ def find_depths(
     """Find the depths of the photos' pixels.
 
     Args:
-        reconstruction: photos with poses; where it has a sensor's depths, these are taken.
+        reconstruction: photos with poses; a sensor's depths are taken where it has any. A sensor reaches a few metres
+            only, and sees nothing of what is black or glossy.
         frame: frame of the fit.
         rows: [R] int64, indices of the photos that may be used.
         threads: number of threads; None takes all cores that this process may use. The result does not depend on it.
@@ -106,8 +107,6 @@ def find_depths(
     Raises:
         CaptureError: for a depth image that cannot be read.
     """
-    if reconstruction.depths:
-        return measured(reconstruction, frame, rows)
     (seen,) = pictures(reconstruction, frame, [min(WIDTH, reconstruction.width)])
     grey = seen.pixels.float().mean(-1) / 255
     places = seen.camera_to_world.contiguous(), seen.K.contiguous()
@@ -124,7 +123,11 @@ def find_depths(
             grey, *places, rows[some], compared[some], ranges[some], seen.soundings, seen.firsts, LEVELS, likely, cores
         )
         progress("depth", min(first + AT_ONCE, len(rows)), len(rows))
-    return confirmed(Depths(likely, likely), seen, rows, cores)
+    found = confirmed(Depths(likely, likely), seen, rows, cores)
+    if not reconstruction.depths:
+        return found
+    sensed = measured(reconstruction, frame, rows)
+    return Depths(*(torch.where(sensed > 0, sensed, inverse) for inverse in (found.likely, found.known)))
 
 
 def confirmed(depths: Depths, seen: Pictures, rows: Tensor, threads: int | None = None) -> Depths:
@@ -161,8 +164,8 @@ def neighbours_of(seen: Pictures, row: int, rows: Tensor, depth: float) -> Tenso
     return others[(distance / (APART * depth)).log().abs().argsort(stable=True)[:WITNESSES]]
 
 
-def measured(reconstruction: Reconstruction, frame: Frame, rows: Tensor) -> Depths:
-    """Return the depths of a sensor, at the size at which photos would be compared.
+def measured(reconstruction: Reconstruction, frame: Frame, rows: Tensor) -> Tensor:
+    """Return the inverse depths of a sensor, at the size at which photos are compared: [N, H, W], 0 where it has none.
 
     Args:
         reconstruction: photos with poses and depth images.
@@ -186,4 +189,4 @@ def measured(reconstruction: Reconstruction, frame: Frame, rows: Tensor) -> Dept
         columns = ((np.arange(width) + 0.5) * every.shape[1] / width).astype(int)
         counts = every[lines[:, None], columns].astype(np.float64)
         known[row] = torch.from_numpy(np.where(counts > 0, 1.0 / np.maximum(counts * unit, 1e-12), 0.0)).float()
-    return Depths(known, known)
+    return known

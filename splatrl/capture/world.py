@@ -11,7 +11,7 @@ from torch import Tensor
 from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.beneath import Footing, much_below, stood_on, sunk
 from splatrl.capture.carrying import weakest
-from splatrl.capture.ground import MIN_INLIERS, NEAR, Ground, UpFrom, find_ground
+from splatrl.capture.ground import MIN_INLIERS, NEAR, Ground, UpFrom, find_ground, leaning
 from splatrl.capture.jerks import TORN, camera_leaps, jerks
 from splatrl.capture.marker import MARKER_SIDE, scale_by_marker
 from splatrl.capture.progress import Progress, silent
@@ -223,8 +223,10 @@ def _scale(
     if distance is not None:
         return scale_by_distance(reconstruction, distance), "distance", SCALE_ERROR["distance"]
     if camera_height is not None:
-        usual = LEVELS_ERROR if footing.rise > NEAR * above else SCALE_ERROR["camera_height"]
-        return camera_height / above, "camera_height", usual + footing.unsure if footing.seen else None
+        error = LEVELS_ERROR if footing.rise > NEAR * above else SCALE_ERROR["camera_height"]
+        centers = reconstruction.camera_to_world[:, :3, 3].numpy()
+        error += footing.unsure + leaning(footing.ground, centers, reconstruction.points.numpy())
+        return camera_height / above, "camera_height", error if footing.seen else None
     by_gps = scale_by_gps(
         reconstruction.gps, (reconstruction.camera_to_world[:, :3, 3].numpy() @ _standing(footing.ground.up).T)[:, :2]
     )

@@ -71,6 +71,10 @@ def look_first(options: argparse.Namespace, path: Path, stated: StatedFrame, tar
     kept, dropped = target.kept(path, name)
     gaussians, origin = read_centred(path)
     stated, lines = stated.beside(path)
+    described = path.with_name(SCENE_FILE)
+    if described.is_file() and not stated.placed and target.path.resolve() != path.parent.resolve():
+        named = f"splatrl-scene {shlex.quote(str(path.parent))}"
+        lines.append(f"frame       estimated, not that of {described}; to keep that, name the folder: {named}")
     if any(origin):
         placed = stated.translation is not None or stated.transform is not None
         lines.append(

@@ -10,7 +10,7 @@ import torch
 from splatrl.capture import world
 from splatrl.capture.base import Reconstruction
 from splatrl.capture.drift import lost_scale
-from splatrl.capture.ground import MIN_INLIERS, find_ground
+from splatrl.capture.ground import ERROR_DEG, MIN_INLIERS, find_ground
 from splatrl.capture.world import LEVELS_ERROR, SCALE_ERROR, moved, place
 from tests.capture.walks import ABOVE, CAMERAS, similarity_of, walk, without_points
 
@@ -83,7 +83,7 @@ def test_the_scale_has_no_known_error_where_much_lies_below_the_floor_near_the_p
 def test_a_floor_of_few_points_states_no_error_of_the_scale(monkeypatch: pytest.MonkeyPatch) -> None:
     ground = find_ground(walk().camera_to_world.numpy(), walk().points.numpy())
     for count, said in ((MIN_INLIERS, SCALE_ERROR["camera_height"]), (MIN_INLIERS - 1, None)):
-        few = replace(ground, up_from="walls", inliers=count)
+        few = replace(ground, up_from="walls", error_deg=ERROR_DEG["walls"], inliers=count)
         monkeypatch.setattr(world, "find_ground", lambda *_, few=few: few)
         assert place(walk(), marker=None, camera_height=ABOVE).scale_error == said
 

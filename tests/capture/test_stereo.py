@@ -155,8 +155,8 @@ def test_depths_of_points_are_known_at_every_image_size(capture: Reconstruction)
     assert (away < 0.01).all()
 
 
-def test_depths_of_a_sensor_are_used_and_converted_to_the_unit_of_the_frame(
-    capture: Reconstruction, tmp_path: Path
+def test_depths_of_a_sensor_are_used_in_the_unit_of_the_frame_and_those_of_photos_where_it_has_none(
+    capture: Reconstruction, depths: Depths, tmp_path: Path
 ) -> None:
     paths = []
     for row in range(COUNT):
@@ -166,9 +166,10 @@ def test_depths_of_a_sensor_are_used_and_converted_to_the_unit_of_the_frame(
         Image.fromarray(counts).save(paths[-1])
     measured = replace(capture, depths=tuple(paths), depth_unit=0.004)
     frame = frame_of(capture.camera_to_world)
-    far = found(measured).far(frame)
-    assert (far[:, :, : WIDTH // 2] == 0).all()
-    assert torch.allclose(far[:, :, WIDTH // 2 :], torch.tensor(10.0))
+    both = found(measured)
+    assert torch.allclose(both.far(frame)[:, :, WIDTH // 2 :], torch.tensor(10.0))
+    assert torch.equal(both.known[:, :, : WIDTH // 2], depths.known[:, :, : WIDTH // 2])
+    assert torch.equal(both.likely[:, :, : WIDTH // 2], depths.likely[:, :, : WIDTH // 2])
     paths[2].write_bytes(b"no picture")
     with pytest.raises(CaptureError, match=r"2\.png: expected a depth image, uint16 PNG: "):
         found(measured)

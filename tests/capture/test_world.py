@@ -14,7 +14,7 @@ from splatrl.capture import world
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.check import Quality
 from splatrl.capture.folder import problems
-from splatrl.capture.ground import MIN_INLIERS, Ground, find_ground, upside_down
+from splatrl.capture.ground import MIN_INLIERS, Ground, find_ground, leaning, upside_down
 from splatrl.capture.held import cameras_up, on_its_side
 from splatrl.capture.marker import MarkerScale
 from splatrl.capture.scale import Click, Distance, clicked_point
@@ -231,6 +231,18 @@ def test_the_floor_determines_up_for_a_camera_that_looks_one_way_at_any_pitch(pi
     ground = find_ground(one_way(pitch_deg, 0), walk().points.numpy())
     assert ground.up[2] > math.cos(math.radians(0.5)) and abs(ground.height) < 0.05
     assert (ground.up_from, ground.error_deg) == ("floor", 1.5)
+
+
+def test_a_floor_that_few_points_show_leaves_up_and_the_camera_s_height_less_sure() -> None:
+    points, around, ahead = walk().points.numpy(), walk().camera_to_world.numpy(), one_way(15.0, 0)
+    lawn = np.flatnonzero((np.abs(points[:, 2]) < 0.06) & (np.abs(points[:, :2]).max(1) < 2.3))
+    few = np.concatenate([points[points[:, 2] > 0.3], np.random.default_rng(0).permutation(points[lawn])[:150]])
+    for poses, least, most in ((around, 3.0, 5.0), (ahead, 5.0, 5.0)):
+        ground, broad = find_ground(poses, few), find_ground(poses, points)
+        assert (ground.up_from, broad.error_deg) == ("floor", 1.5) and least <= ground.error_deg <= most
+        assert leaning(broad, poses[:, :3, 3], points) == 0.0
+    to_the_side = leaning(ground, ahead[:, :3, 3] + [0.0, -1.5, 0.0], few) - leaning(ground, ahead[:, :3, 3], few)
+    assert to_the_side == pytest.approx(math.tan(math.radians(3.5)) * 1.5 / ABOVE, rel=0.1)
 
 
 def test_walls_determine_up_for_a_camera_that_looks_one_way_and_sees_no_floor() -> None:

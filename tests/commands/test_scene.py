@@ -215,13 +215,15 @@ def test_what_a_person_wrote_about_another_splat_that_was_converted_is_dropped_w
 def test_out_is_a_complete_scene_folder_and_the_files_own_folder_is_unchanged(
     splat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "new" / "look"
+    out, described = tmp_path / "new" / "look", splat.with_name("scene.yaml")
+    described.write_text("splat: yard.ply\n")
     main([str(splat), "--out", str(out)])
     pictures = ["goals.png", "yard-free.png", "yard-ground.png", "yard-occupancy.png", "yard-view.png"]
     assert sorted(path.name for path in out.iterdir()) == sorted(["scene.yaml", "yard.ply", *pictures])
-    assert [path.name for path in splat.parent.iterdir()] == ["yard.ply"]
+    assert {path.name for path in splat.parent.iterdir()} == {"yard.ply", "scene.yaml"}
     assert (out / "yard.ply").read_bytes() == splat.read_bytes()
     said = capsys.readouterr().out
+    assert f"not that of {described}; to keep that, name the folder: splatrl-scene {splat.parent}\n" in said
     assert f"splatrl-train scene={out}/" in said and "goal 1 " in said
     stated = read_description(out)
     assert stated["metric"] is False and stated["robot_height"] == pytest.approx(0.4, abs=0.02)
