@@ -28,6 +28,8 @@ def with_scene_chosen(overrides: Sequence[str], name: str = "train") -> list[str
     for override in overrides:
         key, typed, value = override.partition("=")
         result += _choosing(value, sweeps) if key == "scene" and typed else [override]
+    if name == "view" and (several := {"scene=many", "scene=yards"}.intersection(result)):
+        raise ValueError(f"scene: expected one scene for this command, got {several.pop()}; type one of its scenes")
     if "scene=yards" in result and not sweeps:
         yard_seeds(result)  # refuses what is no number
     chosen = any(override.startswith("renderer=") for override in overrides)
