@@ -74,13 +74,14 @@ def test_invalid_lists_are_refused_with_what_to_type_instead(words: list[str], m
 
 
 @pytest.mark.parametrize("words", [["scene=yards"], ["scene=many", "scene.paths=[yard:1,yard:2]"]])
-def test_the_viewer_refuses_several_scenes_before_any_is_made(
-    words: list[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("name", ["view", "record"])
+def test_a_command_for_one_scene_refuses_several_before_any_is_made(
+    name: str, words: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for made in ("make_yards", "yard_proposals"):
         monkeypatch.setattr(f"splatrl.configuration.scene_files.{made}", lambda *made: pytest.fail("it made yards"))
-    with pytest.raises(SystemExit, match=f"splatrl-view: scene: expected one scene .* got {words[0]}; type one of"):
-        command_line("view", words)
+    with pytest.raises(SystemExit, match=f"splatrl-{name}: scene: expected one scene .* got {words[0]}; type one of"):
+        command_line(name, words)
 
 
 @pytest.mark.parametrize("name", ["a,b", "a,$b"])
