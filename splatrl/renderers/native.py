@@ -84,7 +84,7 @@ class NativeRenderer:
             return self._add(0, models[0], tolerance)  # in this thread, where Ctrl-C interrupts it
         with ThreadPoolExecutor(threads_of(None)) as pool:
             added = pool.map(partial(self._add, tolerance=tolerance), range(len(models)), models)
-            list(late_bar("levels of detail", len(models), "scene", added))
+            list(late_bar("models to draw", len(models), "model", added))
 
     def _add(self, number: int, model: Scene | Gaussians, tolerance: float) -> None:
         """Add a model to the core."""
