@@ -244,9 +244,12 @@ def checked_name(what: str, name: object) -> str:
         name: the name.
 
     Raises:
-        ValueError: for anything but 1 to 200 characters without slashes or control characters, or for . and ..
+        ValueError: for anything but 1 to 200 bytes of UTF-8 without slashes or control characters, or for . and ..
     """
-    plain = isinstance(name, str) and 0 < len(name) <= 200 and name not in (".", "..")
+    size = len(str(name).encode(errors="replace"))  # file systems allow 255, also for names with endings
+    if size > 200:
+        raise ValueError(f"{what}: expected a name of at most 200 bytes, got {size} in {name!r:.60}")
+    plain = isinstance(name, str) and name not in ("", ".", "..")
     if not plain or re.search(r"[/\\\x00-\x1f\x7f]", str(name)):
         raise ValueError(f"{what}: expected a name, without slashes, got {name!r:.200}")
     return str(name)

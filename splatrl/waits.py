@@ -3,7 +3,7 @@
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -31,9 +31,16 @@ def announced(what: str) -> Iterator[None]:
         timer.cancel()
 
 
-def late_bar(what: str, total: int | None, unit: str) -> "Bar":
-    """Return a progress bar that appears only if something takes long, and disappears at its end."""
-    return Bar(desc=what, total=total, unit=unit, leave=False, delay=LONG)
+def late_bar(what: str, total: int | None, unit: str, counted: Iterable[Any] | None = None) -> "Bar":
+    """Return a progress bar that appears only if something takes long, and disappears at its end.
+
+    Args:
+        what: what takes long, as a noun.
+        total: number of units until the end; None if that is not known.
+        unit: what is counted.
+        counted: what iterating over the bar returns, each element counting as one unit; None to call ``update``.
+    """
+    return Bar(counted, desc=what, total=total, unit=unit, leave=False, delay=LONG)
 
 
 class Bar(tqdm):

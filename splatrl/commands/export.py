@@ -10,9 +10,11 @@ from splatrl.commands.entries import export as main
 from splatrl.commands.faults import in_one_line
 from splatrl.configuration import check_config, conf_dir, config_elsewhere
 from splatrl.export import export_policy
-from splatrl.export.onnx_file import POLICY, RUNNER
+from splatrl.export.onnx_file import POLICY, RUNNER, runner
 from splatrl.runs import load_policy
 from splatrl.values import require_number
+
+KEPT = "kept as it was, changed by you or from another version of splatrl; remove it to get the one of this version"
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="export")
@@ -27,22 +29,22 @@ def run(cfg: DictConfig) -> None:
     torch.set_num_threads(own.threads)
     trained = load_policy(folder, cfg.checkpoint, "cpu", own, place=cfg.place)
     facts = {"task": own.task._target_, "scene": trained.world.name, "run": folder.absolute().name}
+    kept = (out / RUNNER).is_file() and (out / RUNNER).read_bytes() != runner()
     found = export_policy(trained.model, trained.world, out, cfg.frames, facts)
     print(f"{out / POLICY}: outputs differ from PyTorch by at most {found:.1e} on {cfg.frames:,} views")
-    print(f"{out / RUNNER}: runs the policy on a video or a camera")
+    print(f"{out / RUNNER}: {KEPT if kept else 'runs the policy on a video or a camera'}")
 
 
 def _chosen_folder(out: Path) -> Path:
     """Return the folder that was typed for an export.
 
     Raises:
-        ValueError: if it holds files of an export, of which the script may have been changed.
+        ValueError: if it holds a policy, which may be that of another run.
     """
     if out.is_file():
         raise ValueError(f"out: expected a folder, got {out}, a file")
-    for name in (POLICY, RUNNER):
-        if (out / name).exists():
-            raise ValueError(f"out: expected a folder without {name}, got {out}, which holds one")
+    if (out / POLICY).exists():
+        raise ValueError(f"out: expected a folder without {POLICY}, got {out}, which holds one")
     return out
 
 

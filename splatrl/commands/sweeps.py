@@ -7,6 +7,7 @@ from pathlib import Path
 from hydra._internal.core_plugins.basic_launcher import BasicLauncher
 from hydra.conf import HydraConf
 from hydra.core.hydra_config import HydraConfig
+from hydra.errors import CompactHydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
@@ -64,10 +65,16 @@ def continuation_of_sweep(ended: BaseException) -> str | None:
     if not HydraConfig.initialized() or (sweep := HydraConfig.get()).mode != RunMode.MULTIRUN:
         return None
     alone = str(sweep.launcher._target_).endswith(f".{BasicLauncher.__name__}")
-    if isinstance(ended, SystemExit) and (alone or ended.code != INTERRUPTED):
+    if isinstance(ended, SystemExit) and (alone or ended.code != INTERRUPTED) and not crashed(ended):
         return None
     first = "" if alone else "jobs on a cluster run on; when they have ended or been cancelled, "
     return f"{first}continue with: {_same_sweep(sweep)}"
+
+
+def crashed(ended: BaseException) -> bool:
+    """Whether Hydra ended the program after a traceback, as when memory ran out or a launcher's process was killed."""
+    error = ended.__context__ if isinstance(ended, SystemExit) else None
+    return isinstance(error, Exception) and not isinstance(error, CompactHydraException)
 
 
 def _same_sweep(job: HydraConf) -> str:

@@ -1,6 +1,7 @@
 """``splatrl-train``: train a policy, evaluate it, and write pictures to the run folder."""
 
 import gc
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import chdir, contextmanager, nullcontext
 from pathlib import Path
@@ -17,7 +18,7 @@ from splatrl.commands.entries import train as main
 from splatrl.commands.evaluate import evaluate_run
 from splatrl.commands.faults import CONFIGURED, in_one_line
 from splatrl.commands.stopping import stoppable
-from splatrl.commands.sweeps import continuation, continuation_of_sweep, earlier
+from splatrl.commands.sweeps import continuation, continuation_of_sweep, crashed, earlier
 from splatrl.configuration import (
     RUN_CONFIG,
     check_config,
@@ -41,11 +42,14 @@ from splatrl.viewer.training import TrainingView
 
 
 def run() -> None:
-    """Run the command; a sweep that is interrupted says how it continues, whoever runs its jobs."""
+    """Run the command; a sweep that is interrupted, or crashes, says how it continues, whoever runs its jobs."""
     try:
         run_job()
     except (KeyboardInterrupt, SystemExit) as ended:
         if (told := continuation_of_sweep(ended)) is None:
+            raise
+        if crashed(ended):
+            print(f"\nthe sweep failed; finished work is kept; {told}", file=sys.stderr)
             raise
         with stoppable(told):
             raise KeyboardInterrupt from None

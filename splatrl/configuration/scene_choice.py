@@ -17,6 +17,8 @@ SWEEP = {"-m", "--multirun"}
 """Options that ask Hydra for a sweep."""
 LISTED = re.compile(r"""(?:^|,)('[^']*'(?=,|$)|"[^"]*"(?=,|$)|[^,]*)""")
 """One of the scenes of a sweep; those whose paths contain commas are quoted."""
+ONE_SCENE = {"view", "record"}
+"""Commands that take a single scene."""
 SEEDED = re.compile(r"(\w+):(\d+)")
 """A scene's name with a seed, such as yard:3."""
 
@@ -28,6 +30,8 @@ def with_scene_chosen(overrides: Sequence[str], name: str = "train") -> list[str
     for override in overrides:
         key, typed, value = override.partition("=")
         result += _choosing(value, sweeps) if key == "scene" and typed else [override]
+    if name in ONE_SCENE and (several := {"scene=many", "scene=yards"}.intersection(result)):
+        raise ValueError(f"scene: expected one scene for this command, got {several.pop()}; type one of its scenes")
     if "scene=yards" in result and not sweeps:
         yard_seeds(result)  # refuses what is no number
     chosen = any(override.startswith("renderer=") for override in overrides)

@@ -20,6 +20,8 @@ MARKS = ((GOAL, 0), (TEST, 4), ("#56b4e9", 3))
 """Colour and number of corners (0 is a dot) of marks, assigned to their names in order of first appearance."""
 OWN_FONT = "DejaVu Sans"
 """Font family that ships with matplotlib; its other one, Last Resort, has placeholders only."""
+LONGEST = 48
+"""Length of a name up to which a figure shows all of it."""
 DPI = 160
 """Resolution of saved figures, dots per inch."""
 
@@ -31,8 +33,12 @@ def mark_styles(marks: Iterable[Mark]) -> dict[str, tuple[str, int]]:
 
 
 def legible(name: str) -> str:
-    """Return a name for a figure, in which letters that no installed font has are replaced by their escapes."""
-    return "".join(letter if _family(letter) else letter.encode("unicode_escape").decode() for letter in name)
+    """Return a name for a figure, in which letters that no installed font has are replaced by their escapes.
+
+    The middle of a long one, which would leave no room for what the figure shows, is left out.
+    """
+    text = "".join(letter if _family(letter) else letter.encode("unicode_escape").decode() for letter in name)
+    return text if len(text) <= LONGEST else f"{text[: LONGEST // 2]}…{text[1 - LONGEST // 2 :]}"
 
 
 @cache

@@ -3,7 +3,6 @@
 import json
 import logging
 import math
-import shutil
 import warnings
 from collections.abc import Mapping
 from copy import deepcopy
@@ -44,6 +43,8 @@ def export_policy(
 ) -> float:
     """Write ``policy.onnx`` into a folder, and ``run_policy.py`` beside it, which runs it on a camera or a video.
 
+    A ``run_policy.py`` that is there already is kept, since it may have been changed to suit a robot.
+
     The file's metadata states what the policy sees and what its actions mean; see ``metadata``. It is written only if
     onnxruntime, fed with the views of episodes that the policy runs, gives the same outputs as PyTorch.
 
@@ -69,11 +70,17 @@ def export_policy(
     if not found <= PARITY:  # also true for NaN
         raise ValueError(f"{POLICY}: expected outputs within {PARITY} of PyTorch's, got a difference of {found:.1e}")
     folder.mkdir(parents=True, exist_ok=True)
-    with replacing(folder / RUNNER) as stream, Path(__file__).with_name(RUNNER).open("rb") as source:
-        shutil.copyfileobj(source, stream)
+    if not (folder / RUNNER).exists():
+        with replacing(folder / RUNNER) as stream:
+            stream.write(runner())
     with replacing(folder / POLICY) as stream:
         stream.write(content)
     return found
+
+
+def runner() -> bytes:
+    """Return the content of ``run_policy.py`` as this version of splatrl writes it."""
+    return Path(__file__).with_name(RUNNER).read_bytes()
 
 
 def metadata(

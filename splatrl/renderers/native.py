@@ -16,6 +16,7 @@ from splatrl.renderers.lod import gaussian_arrays, levels_for
 from splatrl.renderers.parts import Parts, checked_parts, require_parts_of
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
+from splatrl.waits import late_bar
 
 
 class Effort(NamedTuple):
@@ -82,7 +83,8 @@ class NativeRenderer:
         if len(models) == 1:
             return self._add(0, models[0], tolerance)  # in this thread, where Ctrl-C interrupts it
         with ThreadPoolExecutor(threads_of(None)) as pool:
-            list(pool.map(partial(self._add, tolerance=tolerance), range(len(models)), models))
+            added = pool.map(partial(self._add, tolerance=tolerance), range(len(models)), models)
+            list(late_bar("models to draw", len(models), "model", added))
 
     def _add(self, number: int, model: Scene | Gaussians, tolerance: float) -> None:
         """Add a model to the core."""

@@ -16,6 +16,7 @@ from splatrl.commands import export
 from splatrl.configuration import load_config
 from splatrl.envs.world import World
 from splatrl.evaluation.policy_camera import Eye
+from splatrl.export.onnx_file import POLICY, RUNNER, runner
 from splatrl.images import open_video
 from splatrl.runs import load_policy
 from tests.experiments.trained import BEST, NAMES, config, save_run
@@ -174,6 +175,21 @@ def test_other_observations_of_a_policy_are_given_on_the_command_line(
     assert "--give: expected " in (told := said()[1]) and "for this policy; check depth" in told
 
 
+def test_a_script_that_was_changed_is_kept_when_the_policy_is_exported_again(
+    run: Path, exported: tuple[Path, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    written, (folder, said) = runner(), exported
+    assert (folder / RUNNER).read_bytes() == written and "run_policy.py: runs the policy on a video" in said
+    (folder / POLICY).unlink()
+    (folder / RUNNER).write_bytes(changed := written + b"# drives my robot\n")
+    try:
+        command(monkeypatch, f"run={run}", "frames=8")
+        assert (folder / POLICY).exists() and (folder / RUNNER).read_bytes() == changed
+        assert "run_policy.py: kept as it was, changed by you" in capsys.readouterr().out
+    finally:
+        (folder / RUNNER).write_bytes(written)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -185,7 +201,7 @@ def test_other_observations_of_a_policy_are_given_on_the_command_line(
         ),
         (
             ["run={run}", "out={run}/held"],
-            "splatrl-export: out: expected a folder without run_policy.py, got .*/held, which holds one",
+            "splatrl-export: out: expected a folder without policy.onnx, got .*/held, which holds one",
         ),
         (["run={run}", "frames=none"], "splatrl-export: frames: expected a number"),
         (["run={run}", "checkpoint=first"], "splatrl-export: checkpoint: expected last or best, got 'first'"),
@@ -197,7 +213,7 @@ def test_invalid_arguments_are_reported(
     run: Path, arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (run / "held").mkdir(exist_ok=True)
-    (run / "held" / "run_policy.py").touch()  # a script to which somebody has added their own lines
+    (run / "held" / "policy.onnx").touch()  # perhaps the policy of another run
     with pytest.raises(SystemExit, match=message):
         command(monkeypatch, *(argument.format(run=run) for argument in arguments))
 

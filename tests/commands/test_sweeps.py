@@ -191,6 +191,28 @@ def test_a_sweep_that_is_interrupted_while_others_run_its_jobs_says_how_it_conti
     assert shlex.split(command) == ["splatrl-train", "-m", *WORDS, "seed=0,1,2", f"hydra.sweep.dir={place}"]
 
 
+@pytest.mark.parametrize("alone", [True, False])
+def test_a_sweep_that_crashes_says_how_it_continues_below_the_traceback(
+    begun: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], alone: bool
+) -> None:
+    def killed(*_: object, **__: object) -> None:
+        raise RuntimeError("a worker process was unexpectedly terminated")
+
+    if alone:
+        monkeypatch.setattr(train, "train", killed)
+    else:
+        monkeypatch.setattr(Plugins, "instantiate_sweeper", killed)
+        monkeypatch.setattr(sweeps, "BasicLauncher", SimpleNamespace(__name__="not what launches here"))
+    words = [*WORDS, "seed=0,1", f"hydra.sweep.dir='{begun}'"]
+    with pytest.raises(SystemExit, match=r"^1$"):
+        sweep(monkeypatch, *words)
+    said = capsys.readouterr().err
+    assert "RuntimeError: a worker process" in said
+    first, _, command = said.splitlines()[-1].partition("continue with: ")
+    assert first.startswith("the sweep failed; finished work is kept; ") and first.endswith("cancelled, ") != alone
+    assert shlex.split(command) == ["splatrl-train", "-m", *words]
+
+
 def test_runs_are_resumed_by_a_sweep(begun: Path, monkeypatch: pytest.MonkeyPatch, given: Given) -> None:
     runs = [begun / "0", begun / "1"]
     before = contents(begun)

@@ -73,6 +73,17 @@ def test_invalid_lists_are_refused_with_what_to_type_instead(words: list[str], m
         command_line("train", [word.format(tmp_path) for word in words])
 
 
+@pytest.mark.parametrize("words", [["scene=yards"], ["scene=many", "scene.paths=[yard:1,yard:2]"]])
+@pytest.mark.parametrize("name", ["view", "record"])
+def test_a_command_for_one_scene_refuses_several_before_any_is_made(
+    name: str, words: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for made in ("make_yards", "yard_proposals"):
+        monkeypatch.setattr(f"splatrl.configuration.scene_files.{made}", lambda *made: pytest.fail("it made yards"))
+    with pytest.raises(SystemExit, match=f"splatrl-{name}: scene: expected one scene .* got {words[0]}; type one of"):
+        command_line(name, words)
+
+
 @pytest.mark.parametrize("name", ["a,b", "a,$b"])
 def test_a_path_with_a_comma_is_refused_with_the_quotes_that_it_needs(name: str, tmp_path: Path) -> None:
     (tmp_path / name).mkdir()

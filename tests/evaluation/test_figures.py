@@ -137,6 +137,17 @@ def test_letters_are_drawn_in_a_font_that_has_them_or_as_escapes_without_warning
     assert [legible(name) for name in names] == [*names[:2], r"\U000f1234 a"]
 
 
+def test_long_names_leave_room_for_the_bars(drawn: list[Figure]) -> None:
+    names = [f"{'a corner of the garden, ' * 8}{number}" for number in range(2)]
+    scene_bars(names, [0.5, 0.2], Path("unused.png"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        drawn[0].draw_without_rendering()
+    axes = drawn[0].axes[0]
+    assert axes.get_position().width > 0.4
+    assert [label.get_text()[-1] for label in axes.get_yticklabels()] == ["0", "1"], "what tells names apart stays"
+
+
 def test_videos_take_an_installed_font_that_has_the_letters() -> None:
     plain, fallen_back = font(14, "Größe, сад 1"), font(14, "\N{TOP SQUARE BRACKET}")
     assert plain.getname()[0] == OWN_FONT != fallen_back.getname()[0]

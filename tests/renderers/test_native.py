@@ -1,4 +1,5 @@
 import math
+from collections.abc import Iterable
 
 import pytest
 import torch
@@ -7,9 +8,10 @@ from hypothesis import strategies as st
 
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.native import _core
-from splatrl.renderers import NativeRenderer, ReferenceRenderer, RenderOutput
+from splatrl.renderers import NativeRenderer, ReferenceRenderer, RenderOutput, native
 from splatrl.renderers.base import to_pixels
 from splatrl.scenes import Gaussians, similarity
+from splatrl.waits import Bar, late_bar
 from tests.renderers.cases import LIKENESS, ahead, double, gaussians, psnr, random_cameras, random_gaussians
 
 
@@ -313,3 +315,15 @@ def test_views_of_a_real_kitchen_look_like_the_reference(kitchen: Gaussians, ant
     reference = ReferenceRenderer(double(kitchen), antialiased).render(cameras)
     assert psnr(fast.rgb, reference.rgb) >= 75
     assert_alike(fast, reference)
+
+
+def test_the_models_of_many_scenes_are_counted_on_a_bar_if_that_takes_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    bars = list[Bar]()
+
+    def bar(what: str, total: int, unit: str, counted: Iterable[None]) -> Bar:
+        bars.append(late_bar(what, total, unit, counted))
+        return bars[-1]
+
+    monkeypatch.setattr(native, "late_bar", bar)
+    NativeRenderer([random_gaussians(seed, 20) for seed in range(3)])
+    assert [(one.desc, one.n, one.total) for one in bars] == [("models to draw", 3, 3)]

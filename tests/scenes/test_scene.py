@@ -162,6 +162,7 @@ def test_a_folder_without_a_frame_or_a_name_takes_the_defaults(folder: Path) -> 
         ("name: x", "splat: expected the name of a file in this folder, got none"),
         ("splat: ../other.ply", "splat: expected a name, without slashes, got '../other.ply'"),
         ("splat: 3", "splat: expected a name, without slashes, got 3"),
+        (f"splat: a.ply\nname: {'厨房' * 34}", "name: expected a name of at most 200 bytes, got 204 in '厨房"),
         ("splat: point_cloud.ply\nname: [1]", "name: expected a name, without slashes"),
         ("splat: point_cloud.ply\nworld_from_splat: upright", "world_from_splat: expected keys and values"),
         ("- splat", "expected keys and values, got \\['splat'\\]"),
