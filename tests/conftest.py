@@ -131,7 +131,7 @@ def unflushed() -> Iterator[None]:
 @pytest.fixture(scope="session", autouse=True)
 def quick_videos() -> Iterator[dict[str, str]]:
     """Encode videos at x264's fastest preset, in a third of the time; the value is the options that users get."""
-    video: Any = sys.modules.get("splatrl.evaluation.video")
+    video: Any = sys.modules.get("splatrl.evaluation.encoding")
     own = {} if video is None else video.X264
     with pytest.MonkeyPatch.context() as patched:
         if video is not None:  # the tests to run may encode no video
@@ -143,7 +143,7 @@ def quick_videos() -> Iterator[dict[str, str]]:
 def usual_videos(quick_videos: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Encode videos as users do, for tests of the encoder's options."""
     if quick_videos:  # else they were never changed
-        monkeypatch.setattr("splatrl.evaluation.video.X264", quick_videos)
+        monkeypatch.setattr("splatrl.evaluation.encoding.X264", quick_videos)
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ from PIL import Image
 
 from splatrl import images
 from splatrl.evaluation.clip_files import film_images
-from splatrl.evaluation.video import encode
+from splatrl.evaluation.encoding import encode
 
 
 def _coded(side: int) -> list[av.Packet]:

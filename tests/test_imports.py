@@ -331,6 +331,7 @@ def test_asking_which_device_is_in_use_is_not_a_choice(source: str) -> None:
         ("splatrl", {"hydra", "omegaconf", "torchrl", "torch"}),
         ("splatrl.geometry", {"hydra", "omegaconf", "torchrl"}),
         ("splatrl.capture.sfm.structure", {"hydra", "omegaconf", "torchrl", "torch"}),
+        ("splatrl.building", {"av", "matplotlib"}),
     ],
 )
 def test_importing_a_small_module_imports_no_large_library(module: str, absent: set[str]) -> None:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from splatrl.datasets.demonstrations import Demonstrations
 from splatrl.documents import write_json
-from splatrl.evaluation.video import encode
+from splatrl.evaluation.encoding import encode
 from splatrl.extras import require
 
 VIEW = "observation.images.front"

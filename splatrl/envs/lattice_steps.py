@@ -53,8 +53,7 @@ class LatticeSteps:
         states, actions = motion.states(), motion.actions()
         before, action = states.repeat_interleave(len(actions), 0), actions.repeat(len(states))
         move = motion.move(before, action, checker)
-        unseen = torch.empty(len(before), 0, 0, 3, dtype=torch.uint8)
-        reward, terminated, outcome, _ = task.judge(Step(before, action, move, NOTHING, unseen), anywhere)
+        reward, terminated, outcome, _ = task.judge(Step(before, action, move, NOTHING), anywhere)
         self._table = _core.StepTable(
             shape=motion.shape,
             next=motion.index(move.state).view(len(states), -1),

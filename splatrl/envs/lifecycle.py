@@ -14,7 +14,7 @@ from torch import Tensor
 from splatrl.curriculum.starts import Curriculum
 from splatrl.envs.lattice_steps import LatticeSteps
 from splatrl.envs.restart import with_rows
-from splatrl.envs.rules import Rules, Start
+from splatrl.envs.rules import Rules, Start, rows_to_draw
 from splatrl.envs.tasks.base import Anywhere
 from splatrl.envs.validation import check_memory, check_seeds, given_scene, given_state
 
@@ -89,7 +89,8 @@ class Lifecycle(NamedTuple):
         taken = None if table is None else table.step(given, rows)
         if taken is not None:
             after, poses = taken
-            return {**self.rules.drawn(after["state"], poses, given.get("camera_offset", None)), **after}
+            offset, only = given.get("camera_offset", None), rows_to_draw(given, after["done"])
+            return {**self.rules.drawn(after["state"], poses, offset, only), **after}
         scene = given["scene"].squeeze(1) if self.rules.scenes > 1 else None
         after = self.rules.stepped(given, scene, self.anywhere(scene, len(given["state"])))
         ends = [after[key].flatten() for key in ("level", "done", "success")]

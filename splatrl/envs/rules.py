@@ -1,6 +1,8 @@
 """The rules of an episode: what its beginning and its steps consist of."""
 
 from collections.abc import Mapping
+from enum import IntEnum
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -9,11 +11,22 @@ from torch import Tensor
 
 from splatrl.collision.base import Checker
 from splatrl.collision.several import SeveralCheckers, checkers_of
-from splatrl.envs.senses import Senses, Standing
+from splatrl.envs.senses import Look, Senses, Standing
 from splatrl.envs.tasks.base import NOTHING, Anywhere, Outcome, Step, Task
 
 COUNTED = ("step_count", "episode_return", "level", "goals")
 """Keys of the counters that a step reads and updates."""
+DRAW = "draw"
+"""Key of which views are drawn; see ``SplatEnv``."""
+
+
+class Draw(IntEnum):
+    """When a robot's view after a step is drawn."""
+
+    NEVER = 0
+    AT_END = 1
+    """Only if its episode ends in this step."""
+    ALWAYS = 2
 
 
 class Start(NamedTuple):
@@ -63,7 +76,7 @@ class Rules(NamedTuple):
     @property
     def reads(self) -> tuple[str, ...]:
         """Keys that a step reads; some of them may be absent."""
-        return ("state", "action", *COUNTED, "scene", "camera_offset", *self.task_keys, *self.sensor_keys)
+        return ("state", "action", *COUNTED, "scene", "camera_offset", DRAW, *self.task_keys, *self.sensor_keys)
 
     def at(self, scene: Tensor | None) -> tuple[Task, Checker]:
         """Return task and checker for rows in some scenes, [N] int64; None stands for the only scene."""
@@ -127,13 +140,14 @@ class Rules(NamedTuple):
         memory = {key: given[key] for key in self.task_keys}
         move = task.motion.move(before, action, checker)
         robots = Standing(task, checker, scene, move.state, move.body_to_world, memory)
-        view = self.senses.view(robots, given.get("camera_offset", None))
-        step = Step(before, action, move, memory, view.pixels, view.shown)
-        reward, terminated, outcome, remembered = task.judge(step, anywhere)
+        look = Look(partial(self.senses.view, robots, given.get("camera_offset", None)))
+        reward, terminated, outcome, remembered = task.judge(Step(before, action, move, memory, look), anywhere)
         kept = {key: given[key] for key in self.sensor_keys}
         known = {**memory, **remembered, **kept}
         step_count = given["step_count"] + 1
         truncated = (step_count >= task.max_steps) & ~terminated
+        done = terminated | truncated
+        view = look.of(rows_to_draw(given, done))
         goals = given["goals"] + (outcome == Outcome.GOAL)
         return {
             "pixels": view.pixels,
@@ -150,19 +164,33 @@ class Rules(NamedTuple):
             "success": goals >= (task.goals_for_success or 1),
             "free_fraction": move.free_fraction.unsqueeze(1),
             "reward": reward,
-            "done": terminated | truncated,
+            "done": done,
             "terminated": terminated,
             "truncated": truncated,
         }
 
-    def drawn(self, state: Tensor, body_to_world: Tensor, camera_offset: Tensor | None = None) -> dict[str, Tensor]:
+    def drawn(
+        self, state: Tensor, body_to_world: Tensor, camera_offset: Tensor | None = None, only: Tensor | None = None
+    ) -> dict[str, Tensor]:
         """Return what is drawn for robots in the only scene, for a task that remembers nothing: [N, ...] by key.
 
         Args:
             state: [N, ...] states.
             body_to_world: [N, 4, 4] float32, the poses of these states, metres.
             camera_offset: [N, 6] float32, see ``SplatEnv``.
+            only: [N] bool, the rows to draw; None draws all.
         """
         task, checker = self.at(None)
-        view = self.senses.view(Standing(task, checker, None, state, body_to_world, NOTHING), camera_offset)
+        view = self.senses.view(Standing(task, checker, None, state, body_to_world, NOTHING), camera_offset, only)
         return {"pixels": view.pixels, **view.shown}
+
+
+def rows_to_draw(given: Mapping[str, Tensor] | TensorDictBase, done: Tensor) -> Tensor | None:
+    """Return the rows whose views are needed after a step, [N] bool, or None for all.
+
+    Args:
+        given: the entries that the step ``reads``.
+        done: [N, 1] bool, whether the episode has ended.
+    """
+    draw = given.get(DRAW, None)
+    return None if draw is None else (draw + done >= Draw.ALWAYS).flatten()

@@ -1,6 +1,6 @@
 """A robot's senses: rendered views of the scene and additional sensor readings."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import NamedTuple
 
@@ -34,6 +34,28 @@ class Standing(NamedTuple):
     state: Tensor
     body_to_world: Tensor
     memory: Memory
+
+
+class Look:
+    """What N robots see after a step, drawn once, and only if somebody looks.
+
+    Args:
+        draw: draws the views; its argument, [N] bool, says which ones, None all.
+    """
+
+    def __init__(self, draw: Callable[[Tensor | None], View]):
+        self._draw = draw
+        self._view: View | None = None
+
+    def __call__(self) -> View:
+        """Return all views."""
+        if self._view is None:
+            self._view = self._draw(None)
+        return self._view
+
+    def of(self, only: Tensor | None) -> View:
+        """Return views of which only some rows are needed, [N] bool, or all; if none are drawn yet, others are zero."""
+        return self() if only is None or self._view is not None else self._draw(only)
 
 
 class Senses(NamedTuple):

@@ -19,7 +19,7 @@ from splatrl.envs.lattice_steps import LatticeSteps, suits
 from splatrl.envs.lifecycle import Lifecycle
 from splatrl.envs.restart import StateWhenAsked, maybe_reset, where_marked, with_rows
 from splatrl.envs.robot import Robot
-from splatrl.envs.rules import Rules
+from splatrl.envs.rules import DRAW, Rules
 from splatrl.envs.senses import Senses
 from splatrl.envs.sensors.base import Sensor
 from splatrl.envs.specs import env_specs
@@ -40,11 +40,11 @@ class SplatEnv(StateWhenAsked):
     The complete state of an episode travels in the TensorDict, so the env itself holds only its random generator and
     the curriculum, both part of ``state_dict()``.
 
-    In a step, the task's motion carries out the actions, the drawing renders what the robots then see, and the task
-    judges the result once. On a GPU neither a step nor a reset synchronises with the host. A reset of some rows draws
-    start states for all rows, of which TorchRL keeps the requested ones; only the requested images are rendered, and
-    transforms find in the other rows what the env returned last. Under ``torch.compile``, step and reset run eagerly,
-    between the graphs of the surrounding code.
+    In a step, the task's motion carries out the actions, the task judges the result once, and the drawing renders what
+    the robots then see, earlier if the task judges by it. On a GPU neither a step nor a reset synchronises with the
+    host. A reset of some rows draws start states for all rows, of which TorchRL keeps the requested ones; only the
+    requested images are rendered, and transforms find in the other rows what the env returned last. Under
+    ``torch.compile``, step and reset run eagerly, between the graphs of the surrounding code.
 
     With several scenes, each episode takes place in one of them, drawn when it begins: ``scene`` [B, 1] int64, which
     travels in the TensorDict and must accompany a given ``state``. Checker and task select the values of each row's
@@ -66,7 +66,8 @@ class SplatEnv(StateWhenAsked):
         number draw their start, and whatever else their episode begins with, from a generator of their own.
     Partial steps: with ``_step`` [B, 1] bool, as TorchRL passes it, only the marked robots step and are drawn. For the
         others the result repeats their inputs, and is 0 where there is no input.
-    Input: ``camera_offset`` [B, 6] float32, if present, moves the camera but not the robot (``Robot.cameras``).
+    Input: ``camera_offset`` [B, 6] float32, if present, moves the camera but not the robot (``Robot.cameras``). A
+        step may be given ``draw`` [B, 1] int64, a ``Draw``, which says whose view is needed; others are blank.
     Parts: may be replaced only before the first step, since steps on a lattice may be precomputed at that point
         (``lattice_steps``).
     Pickling: a pickle holds the env's state and its parts, or, instead of the parts, ``made_by`` if it is set: a
@@ -211,7 +212,7 @@ class SplatEnv(StateWhenAsked):
         try:
             return self.lifecycle.step(given, rows, self.lattice_steps)
         except KeyError as error:
-            optional = {"camera_offset"} if self.scenes > 1 else {"camera_offset", "scene"}
+            optional = {"camera_offset", DRAW, *(() if self.scenes > 1 else ("scene",))}
             absent = [key for key in self.rules.reads if key not in {*given.keys(), *optional}]
             if not absent:
                 raise

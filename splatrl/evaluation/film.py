@@ -13,10 +13,10 @@ from torch import Tensor
 
 from splatrl.evaluation.clip_files import film_images
 from splatrl.evaluation.clips import predictions
+from splatrl.evaluation.encoding import encode
 from splatrl.evaluation.figure_style import font
 from splatrl.evaluation.policy_camera import Eye
 from splatrl.evaluation.rollouts import acting
-from splatrl.evaluation.video import encode
 from splatrl.files import replacing
 from splatrl.images import open_video, video_track
 

@@ -12,8 +12,8 @@ from PIL import Image
 from torch import Tensor
 
 from splatrl.cameras import Cameras, intrinsics
+from splatrl.evaluation.encoding import encode
 from splatrl.evaluation.phone_walk import camera_poses
-from splatrl.evaluation.video import encode
 from splatrl.files import replacing
 from splatrl.hdr import GAMMA
 from splatrl.renderers.base import Renderer

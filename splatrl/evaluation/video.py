@@ -1,9 +1,8 @@
 """Videos of episodes: the robot's view, optionally the robot itself from outside, and a map of where it is."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -15,18 +14,16 @@ from splatrl.envs.drawing import Drawing, Shot
 from splatrl.envs.robot import Robot
 from splatrl.evaluation.captions import STRIP, Captions
 from splatrl.evaluation.chart import Chart
+from splatrl.evaluation.encoding import encode
 from splatrl.evaluation.figure_style import INK, font
 from splatrl.evaluation.recording import Recording
 from splatrl.evaluation.topdown import MapView
-from splatrl.files import replacing
 from splatrl.waits import Bar
 
 PANEL, WIDEST, GAP = 384, 512, 8
 """Height of the panels, maximum width of the map and space around the panels, pixels."""
 HOLD = 0.7
 """Extra time for which the last frame of an episode is held, seconds."""
-X264 = {"crf": "18", "preset": "veryfast", "x264-params": "mbtree=0"}
-"""Encoder options; macroblock-tree rate control is off, since with it x264's output differs from run to run."""
 BATCH = 8
 """Number of large views rendered at a time; bounds memory."""
 
@@ -134,31 +131,3 @@ def _drawn(recording: Recording, drawing: Drawing, cameras: Cameras) -> Iterator
         memory = {key: value[rows] for key, value in recording.memory.items()}
         parts = None if recording.parts is None else recording.parts.rows(rows)
         yield from drawing.draw(Shot(cameras[rows], memory, parts)).pixels.cpu().numpy()
-
-
-def encode(
-    frames: Iterable[Image.Image], path: Path, fps: int, options: Mapping[str, str] = MappingProxyType({})
-) -> None:
-    """Encode images of one size with even sides as an mp4: H.264, or MPEG-4 if PyAV lacks that.
-
-    Args:
-        frames: at least one image.
-        path: the video file.
-        fps: frames per second.
-        options: further encoder options.
-    """
-    import av
-    from av.video.reformatter import Colorspace
-
-    x264 = "libx264" in av.codecs_available
-    # opened by name: FFmpeg then reports disk errors itself
-    with replacing(path) as file, av.open(file.name, "w", format="mp4") as container:
-        stream = container.add_stream("libx264" if x264 else "mpeg4", rate=fps)
-        stream.pix_fmt = "yuv420p"
-        stream.codec_context.colorspace = Colorspace.ITU601  # as from_image; unnamed, HD is shown as BT.709
-        stream.options = {**(X264 if x264 else {"qscale": "3"}), **options}
-        for number, image in enumerate(frames):
-            if number == 0:
-                stream.width, stream.height = image.size
-            container.mux(stream.encode(av.VideoFrame.from_image(image)))
-        container.mux(stream.encode(None))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from splatrl.evaluation.encoding import encode
 from splatrl.evaluation.film import HEIGHT, PANEL, draw_film
-from splatrl.evaluation.video import encode
 from splatrl.images import open_video
 from tests.evaluation.test_clips import EYE, NAMES, PROBABILITIES, recorder
 

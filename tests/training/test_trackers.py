@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from PIL import Image, ImageSequence
 
-from splatrl.evaluation.video import encode
+from splatrl.evaluation.encoding import encode
 from splatrl.training.trackers import MOST_FRAMES, WIDEST, gif, make_tracker
 from tests.training.test_trainer import trainer
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torchrl.data import TensorSpec
 
-from splatrl.envs.drawing.base import Drawing
+from splatrl.envs.drawing.base import Drawing, View
 from splatrl.envs.robot import Robot
 from splatrl.motions.base import Move, PlannedMotion
 from splatrl.motions.site import Fits, Site
@@ -50,24 +50,39 @@ class Outcome(IntEnum):
     """The robot signalled that it was at its goal, but was not."""
 
 
+def nothing_drawn() -> View:
+    """Refuse to show what robots see."""
+    raise ValueError("step: expected a task that does not look at its views, since none are drawn for it")
+
+
 class Step(NamedTuple):
-    """One step of each robot, already carried out and rendered.
+    """One step of each robot, already carried out.
+
+    The robots' views after the step are drawn as soon as a task reads ``pixels`` or ``shown``.
 
     Attributes:
         before: [B, ...] states before the step.
         action: [B, ...] actions of the robots.
         move: the motion's result, including the states after the step.
         memory: the task's memory before the step.
-        pixels: [B, H, W, 3] uint8, the robots' views after the step.
-        shown: what the drawing returned about each view, [B, ...] by key; see ``View``.
+        look: returns the views, and draws them the first time.
     """
 
     before: Tensor
     action: Tensor
     move: Move
     memory: Memory
-    pixels: Tensor
-    shown: Mapping[str, Tensor] = NOTHING
+    look: Callable[[], View] = nothing_drawn
+
+    @property
+    def pixels(self) -> Tensor:
+        """[B, H, W, 3] uint8, the robots' views after the step."""
+        return self.look().pixels
+
+    @property
+    def shown(self) -> Mapping[str, Tensor]:
+        """What the drawing returned about each view, [B, ...] by key; see ``View``."""
+        return self.look().shown
 
 
 class Verdict(NamedTuple):
@@ -102,9 +117,9 @@ class Mark:
 class Task(Protocol):
     """Defines what robots are rewarded for, how they move, and when an episode ends.
 
-    A task judges each step once, after the robots' views are rendered, so that the image may decide whether a goal is
-    reached. It may remember something about each robot, have one goal, several or none, and place objects in the
-    scene. ``TaskModule`` has defaults for everything but the reward.
+    A task judges each step once. The robots' views are drawn when a task reads them, so the image may decide whether a
+    goal is reached. It may remember something about each robot, have one goal, several or none, and place objects in
+    the scene. ``TaskModule`` has defaults for everything but the reward.
 
     Attributes:
         motion: how the robots move.
@@ -193,7 +208,7 @@ class Task(Protocol):
         """Judge one step.
 
         Args:
-            step: the actions, their results, and the robots' views afterwards.
+            step: the actions, their results, and, if it reads them, the robots' views afterwards.
             anywhere: draws states, for objects that are placed at random.
         """
         ...

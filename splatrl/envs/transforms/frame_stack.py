@@ -37,7 +37,7 @@ class FrameStack(Transform):
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         for key in self.in_keys:
             view, given = tensordict_reset[key], tensordict.get(key, None)
-            stack = torch.cat([view] * self.N, -1)
+            stack = torch.stack([*view.unbind(-1)] * self.N, -1)
             if given is not None:
                 goes_on = tensordict_reset["level"] == -1  # level -1 marks a given state, whose past is given with it
                 earlier = self._checked(key, given, view)[..., : -view.shape[-1]]
@@ -48,8 +48,7 @@ class FrameStack(Transform):
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         for key in self.in_keys:
             view = next_tensordict[key]
-            earlier = self._checked(key, tensordict.get(key, None), view)[..., view.shape[-1] :]
-            next_tensordict.set(key, torch.cat([earlier, view], -1))
+            next_tensordict.set(key, _pushed(self._checked(key, tensordict.get(key, None), view), view))
         return next_tensordict
 
     def _checked(self, key: str, given: Tensor | None, view: Tensor) -> Tensor:
@@ -96,3 +95,15 @@ class FrameStack(Transform):
                     f"{type(one).__name__}: expected inside FrameStack, which would stack again what it writes to "
                     f"{', '.join(map(str, changed))}, or with other out_keys"
                 )
+
+
+def _pushed(stack: Tensor, view: Tensor) -> Tensor:
+    """Return a stack of views with a new one at its end instead of the oldest: [..., N · C], [..., C].
+
+    It is filled by one copy of everything and one of each channel, since joining pixels copies a few bytes at a time.
+    """
+    pushed, channels = stack.new_empty(stack.shape), view.shape[-1]
+    pushed.view(-1)[:-channels] = stack.contiguous().view(-1)[channels:]
+    for channel in range(channels):
+        pushed[..., channel - channels] = view[..., channel]
+    return pushed

@@ -27,7 +27,7 @@ def judged(task: Course, before: torch.Tensor, after: torch.Tensor, passed: int 
     """Return the verdict on one step of one robot."""
     move = Move(after, task.motion.body_to_world(after), torch.tensor([free]), task.motion.inside(after))
     memory = {"passed": torch.tensor([[passed]]), "next_place": torch.zeros(1, 4)}
-    return task.judge(Step(before, torch.zeros(1, 2), move, memory, torch.zeros(0)), anywhere(task))
+    return task.judge(Step(before, torch.zeros(1, 2), move, memory), anywhere(task))
 
 
 def wander(task: Course, steps: int, action: tuple[float, ...]) -> torch.Tensor:
@@ -36,7 +36,7 @@ def wander(task: Course, steps: int, action: tuple[float, ...]) -> torch.Tensor:
     memory, actions = task.begin(state, anywhere(task, 6)), torch.tensor(action).expand(6, -1)
     for _ in range(steps):
         move = task.motion.move(state, actions, NOTHING)
-        memory = task.judge(Step(state, actions, move, memory, torch.zeros(0)), anywhere(task, 6)).memory
+        memory = task.judge(Step(state, actions, move, memory), anywhere(task, 6)).memory
         state = move.state
     return memory["passed"]
 
@@ -67,7 +67,7 @@ class CourseContract:
             action = task.teach(state, memory)
             assert action is not None
             move = task.motion.move(state, action, NOTHING)
-            verdict = task.judge(Step(state, action, move, memory, torch.zeros(0)), anywhere(task, 6))
+            verdict = task.judge(Step(state, action, move, memory), anywhere(task, 6))
             for row in verdict.terminated.squeeze(1).nonzero().flatten().tolist():
                 outcomes.setdefault(row, int(verdict.outcome[row]))
             state, memory = move.state, dict(verdict.memory)

@@ -19,7 +19,7 @@ def judged(task: Task, ahead: Tensor, hit: Tensor) -> Verdict:
     free = torch.where(hit, 0.5, 1.0)
     move = Move(ahead, torch.eye(4).expand(len(ahead), 4, 4), free, motion.inside(ahead))
     action = motion.action_spec.zero((len(ahead),))
-    return task.judge(Step(ahead, action, move, {}, torch.zeros(len(ahead), 2, 3, 3, dtype=torch.uint8)), nowhere)
+    return task.judge(Step(ahead, action, move, {}), nowhere)
 
 
 def nowhere() -> Tensor:

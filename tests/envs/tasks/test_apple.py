@@ -9,7 +9,7 @@ from hydra.utils import instantiate
 from torch import Tensor
 
 from splatrl.configuration import load_config
-from splatrl.envs.drawing import SceneDrawing, Sprite, SpriteDrawing
+from splatrl.envs.drawing import SceneDrawing, Sprite, SpriteDrawing, View
 from splatrl.envs.tasks import Apple, Outcome, Step
 from splatrl.motions import Move
 from tests.envs.rooms import PLACE, coarse_apple
@@ -176,9 +176,8 @@ def test_a_step_to_the_apple_without_red_in_view_is_not_a_goal() -> None:
     state = torch.tensor([NEAR] * 4)
     free, inside = torch.tensor([1.0, 0.5, 1.0, 0.5]), torch.tensor([True, True, False, False])
     move = Move(state, task.motion.body_to_world(state), free, inside)
-    step = Step(
-        state, torch.zeros(4, dtype=torch.int64), move, task.begin(state, nowhere), image().expand(4, -1, -1, -1)
-    )
+    views = View(image().expand(4, -1, -1, -1), {})
+    step = Step(state, torch.zeros(4, dtype=torch.int64), move, task.begin(state, nowhere), lambda: views)
     verdict = task.judge(step, nowhere)
     expected = [Outcome.RUNNING, Outcome.COLLISION, Outcome.OUT_OF_BOUNDS, Outcome.COLLISION]
     assert task.reached(state).all() and verdict.outcome.flatten().tolist() == expected

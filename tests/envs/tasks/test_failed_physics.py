@@ -51,7 +51,7 @@ def test_a_robot_whose_physics_fails_ends_its_episode(make: Callable[[], Task], 
         action[:] = motion.limits[1]  # zero velocities would be a stop
     move = motion.move(before, action, NOTHING)
     assert torch.equal(move.state[0], before[0]) and move.failed.tolist() == [True, False]
-    verdict = task.judge(Step(before, action, move, memory, torch.zeros(0)), anywhere)
+    verdict = task.judge(Step(before, action, move, memory), anywhere)
     assert verdict.terminated[0].item() and verdict.outcome[0].item() == outcome
     assert verdict.reward[0].abs() < 100 and verdict.outcome[1].item() == Outcome.RUNNING
 
@@ -92,12 +92,12 @@ def test_a_robot_that_lies_on_its_side_ends_its_episode(make: Callable[[], Task]
         ]
     ).double()
     move = motion.moved(before, torch.zeros(2, 1, motion.physics.model.nsensordata), torch.ones(2, dtype=torch.bool))
-    verdict = task.judge(Step(home, motion.limits[1].expand(2, -1), move, memory, torch.zeros(0)), anywhere)
+    verdict = task.judge(Step(home, motion.limits[1].expand(2, -1), move, memory), anywhere)
     assert verdict.terminated.flatten().tolist() == [True, False]
     assert verdict.outcome.flatten().tolist() == [outcome, Outcome.RUNNING]
     if isinstance(task, PointNav):
         assert verdict.memory["collisions"].flatten().tolist() == [1, 0]
-        stopped = task.judge(Step(home, torch.zeros(2, 2), move, memory, torch.zeros(0)), anywhere)
+        stopped = task.judge(Step(home, torch.zeros(2, 2), move, memory), anywhere)
         assert stopped.outcome.flatten().tolist() == [Outcome.COLLISION, Outcome.STOPPED]
 
 

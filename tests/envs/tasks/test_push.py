@@ -44,7 +44,7 @@ def judged(task: Push, before: torch.Tensor, after: torch.Tensor, free: float = 
     """Return the verdict on robots and balls that went from one state to another."""
     move = Move(after, task.motion.body_to_world(after), torch.full((len(after),), free), task.motion.inside(after))
     memory = {"mark": torch.tensor([[*MARK, 0.02]]).expand(len(after), 3), "ball": before[:, task.ball][:, :3].float()}
-    return task.judge(Step(before, torch.zeros(len(after), 2), move, memory, torch.zeros(0)), None)  # type: ignore[arg-type]
+    return task.judge(Step(before, torch.zeros(len(after), 2), move, memory), None)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -173,7 +173,7 @@ def test_a_robot_that_drives_at_the_ball_pushes_it_to_the_mark() -> None:
     steps = 0
     while steps < 40:
         move = task.motion.move(state, torch.tensor([[0.5, 0.0]]), nothing)
-        verdict = task.judge(Step(state, torch.zeros(1, 2), move, memory, torch.zeros(0)), anywhere)
+        verdict = task.judge(Step(state, torch.zeros(1, 2), move, memory), anywhere)
         state, memory, steps = move.state, dict(verdict.memory), steps + 1
         if verdict.terminated.item():
             break
@@ -267,7 +267,7 @@ def test_the_teacher_pushes_balls_to_marks() -> None:
         action = task.teach(state, memory)
         assert action is not None
         move = motion.move(state, action, nothing)
-        verdict = task.judge(Step(state, action, move, memory, torch.zeros(0)), anywhere)
+        verdict = task.judge(Step(state, action, move, memory), anywhere)
         state, memory = move.state, dict(verdict.memory)
         succeeded |= verdict.outcome.squeeze(1) == Outcome.GOAL
         if succeeded.float().mean() > 0.9:

@@ -8,6 +8,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from splatrl.envs import SplatEnv
+from splatrl.envs.drawing import View
 from splatrl.envs.tasks import Outcome, Snake, Step
 from splatrl.envs.tasks.base import Anywhere
 from splatrl.evaluation import run_episodes, summarise
@@ -40,7 +41,8 @@ def test_nothing_that_a_robot_does_ends_the_episode() -> None:
     grey = torch.zeros(3, 2, 5, 3, dtype=torch.uint8)
     memory = task.begin(state, Anywhere(lambda: state, torch.Generator()))
     verdict = task.judge(
-        Step(state, torch.zeros(3, dtype=torch.int64), move, memory, grey), Anywhere(lambda: state, torch.Generator())
+        Step(state, torch.zeros(3, dtype=torch.int64), move, memory, lambda: View(grey, {})),
+        Anywhere(lambda: state, torch.Generator()),
     )
     assert not verdict.terminated.any()
     assert verdict.outcome.flatten().tolist() == [Outcome.RUNNING, Outcome.COLLISION, Outcome.OUT_OF_BOUNDS]

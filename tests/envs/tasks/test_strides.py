@@ -29,7 +29,7 @@ def begun(of: Strides, count: int = 1) -> torch.Tensor:
 def judged(of: Strides, before: torch.Tensor, after: torch.Tensor, strides: int = 0, error: float = 0.0) -> Verdict:
     move = Move(after, of.motion.body_to_world(after), torch.ones(1), of.motion.inside(after))
     memory = {"strides": torch.tensor([[strides]]), "error": torch.tensor([[error]])}
-    return of.judge(Step(before, torch.zeros(1, JOINTS), move, memory, torch.zeros(0)), None)  # type: ignore[arg-type]
+    return of.judge(Step(before, torch.zeros(1, JOINTS), move, memory), None)  # type: ignore[arg-type]
 
 
 def moving(of: Strides, ahead: float, aside: float, turn: float) -> torch.Tensor:

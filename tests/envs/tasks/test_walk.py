@@ -46,7 +46,7 @@ def at(task: Walk, away: float, turned: float = 0.0) -> torch.Tensor:
 def judged(task: Walk, before: torch.Tensor, after: torch.Tensor) -> Verdict:
     move = Move(after, task.motion.body_to_world(after), torch.ones(1), task.motion.inside(after))
     memory = task.begin(before, anywhere(task))
-    return task.judge(Step(before, torch.zeros(1, 2), move, memory, torch.zeros(0)), anywhere(task))
+    return task.judge(Step(before, torch.zeros(1, 2), move, memory), anywhere(task))
 
 
 def test_reaching_the_mark_is_a_success() -> None:
@@ -71,7 +71,7 @@ def test_the_teacher_finishes_the_test_courses() -> None:
     reached = torch.zeros(4, dtype=torch.bool)
     for _ in range(45):
         move = task.motion.move(state, task.teach(state, memory), NOTHING)
-        verdict = task.judge(Step(state, torch.zeros(4, 2), move, memory, torch.zeros(0)), anywhere(task))
+        verdict = task.judge(Step(state, torch.zeros(4, 2), move, memory), anywhere(task))
         reached |= (verdict.outcome == Outcome.GOAL).squeeze(1)
         assert not (verdict.terminated.squeeze(1) & ~reached).any()
         if reached.all():

@@ -100,7 +100,7 @@ def test_the_image_goal_teacher_goes_on_if_looking_around_takes_it_to_and_fro_wh
             action = task.teach(state, memory)
             move = Move(after, task.motion.body_to_world(after), torch.ones(2), torch.ones(2, dtype=torch.bool))
             before = memory["unseen"]
-            memory = dict(task.judge(Step(state, action, move, memory, torch.zeros(0)), anywhere).memory or {})
+            memory = dict(task.judge(Step(state, action, move, memory), anywhere).memory or {})
             (looked if state is wide else waited).append(
                 (action == 2).all().item() if state is wide else torch.equal(memory["unseen"], before)
             )

@@ -10,11 +10,12 @@ from torchrl.envs import Compose, EnvBase, RewardScaling, SerialEnv, Transformed
 from splatrl.building import make_env
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks import Outcome
-from splatrl.envs.transforms import FrameSkip, FrameStack, PoseNoise
+from splatrl.envs.transforms import FrameSkip, FrameStack, Latency, PoseNoise
 from splatrl.training.collectors import HostCollector
 from tests.envs.contract import EnvContract, assert_same, base_env, seeded_rollout
+from tests.envs.rooms import coarse_apple, painted_env
 from tests.envs.transforms.views import seeing_env
-from tests.tiny import tiny_env, tiny_overrides
+from tests.tiny import CountingRenderer, tiny_env, tiny_overrides
 
 FORWARD_X, BACK_X, LEFT_Y, RIGHT_Y, SPIN, SPIN_BACK = range(6)
 
@@ -76,6 +77,26 @@ def test_the_step_limit_counts_env_steps() -> None:
     )
     assert rollout["next", "truncated"].flatten().tolist() == [False, True]
     assert rollout["next", "step_count"].flatten().tolist() == [4, 6]
+
+
+def views_drawn(env: StatefulEnv, states: list[list[float]], actions: list[int]) -> int:
+    base = base_env(env)
+    td = placed(env, states).set("action", torch.tensor(actions))
+    base.drawing.renderer = counting = CountingRenderer(base.drawing.renderer)
+    env.step(td)
+    return counting.rendered
+
+
+def test_only_views_that_somebody_sees_are_drawn() -> None:
+    states, actions = [[1, 5, 0], [3, 0, 0], [0, 0, 0]], [FORWARD_X, FORWARD_X, SPIN]  # two episodes end early
+    assert views_drawn(skipping(4, 3), states, actions) == 3
+    assert views_drawn(StatefulEnv(seeing_env((3,)), PoseNoise(x=0.01), FrameSkip(4)), states, actions) == 3
+    assert views_drawn(StatefulEnv(tiny_env((3,)), Latency((2, 2), (0, 0)), FrameSkip(4)), states, actions) == 4 * 3
+
+
+def test_every_view_is_drawn_for_a_task_that_judges_by_it() -> None:
+    env = StatefulEnv(painted_env(coarse_apple(), 2), FrameSkip(3))
+    assert views_drawn(env, [[0.0, 0.0, 0.0], [0.0, 0.5, 0.0]], [2, 3]) == 3 * 2
 
 
 def test_transforms_inside_act_in_every_step_and_those_outside_once_per_action() -> None:
