@@ -146,8 +146,8 @@ def _draw_curves(history: Sequence[Mapping[str, float]], summary: dict[str, Any]
     if "scenes" in summary:
         files.append(folder / BARS)
         rows = summary["scenes"]
-        columns = ([row[key] for row in rows] for key in ("scene", "success_rate", "success_interval"))
-        scene_bars(*columns, files[1])
+        success, intervals = ([row[key] for row in rows] for key in ("success_rate", "success_interval"))
+        scene_bars([row["scene"] for row in rows], success, intervals, files[1])
     return files
 
 
