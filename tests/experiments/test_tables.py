@@ -1,6 +1,7 @@
 """Tables and sentences of reports."""
 
 import json
+import warnings
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,10 @@ def test_the_chance_of_a_difference_is_that_of_welchs_t_test() -> None:
     assert chance_of_difference(Spread((0.1, 0.2, 0.3)), Spread((0.2, 0.4))) == pytest.approx(
         0.4921, abs=1e-4
     )  # t = 0.866 with 1.684 degrees of freedom
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # the same values in one arm are no reason for one
+        alike = chance_of_difference(Spread((0.078112, 0.078112)), Spread((0.05, 0.054)))
+    assert alike == pytest.approx(0.0487, abs=1e-4)
     assert chance_of_difference(Spread((0.5, 0.5)), Spread((0.5, 0.5))) == pytest.approx(1.0)
     assert chance_of_difference(Spread((0.5, 0.5)), Spread((0.6, 0.6))) == pytest.approx(0.0)
 
