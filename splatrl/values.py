@@ -114,6 +114,10 @@ def flat(node: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
-def one_line(error: BaseException) -> str:
-    """Return an error's message as one line; the name of its kind where it has none."""
-    return " ".join(str(error).split()) or type(error).__name__
+def one_line(message: BaseException | Warning | str) -> str:
+    """Return a message as one line; the name of its kind where an error has none.
+
+    Letters that cannot be printed, such as those with which a name in a file would control the terminal, are escaped.
+    """
+    text = " ".join(str(message).split()) or type(message).__name__
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)

@@ -240,6 +240,7 @@ def test_mistyped_arguments_and_requests_for_help_do_not_import_pytorch() -> Non
         ("capture", "--help", "0"),
         ("scene", "--up", "2"),
         ("gait", "--help", "0"),
+        ("compare", "--help", "0"),
     ]
     code = "import sys\nimport splatrl.commands.entries as e\n"
     for name, word, _ in typed:

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from splatrl.values import are_numbers, require_number, tenths, under_key
+from splatrl.values import are_numbers, one_line, require_number, tenths, under_key
 
 
 @pytest.mark.parametrize(
@@ -51,3 +51,9 @@ def test_numbers_that_round_to_zero_have_no_sign(value: float, expected: str) ->
 def test_an_error_is_put_under_a_key_once(said: str, expected: str) -> None:
     with pytest.raises(ValueError, match=f"^{expected}$"), under_key("task"):
         raise ValueError(said)
+
+
+def test_a_message_is_one_line_in_which_nothing_controls_the_terminal() -> None:
+    told = one_line(ValueError("name:\n  got \x1b[2Jсад\u202e"))
+    assert told == r"name: got \x1b[2Jсад\u202e"
+    assert one_line(ValueError("  ")) == "ValueError"

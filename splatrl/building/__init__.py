@@ -3,7 +3,7 @@
 from splatrl.building.envs import env_makers, make_env, worker_seed
 from splatrl.building.places import check_place, scene_digest
 from splatrl.building.trainers import build_model, build_trainer, check_training
-from splatrl.building.worlds import build_one_world, build_world
+from splatrl.building.worlds import build_one_world, build_world, repeats_of
 
 __all__ = [
     "build_model",
@@ -14,6 +14,7 @@ __all__ = [
     "check_training",
     "env_makers",
     "make_env",
+    "repeats_of",
     "scene_digest",
     "worker_seed",
 ]

@@ -19,7 +19,6 @@ from splatrl.datasets import (
     Imitation,
     check_imitation,
     check_taught,
-    has_teacher,
     planner_episodes,
     read_demonstrations,
     teacher_episodes,
@@ -195,7 +194,7 @@ def _demonstrations(cfg: DictConfig) -> list[Demonstrations]:
 
 def _recorded(world: World | Worlds, episodes: int, seed: int) -> list[Demonstrations]:
     """Record episodes of the task's teacher, or else of the planner, divided evenly among the scenes."""
-    every, record = len(world.worlds), teacher_episodes if has_teacher(world) else planner_episodes
+    every, record = len(world.worlds), teacher_episodes if world.worlds[0].task.teaches else planner_episodes
     shares = [(episodes + every - 1 - number) // every for number in range(every)]
     with Bar(total=episodes, unit="episode", desc="demonstrate", leave=False) as bar:
         return [record(one, share, seed, bar.update) for one, share in zip(world.worlds, shares, strict=True) if share]

@@ -1,7 +1,6 @@
 """Builds worlds: everything that the envs of a config share."""
 
 import math
-from collections.abc import Sequence
 from functools import partial
 
 import torch
@@ -42,7 +41,7 @@ def build_world(cfg: DictConfig) -> World | Worlds:
     sensors = {str(key): instantiate(node) for key, node in (cfg.get("sensors") or {}).items()}
     if sensors:
         check_sensors(sensors, instantiate(configs[0].task))  # building takes long
-    places = build_places(configs, device, place_names(cfg), _repeats(transforms()))
+    places = build_places(configs, device, place_names(cfg), repeats_of(cfg))
     scenes = [place.scene for place in places]
     drawn = [*scenes, *places[0].task.models]
     renderer = constructor(configs[0], "renderer", device)(drawn[0] if len(drawn) == 1 else drawn)
@@ -71,9 +70,10 @@ def _around(cfg: DictConfig, drawing: Drawing) -> Drawing:
     return instantiate(cfg.around_drawing)(drawing) if cfg.get("around_drawing") else drawing
 
 
-def _repeats(transforms: Sequence[Transform]) -> int:
-    """Return the number of times that a robot carries out each action under some transforms."""
-    return math.prod(one.steps for one in transforms if isinstance(one, FrameSkip))
+def repeats_of(cfg: DictConfig) -> int:
+    """Return the number of times that a robot carries out each action under the transforms of a config."""
+    made = _make_transforms(cfg.transforms, cfg.network.get("memory", 0))
+    return math.prod(one.steps for one in made if isinstance(one, FrameSkip))
 
 
 def build_one_world(cfg: DictConfig) -> World:

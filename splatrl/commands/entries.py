@@ -19,7 +19,7 @@ USERS = (ImportError, OSError, ValueError)
 """Errors that a user can fix; commands end with one line for them."""
 TYPED: list[str] = []
 """The words of the command that this process runs, as they were typed; none in processes that a launcher starts."""
-PARSERS = {"capture": parsers.capture, "scene": parsers.scene, "gait": parsers.gait}
+PARSERS = {"capture": parsers.capture, "compare": parsers.compare, "gait": parsers.gait, "scene": parsers.scene}
 """Parsers of the commands that take options; all other commands have a config."""
 
 
@@ -64,6 +64,7 @@ def keep_fonts() -> None:
 
 capture = partial(start, "capture")
 clips = partial(start, "clips")
+compare = partial(start, "compare")
 evaluate = partial(start, "evaluate")
 experiment = partial(start, "experiment")
 export = partial(start, "export")

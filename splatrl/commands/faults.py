@@ -18,7 +18,7 @@ from splatrl.values import one_line
 
 CONFIGURED = (*USERS, HydraException, OmegaConfBaseException)
 FULL = "HYDRA_FULL_ERROR"
-"""Environment variable that, when set, shows the full traceback of an error."""
+"""Environment variable that, when it is 1, as for Hydra, shows the full traceback of an error."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -41,7 +41,7 @@ def in_one_line(command: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
                 with _warnings_in_one_line(command):
                     return function(*args, **kwargs)
             except CONFIGURED as error:
-                if os.environ.get(FULL):
+                if os.environ.get(FULL) == "1":
                     raise
                 text = one_line(error)
             if HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN:
@@ -65,7 +65,7 @@ def _warnings_in_one_line(command: str) -> Iterator[None]:
     ) -> str:
         if category is not UserWarning:  # our own warnings are plain UserWarnings
             return usual(message, category, filename, lineno, line)
-        return f"{command}: {' '.join(str(message).split())}\n"
+        return f"{command}: {one_line(message)}\n"
 
     warnings.formatwarning = told
     try:

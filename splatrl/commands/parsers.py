@@ -23,6 +23,11 @@ CAPTURE: dict[str, dict[str, Any]] = {
     "seed": {"low": 0, "high": 2**31 - 1, "whole": True},
 }
 """Limits of the numbers that ``splatrl-capture`` takes, as for ``require_number``; some are used only after minutes."""
+COMPARE = """
+splatrl-train -m seed=0,1,2 memory=none,gru
+splatrl-compare multirun/2026-01-31/12-00-00
+splatrl-compare outputs/2026-01-31/12-00-00 outputs/2026-02-01/09-30-00 --out comparison/
+"""
 GAIT = """
 splatrl-gait outputs/2026-01-31/12-00-00 --out gait.npz
 splatrl-train task=walk task.motion.gait=gait.npz
@@ -238,5 +243,23 @@ def gait(arguments: Sequence[str]) -> argparse.Namespace:
     result.add_argument("--out", type=Path, help="file to write; by default gait.npz in the run folder")
     result.add_argument(
         "--checkpoint", choices=("last", "best"), default="last", help="checkpoint to use; by default last"
+    )
+    return result.parse_args(arguments)
+
+
+def compare(arguments: Sequence[str]) -> argparse.Namespace:
+    """Parse the options of ``splatrl-compare``."""
+    result = Parser(
+        "splatrl-compare",
+        description="Compare finished trainings: a table with means over seeds, whether the best differs by more than "
+        "chance, and learning curves, in report.md, report.json and figures.",
+        epilog=COMPARE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    result.add_argument("runs", type=Path, nargs="+", metavar="run", help="run folders, or folders of sweeps")
+    result.add_argument(
+        "--out",
+        type=_folder,
+        help="folder of the report, new or of an earlier comparison; by default comparison in the first folder",
     )
     return result.parse_args(arguments)

@@ -14,7 +14,7 @@ import hydra
 import torch
 from omegaconf import DictConfig
 
-from splatrl.building import build_one_world
+from splatrl.building import build_one_world, repeats_of
 from splatrl.building.instantiation import instantiate
 from splatrl.commands.entries import record as main
 from splatrl.commands.faults import in_one_line
@@ -23,6 +23,7 @@ from splatrl.configuration import check_config, check_files, conf_dir, place_con
 from splatrl.datasets import (
     Demonstrations,
     check_lerobot,
+    check_single_steps,
     planner_episodes,
     teacher_episodes,
     write_demonstrations,
@@ -97,9 +98,11 @@ def check_demonstrator(cfg: DictConfig) -> None:
     ways = {}
     if task.goals_for_success is None and type(task).reached is not TaskModule.reached:
         ways["planner"] = "by=planner records shortest paths"
-    if type(task).teach is not TaskModule.teach:
+    if task.teaches:
         ways["teacher"] = "by=teacher records the task's own teacher"
     if cfg.by in ways:
+        if cfg.by == "teacher":
+            check_single_steps(task, repeats_of(cfg), "by=teacher")
         return
     with suppress(ValueError):
         keys_of(task.motion)
@@ -114,7 +117,8 @@ def write(cfg: DictConfig, world: World, found: Demonstrations, key: str, path: 
     path = untaken(path)
     with new_folder(path) as folder:
         if key == "lerobot":
-            write_lerobot(folder, found, f"{type(world.task).__name__} in {world.scene.name}")
+            about = f"{type(world.task).__name__} in {world.scene.name}"
+            write_lerobot(folder, found, about, controls=world.task.motion.controls)
             return f"{path}: the same episodes as a LeRobotDataset v3.0"
         save_config(cfg, folder)
         write_demonstrations(folder, found, {"by": cfg.by, "seed": cfg.seed})

@@ -2,7 +2,7 @@
 
 from splatrl.configuration.checking import check_config, check_constructors, check_values
 from splatrl.configuration.command_line import command_line
-from splatrl.configuration.differences import differences, differences_from_run
+from splatrl.configuration.differences import differences, differences_from_run, settings_of
 from splatrl.configuration.elsewhere import config_elsewhere, moves_scene, placed, says_where, words_of_place
 from splatrl.configuration.grammar import quoted
 from splatrl.configuration.loading import check_texts, job_config, load_config, with_scene_paths
@@ -58,6 +58,7 @@ __all__ = [
     "run_config",
     "save_config",
     "says_where",
+    "settings_of",
     "typed_key",
     "with_absolute_paths",
     "with_scene_paths",

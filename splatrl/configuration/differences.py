@@ -18,11 +18,11 @@ SPEED_ONLY |= {"resume_changed", "allow_targets", "view"}
 
 def differences(asked: Mapping[str, Any], found: Mapping[str, Any]) -> list[str]:
     """List the keys in which two configs differ, with both values, leaving out keys that cannot change results."""
-    wanted, there = _settings(asked), _settings(found)
+    wanted, there = settings_of(asked), settings_of(found)
     return [
         f"{key}: asked for {wanted.get(key, 'nothing')}, found {there.get(key, 'nothing')}"
         for key in sorted(wanted.keys() | there.keys())
-        if key not in SPEED_ONLY and wanted.get(key) != there.get(key)
+        if wanted.get(key) != there.get(key)
     ]
 
 
@@ -33,9 +33,10 @@ def differences_from_run(asked: Mapping[str, Any], folder: Path) -> list[str]:
     return differences(asked, {str(key): value for key, value in found.items()})
 
 
-def _settings(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the dotted keys of a config with their values, with paths made absolute."""
+def settings_of(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the dotted keys of a config that can change results, with their values; paths are made absolute."""
     own = config if isinstance(config, DictConfig) else OmegaConf.create(dict(config))
     cfg = OmegaConf.to_container(with_absolute_paths(own))
     assert isinstance(cfg, dict), type(cfg)
-    return dict(flat({str(key): value for key, value in cfg.items()}))
+    every = flat({str(key): value for key, value in cfg.items()})
+    return {key: value for key, value in every if key not in SPEED_ONLY}

@@ -14,7 +14,7 @@ from torchrl.envs import EnvBase
 from splatrl.array_files import read_arrays
 from splatrl.curriculum import Curriculum
 from splatrl.datasets.demonstrations import Demonstrations
-from splatrl.datasets.recorder import check_single_steps, has_teacher
+from splatrl.datasets.recorder import check_single_steps
 from splatrl.envs.nesting import set_state, state_of
 from splatrl.envs.world import World, Worlds
 from splatrl.files import replacing
@@ -184,8 +184,8 @@ def check_imitation(world: World | Worlds, dagger: DaggerSettings, asked: int = 
     """
     name = type(world.task).__name__
     for key, others, number in (("demos", "null or a folder", asked), ("dagger.rounds", "0", dagger.rounds)):
-        if number and has_teacher(world):
-            check_single_steps(world, key)
+        if number and world.worlds[0].task.teaches:
+            check_single_steps(world.worlds[0].task, world.worlds[0].repeats, key)
         elif number and not world.planned:
             raise ValueError(
                 f"{key}: expected {others} for a task with neither goal states nor a teacher ({name}), got {number}"

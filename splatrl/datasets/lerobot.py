@@ -5,7 +5,7 @@ are stored losslessly, and views are compressed as H.264. Each table and each vi
 """
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,13 @@ KEYFRAMES = 2
 """Keyframe interval of the videos, frames; short, so that readers can seek to any frame quickly."""
 
 
-def write_lerobot(folder: Path, demonstrations: Demonstrations, task: str, robot: str = "splatrl") -> None:
+def write_lerobot(
+    folder: Path,
+    demonstrations: Demonstrations,
+    task: str,
+    robot: str = "splatrl",
+    controls: Sequence[str] = (),
+) -> None:
     """Write demonstrations into an existing folder that ``LeRobotDataset(..., root=folder)`` can read.
 
     Features: ``observation.images.front``, ``observation.state``, ``action``, ``next.reward``, ``next.done`` and
@@ -40,6 +46,7 @@ def write_lerobot(folder: Path, demonstrations: Demonstrations, task: str, robot
         demonstrations: the demonstrations to write.
         task: description of the task, in words.
         robot: kind of robot.
+        controls: names of the numbers of a continuous action, ``Motion.controls``; empty if they have none.
 
     Raises:
         ImportError, ValueError: as ``check_lerobot`` does.
@@ -59,7 +66,7 @@ def write_lerobot(folder: Path, demonstrations: Demonstrations, task: str, robot
     for name, table in tables.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         parquet.write_table(table, folder / name)
-    write_json(folder / "meta/info.json", _info(demonstrations, columns, videos, robot))
+    write_json(folder / "meta/info.json", _info(demonstrations, columns, videos, robot, controls))
     write_json(folder / "meta/stats.json", _statistics(columns, videos))
     for key, pixels in videos.items():
         path = folder / VIDEO.format(key=key)
@@ -175,12 +182,17 @@ def _tasks(pyarrow: Any, task: str) -> Any:
 
 
 def _info(
-    demonstrations: Demonstrations, columns: Mapping[str, Tensor], videos: Mapping[str, Tensor], robot: str
+    demonstrations: Demonstrations,
+    columns: Mapping[str, Tensor],
+    videos: Mapping[str, Tensor],
+    robot: str,
+    controls: Sequence[str],
 ) -> dict[str, Any]:
     features: dict[str, Any] = {
         key: {"dtype": str(value.dtype).removeprefix("torch."), "shape": list(value.shape[1:] or [1]), "names": None}
         for key, value in columns.items()
     }
+    features["action"]["names"] = list(controls) or None
     for key, pixels in videos.items():
         height, width = pixels.shape[1:3]
         features[key] = {

@@ -10,8 +10,8 @@ from torchrl.envs import EnvBase
 
 from splatrl.curriculum import Curriculum
 from splatrl.datasets.demonstrations import AFTER, FASTEST, Demonstrations, joined
-from splatrl.envs.tasks.base import Outcome
-from splatrl.envs.world import World, Worlds
+from splatrl.envs.tasks.base import Outcome, Task
+from splatrl.envs.world import World
 from splatrl.evaluation.rollouts import knowing
 from splatrl.values import require_number
 
@@ -24,27 +24,21 @@ Act = Callable[[TensorDictBase], TensorDictBase]
 Progress = Callable[[int], object]
 
 
-def has_teacher(world: World | Worlds) -> bool:
-    """Return whether the task has a teacher of its own."""
-    one = world.worlds[0]
-    memory = {key: spec.zero((1,)) for key, spec in one.task.memory_spec.items()}
-    return one.task.teach(one.plan.starts[:1], memory) is not None
-
-
-def check_single_steps(world: World | Worlds, asking: str) -> None:
+def check_single_steps(task: Task, repeats: int, asking: str) -> None:
     """Refuse a task's own teacher where actions are repeated.
 
     Args:
-        world: scene and task.
+        task: the task.
+        repeats: number of times that a robot carries out each action.
         asking: the setting that asks for the teacher, for the message.
 
     Raises:
         ValueError: names the setting and what to type.
     """
-    if world.repeats > 1:
+    if repeats > 1:
         raise ValueError(
-            f"{asking}: expected transforms/skip=none, since the teacher of {type(world.task).__name__} chooses single "
-            f"steps, got actions of {world.repeats} steps"
+            f"{asking}: expected transforms/skip=none, since the teacher of {type(task).__name__} chooses single "
+            f"steps, got actions of {repeats} steps"
         )
 
 
@@ -107,9 +101,9 @@ def teacher_episodes(
     """
     require_number("episodes", episodes, 1, 10**6, whole=True)
     name = type(world.task).__name__
-    if not has_teacher(world):
+    if not world.task.teaches:
         raise ValueError(f"teacher: expected a task with a teacher of its own, got {name}")
-    check_single_steps(world, "teacher")
+    check_single_steps(world.task, world.repeats, "teacher")
     env = world.env(ROBOTS, Curriculum([world.plan.in_reach], first=None), seed)
     kept, failed = _successes(world, env, env.reset, knowing(env, env.task.teach), episodes, progress)
     if len(kept) == episodes:

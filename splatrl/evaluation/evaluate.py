@@ -106,10 +106,11 @@ def remove_results(folder: Path) -> None:
 def _facts_of_training(checkpoint: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Return what the report says about the training, from the content of a checkpoint in a run folder."""
     with refusing(folder / "checkpoints", "a training checkpoint"):
+        levels = [row["level"] for row in checkpoint["history"] if "level" in row]  # none without a curriculum
         return {
             "frames": int(checkpoint["ppo"]["frames"]),
             "wall_seconds": float(checkpoint["seconds"]),
-            "level": int(checkpoint["ppo"]["env"]["curriculum.progress"][0]) + 1,
+            "level": int(levels[-1]) if levels else None,
         }
 
 
@@ -145,7 +146,8 @@ def _draw_curves(history: Sequence[Mapping[str, float]], summary: dict[str, Any]
     if "scenes" in summary:
         files.append(folder / BARS)
         rows = summary["scenes"]
-        scene_bars([row["scene"] for row in rows], [row["success_rate"] for row in rows], files[1])
+        success, intervals = ([row[key] for row in rows] for key in ("success_rate", "success_interval"))
+        scene_bars([row["scene"] for row in rows], success, intervals, files[1])
     return files
 
 
@@ -174,7 +176,9 @@ def _draw_places(
 
 def summary_lines(summary: dict[str, Any]) -> list[str]:
     """Describe the results of an evaluation in two lines of text."""
-    rates = [f"success {summary['success_rate']:.3f} (argmax {summary['success_rate_argmax']:.3f})"]
+    low, high = summary["success_interval"]
+    rates = [f"success {summary['success_rate']:.3f}, 95 % CI {low:.3f} to {high:.3f}"]
+    rates.append(f"argmax {summary['success_rate_argmax']:.3f}")
     by_steps = f"SPL by steps {summary['step_spl']:.3f}" if "step_spl" in summary else ""
     by_distance = f"SPL {summary['spl']:.3f}, soft SPL {summary['soft_spl']:.3f}" if "spl" in summary else ""
     rates.append(by_distance or by_steps or f"return {tenths(summary['mean_return'])}")
@@ -189,8 +193,8 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
     drawn = f"{count} episodes{', each with its own goal' if 'spl' in summary else ''}"
     where = f"{count} of {summary['start_poses']:,} start poses" if "start_poses" in summary else drawn
     under = ", ".join(re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower() for name in summary["transforms"])
-    level = f"curriculum level {summary['level']}"
+    level = "" if summary["level"] is None else f", curriculum level {summary['level']}"
     return [
         f"{', '.join(rates)} {where}{f', under {under}' if under else ''}",
-        f"{summary['frames']:,} frames in {summary['wall_seconds']:.0f} s, {level}",
+        f"{summary['frames']:,} frames in {summary['wall_seconds']:.0f} s{level}",
     ]

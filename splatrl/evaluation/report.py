@@ -8,7 +8,7 @@ from torch import Tensor
 from splatrl.evaluation.rollouts import Episodes
 
 
-def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None) -> dict[str, float]:
+def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None) -> dict[str, Any]:
     """Summarise the episodes of an evaluation, with sampled and with most likely actions.
 
     Args:
@@ -20,12 +20,13 @@ def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None) -> d
     Returns:
         Rates in [0, 1] (``Episodes.mishaps``), mean numbers of goals, mean returns and mean lengths; for navigation
         tasks also the measures of ``Episodes.navigation``; with shortest paths also ``step_spl`` and their mean length.
-        Keys for ``argmax`` end in ``_argmax``.
+        ``success_interval`` is as of ``success_interval``. Keys for ``argmax`` end in ``_argmax``.
     """
-    summary: dict[str, float] = {}
+    summary: dict[str, Any] = {}
     for suffix, episodes in (("", sampled), ("_argmax", argmax)):
         summary |= {
             f"success_rate{suffix}": episodes.success.double().mean().item(),
+            f"success_interval{suffix}": success_interval(episodes),
             f"mean_goals{suffix}": episodes.goals.double().mean().item(),
             **{f"{key}{suffix}": value for key, value in episodes.mishaps().items()},
             f"mean_return{suffix}": episodes.episode_return.mean().item(),
@@ -41,6 +42,18 @@ def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None) -> d
     return summary
 
 
+def success_interval(episodes: Episodes) -> list[float]:
+    """Return the lowest and the highest success rate that agree with episodes, at 95 % confidence.
+
+    It is the interval of Wilson (1927), which takes episodes as independent. It covers what the episodes of one policy
+    leave open, not how much policies of other training seeds differ.
+    """
+    from scipy.stats import binomtest  # slow to import
+
+    found = binomtest(int(episodes.success.sum()), len(episodes.success)).proportion_ci(0.95, "wilson")
+    return [float(found.low), float(found.high)]
+
+
 def by_scene(names: Sequence[str], sampled: Episodes, argmax: Episodes) -> list[dict[str, Any]]:
     """Summarise success in each of several scenes that had episodes, in their order.
 
@@ -53,6 +66,7 @@ def by_scene(names: Sequence[str], sampled: Episodes, argmax: Episodes) -> list[
         {
             "scene": name,
             "success_rate": own.success.double().mean().item(),
+            "success_interval": success_interval(own),
             "success_rate_argmax": argmax.of(number).success.double().mean().item(),
             "collision_rate": own.mishaps()["collision_rate"],
             "episodes": len(own.outcome),

@@ -78,26 +78,32 @@ def _levels(axes: Axes, frames: NDArray[np.float64], level: NDArray[np.float64])
     axes.patch.set_visible(False)
 
 
-def scene_bars(names: Sequence[str], success: Sequence[float], path: Path) -> None:
-    """Plot the success rate in each of several scenes as bars, the best scene first.
+def scene_bars(
+    names: Sequence[str], success: Sequence[float], intervals: Sequence[Sequence[float]], path: Path
+) -> None:
+    """Plot the success rate in each of several scenes as bars with 95 % confidence intervals, the best scene first.
 
     Args:
         names: names of the scenes.
         success: success rates in [0, 1], one per scene.
+        intervals: lowest and highest rate that agree with the episodes, [S, 2].
         path: file of the figure; its suffix sets the format.
     """
     order = np.argsort(-np.asarray(success), kind="stable")
     figure = Figure(figsize=(7.2, 0.9 + 0.19 * len(names)), dpi=DPI, layout="constrained")
     axes, rates = figure.subplots(), np.asarray(success)[order]
+    low, high = np.asarray(intervals, dtype=np.float64)[order].T
+    reach = np.clip([rates - low, high - rates], 0.0, None)  # rounding may put a rate of 0 or 1 just outside
     axes.barh(np.arange(len(names)), rates, 0.72, color=BLUE)
+    axes.errorbar(rates, np.arange(len(names)), xerr=reach, fmt="none", ecolor=INK, elinewidth=1, capsize=2)
     for row, rate in enumerate(rates):
-        label = axes.text(rate + 0.008, row, f"{rate:.0%}", va="center", fontsize=8, color=INK)
+        label = axes.text(high[row] + 0.008, row, f"{rate:.0%}", va="center", fontsize=8, color=INK)
         label.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 1})  # covers the line of the average
     axes.axvline(float(np.mean(rates)), color=INK, linewidth=1, linestyle="--", zorder=0)
     over = f"{len(names)} scenes, {np.mean(rates):.1%} on average" if len(names) > 1 else "1 scene"
     axes.set_title(f"success rate in {over}", fontsize=11)
     axes.set_yticks(np.arange(len(names)), [legible(names[i]) for i in order], fontsize=8, parse_math=False)
-    axes.set(xlim=(0, 1.08), ylim=(len(names) - 0.4, -0.6), xlabel="success")
+    axes.set(xlim=(0, 1.08), ylim=(len(names) - 0.4, -0.6), xlabel="success, with 95 % confidence intervals")
     axes.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
     for side in ("top", "right", "left"):
         axes.spines[side].set_visible(False)

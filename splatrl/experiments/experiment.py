@@ -76,7 +76,7 @@ class Experiment:
     Attributes:
         name: name of the experiment on the command line and of its folder.
         title: headline of the report.
-        question: the question that the experiment answers.
+        question: the question that the experiment answers; None if nobody has stated it.
         paper: what the paper found about the question; None if nothing.
         frames_per_second: expected speed of one training.
         overhead: expected time per training on top of its frames, seconds.
@@ -89,7 +89,7 @@ class Experiment:
 
     name: str
     title: str
-    question: str
+    question: str | None
     paper: str | None
     frames_per_second: float
     overhead: float

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +33,8 @@ EXPLANATION = (
     "Success is measured over the start set (if it has more than `evaluation.starts` poses, over that many, evenly "
     "spaced) with actions sampled from the policy; argmax takes the most likely action instead. "
     "SPL weights success by the length of the shortest path relative to that of the path taken. "
-    "Values are means over seeds ± their standard deviation."
+    "Values are means over seeds ± their standard deviation. "
+    "An arm has won if its success differs from that of the next best one at p < 0.05 (Welch's t-test over the seeds)."
 )
 
 
@@ -54,7 +56,7 @@ def write_report(experiment: Experiment, machine: str) -> Path:
 
     Args:
         experiment: the experiment to report.
-        machine: description of the machine, used if none was recorded when the experiment ran.
+        machine: description of the machine, used if none was recorded when the experiment ran; empty if not known.
 
     Returns:
         Path of ``report.md``.
@@ -93,7 +95,8 @@ def _section(
 ) -> list[str]:
     finished = sum(len(entry.runs) for entry in found)
     lines = [f"{heading} {experiment.title}", ""]
-    lines += [f"**Question.** {experiment.question}", ""]
+    if experiment.question is not None:
+        lines += [f"**Question.** {experiment.question}", ""]
     if experiment.paper is not None:
         lines += [f"**Paper.** {experiment.paper}", ""]
     if not finished:
@@ -126,7 +129,8 @@ def _section(
     lines += [f"{heading}# Policies of the median seed", ""]
     for entry in found:
         lines += _pictures(entry, base)
-    return [*lines, f"Run on: {_machine(experiment, machine)}."]
+    known = _machine(experiment, machine)
+    return [*lines, f"Run on: {known}."] if known else lines
 
 
 def _capture(experiment: Experiment, base: Path, heading: str) -> list[str]:
@@ -170,7 +174,8 @@ def _pictures(entry: Entry, base: Path) -> list[str]:
 def _curves(found: Sequence[Entry], folder: Path) -> list[Curve]:
     return [
         Curve(
-            f"{group[0].scene}, {group[0].budget:,} frames", folder / f"curves-{group[0].scene}-{group[0].budget}.png"
+            f"{group[0].scene}, {group[0].budget:,} frames",
+            folder / re.sub(r"[^\w.=-]+", "-", f"curves-{group[0].scene}-{group[0].budget}.png"),
         )
         for group in comparable(found)
     ]

@@ -10,6 +10,9 @@ from typing import Any
 from splatrl.experiments.experiment import Experiment, Run
 from splatrl.experiments.folders import evaluation, finished, history
 
+NOTHING = "–"
+"""Shown in place of values that there are none of."""
+
 
 @dataclass(frozen=True)
 class Spread:
@@ -34,13 +37,13 @@ class Spread:
     def text(self, digits: int = 0, factor: float = 1.0) -> str:
         """Format mean ± standard deviation, multiplied by a factor."""
         if not self.values:
-            return "–"
+            return NOTHING
         mean = f"{factor * self.mean:,.{digits}f}"
         return mean if len(self.values) == 1 else f"{mean} ± {factor * self.deviation:,.{digits}f}"
 
     def percent(self) -> str:
         """Format mean ± standard deviation in percent."""
-        return f"{self.text(1, 100.0)} %" if self.values else "–"
+        return f"{self.text(1, 100.0)} %" if self.values else NOTHING
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +76,14 @@ class Entry:
     def has_curriculum(self) -> bool:
         """Whether any of its runs begins with only a part of the start set."""
         return any(run.has_curriculum for run in self.runs)
+
+    def seeds(self) -> str:
+        """Name the seeds of the runs, such as 0–2, 5; a dash if there are none."""
+        numbers = sorted(run.seed for run in self.runs)
+        firsts = [number for number in numbers if number - 1 not in numbers]
+        lasts = [number for number in numbers if number + 1 not in numbers]
+        spans = zip(firsts, lasts, strict=True)
+        return ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in spans) or NOTHING
 
     def spread(self, key: str) -> Spread:
         """Return a value of ``evaluation.json`` for each seed that has it; null is none."""

@@ -1,6 +1,5 @@
 """Markdown tables and sentences for a report."""
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,6 +10,8 @@ RATES = ("success_rate", "success_rate_argmax", "collision_rate", "step_spl", "s
 """Rates that are reported for a policy tested in several scenes."""
 NOWHERE = "–"
 """Training scene shown for baselines that never learned."""
+SIGNIFICANT = 0.05
+"""Probability below which a difference is taken for more than chance."""
 TOTAL = "**all**"
 """Name of the row that combines all clips of a scene."""
 
@@ -34,7 +35,7 @@ def main_table(found: Sequence[Entry]) -> list[str]:
         [
             entry.scene,
             entry.label,
-            str(len(entry.runs)),
+            entry.seeds(),
             f"**{entry.spread('success_rate').percent()}**" if entry.runs else "–",
             entry.spread("success_rate_argmax").percent(),
             entry.spl().text(3),
@@ -63,7 +64,10 @@ def marks_table(found: Sequence[Entry], experiment: Experiment) -> list[str]:
 
 
 def verdicts(found: Sequence[Entry]) -> list[str]:
-    """Write one sentence per scene and number of frames: which arm won, and whether the seeds support that."""
+    """Write one sentence per scene and number of frames: which arm won, and whether the seeds support that.
+
+    An arm wins if it differs from the next best one by more than chance; see ``chance_of_difference``.
+    """
     return [f"- {_verdict(group)}" for group in comparable(found)]
 
 
@@ -77,19 +81,17 @@ def _verdict(group: Sequence[Entry]) -> str:
         spl = best.spl().text(3)
         return f"**{place}**: {best.label} reaches {first.percent()}, SPL {spl}, over {seeds}."
     second = others[0].spread("success_rate")
-    noise = max(_deviation(first), _deviation(second))
-    if math.isinf(noise):
+    if min(len(first.values), len(second.values)) < 2:
         level = [entry for entry in ranked if entry.spread("success_rate").percent() == first.percent()]
         names = " and ".join(entry.label for entry in level)
         lead = f"{names} are level" if len(level) > 1 else f"{names} is ahead"
         rest = f", against {_rates(ranked[len(level) :])}" if len(level) < len(ranked) else ""
         return f"**{place}**: {lead} with {first.percent()}{rest}; a single seed is not conclusive."
-    if first.mean - second.mean > noise:
-        return f"**{place}**: {best.label} won with {first.percent()}, against {_rates(others)}."
-    return (
-        f"**{place}**: no clear winner; {_rates(ranked)}: "
-        "the first two differ by no more than the spread of their seeds."
-    )
+    chance = chance_of_difference(first, second)
+    told = "p < 0.001" if chance < 0.001 else f"p = {chance:.2g}"
+    if chance < SIGNIFICANT:
+        return f"**{place}**: {best.label} won with {first.percent()}, against {_rates(others)} ({told})."
+    return f"**{place}**: no clear winner; {_rates(ranked)}: chance may explain how the first two differ ({told})."
 
 
 def _rates(found: Sequence[Entry]) -> str:
@@ -97,8 +99,19 @@ def _rates(found: Sequence[Entry]) -> str:
     return ", ".join(f"{entry.label} {entry.spread('success_rate').percent()}" for entry in found)
 
 
-def _deviation(spread: Spread) -> float:
-    return spread.deviation if len(spread.values) > 1 else math.inf
+def chance_of_difference(first: Spread, second: Spread) -> float:
+    """Return how probable a difference of two means would be that is at least as large, if there were none in truth.
+
+    It is the two-sided p-value of Welch's t-test over the seeds, at least two of each, which does not assume that both
+    vary as much (Colas et al. 2019, "A Hitchhiker's Guide to Statistical Comparisons of Reinforcement Learning
+    Algorithms").
+    """
+    if first.deviation == second.deviation == 0.0:
+        return float(first.mean == second.mean)
+    from scipy.stats import ttest_ind_from_stats  # slow to import
+
+    summaries = (value for each in (first, second) for value in (each.mean, each.deviation, len(each.values)))
+    return float(ttest_ind_from_stats(*summaries, equal_var=False).pvalue)
 
 
 def scores_table(scores: Sequence[Mapping[str, Any]], experiment: Experiment) -> list[str]:

@@ -90,7 +90,8 @@ def metadata(
 
     ``fov_deg`` is the horizontal field of view; ``pitch_deg`` is how far the camera looks down, and ``height`` how high
     it is above the ground in metres, both while the body that carries it is level, as where the robot stands;
-    ``actions`` are the names of discrete actions, ``low`` and ``high`` the limits of continuous ones; ``step`` is the
+    ``actions`` are the names of discrete actions; ``controls`` are those of the numbers of a continuous one, as far as
+    they have any, and ``low`` and ``high`` its limits; ``step`` is the
     longest distance that an action moves in metres, ``angle_step`` the largest angle that it turns in radians;
     ``left_out`` lists transforms of the simulated camera that a real one does not need.
     """
@@ -110,7 +111,7 @@ def metadata(
     }
     if not policy.discrete:
         space = motion.action_spec.space
-        facts |= {"low": space.low.tolist(), "high": space.high.tolist()}
+        facts |= {"controls": list(motion.controls), "low": space.low.tolist(), "high": space.high.tolist()}
     preprocessing = (
         f"pixels: RGB, uint8, [batch, {height}, {width}, 3], horizontal field of view {robot.fov_deg:g} degrees; crop "
         f"the centre of the camera's image to that field of view and aspect ratio, repeat its edges where it shows "
@@ -216,7 +217,8 @@ def largest_difference(
     for step in range(steps):
         for each in policy.observed:
             seen = batch[each.name][:, step]
-            given[each.name] = (seen[..., -3:] if each.name == "pixels" else seen).contiguous().numpy()
+            view = seen[..., -each.shape[-1] :] if each.name in policy.stacks else seen
+            given[each.name] = view.contiguous().numpy()
         if policy.states and step:
             given["begin"] = batch["next", "done"][:, step - 1, 0].numpy()
         answer = dict(zip(policy.outputs, session.run(None, given), strict=True))

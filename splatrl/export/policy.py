@@ -17,7 +17,8 @@ from splatrl.training.heads import distribution
 from splatrl.training.memory import STATE, Memory, RecurrentReset
 
 FRAMES = "frames"
-"""Name of the state that holds the past views of a policy with stacked frames."""
+"""Name of the state that holds the last views of a policy with stacked frames; those of other images have the image's
+name before it, as in ``depth_frames``."""
 NEXT = "next_"
 """Prefix of the outputs that hold the states for the next step."""
 REMEMBERING = (FrameStack, InitTracker, RecurrentReset)
@@ -41,9 +42,9 @@ class Named(NamedTuple):
 class StandalonePolicy(nn.Module):
     """The policy of an actor-critic, with the transforms that it needs, as a function of tensors.
 
-    Input: the observations: ``pixels`` [B, H, W, 3] uint8, a single view, and the sensor readings that it uses,
-        unprocessed; for a policy with memory also ``begin`` [B] bool, true in the first step of an episode, and its
-        ``states``, which are ignored in that step.
+    Input: the observations: ``pixels`` [B, H, W, 3] uint8 and other images, each a single view, and the sensor readings
+        that it uses, unprocessed; for a policy with memory also ``begin`` [B] bool, true in the first step of an
+        episode, and its ``states``, which are ignored in that step.
     Output: ``action``, the most probable one, [B] int64, or [B, D] float32 within the task's limits; for discrete
         actions ``probabilities`` [B, A] float32, for continuous ones ``loc`` and ``scale`` [B, D] float32, mean and
         standard deviation before the tanh; then the states for the next step.
@@ -67,13 +68,13 @@ class StandalonePolicy(nn.Module):
         self.discrete = isinstance(spec, Categorical)
         seen = env.observation_spec
         observed = {str(key): tuple(seen[key].shape[1:]) for key in self.trunk.module[0].in_keys}
-        stacked = observed.get("pixels", (0, 0, 3))
-        self.views, self.states = stacked[2] // 3, list[Named]()
-        if "pixels" in observed:
-            observed["pixels"] = (*stacked[:2], 3)
+        self.stacks, self.states = dict[str, tuple[str, int]](), list[Named]()
+        for key, views in _stacked(env).items():
+            if key in observed:
+                stack, view = observed[key], (*observed[key][:-1], observed[key][-1] // views)
+                self.stacks[key], observed[key] = (FRAMES if key == "pixels" else f"{key}_{FRAMES}", views), view
+                self.states.append(Named(self.stacks[key][0], stack, seen[key].dtype))
         self.observed = [Named(key, shape, seen[key].dtype) for key, shape in observed.items()]
-        if self.views > 1:
-            self.states.append(Named(FRAMES, stacked, torch.uint8))
         if STATE in seen.keys():  # noqa: SIM118, a spec is no dict
             self.states.append(Named(STATE, tuple(seen[STATE].shape[1:]), torch.float32))
         self.left_out = _left_out(env)
@@ -103,10 +104,10 @@ class StandalonePolicy(nn.Module):
         known = dict(zip(self.inputs, given, strict=True))
         observed = {each.name: known[each.name] for each in self.observed}
         following = {}
-        if FRAMES in known:
-            kept, begun = torch.cat([known[FRAMES][..., 3:], known["pixels"]], -1), [known["pixels"]] * self.views
-            observed["pixels"] = torch.where(known["begin"].view(-1, 1, 1, 1), torch.cat(begun, -1), kept)
-            following[FRAMES] = observed["pixels"]
+        for key, (name, views) in self.stacks.items():
+            view = known[key]
+            kept, begun = torch.cat([known[name][..., view.shape[-1] :], view], -1), torch.cat([view] * views, -1)
+            observed[key] = following[name] = torch.where(known["begin"].view(-1, 1, 1, 1), begun, kept)
         seen = TensorDict(observed, batch_size=[])  # a batch size would be baked into the file
         if STATE in known:
             seen.update({STATE: known[STATE], "is_init": known["begin"].unsqueeze(-1)})
@@ -121,6 +122,12 @@ class StandalonePolicy(nn.Module):
         share = (chosen.loc.tanh() + 1.0) / 2.0  # type: ignore[attr-defined]
         action = torch.lerp(chosen.low, chosen.high, share)  # type: ignore[attr-defined]
         return (action, chosen.loc, chosen.scale, *kept_states)  # type: ignore[attr-defined]
+
+
+def _stacked(env: EnvBase) -> dict[str, int]:
+    """Return how many views an env stacks of each image that it stacks, if more than one."""
+    stacks = [each for outer in layers(env)[1] for each in outer.transform if isinstance(each, FrameStack)]
+    return {str(key): each.N for each in stacks for key in each.in_keys if each.N > 1}
 
 
 def _left_out(env: EnvBase) -> list[str]:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import shutil
 import sys
 import warnings
@@ -19,6 +20,7 @@ from splatrl.configuration import load_config
 from splatrl.datasets import Demonstrations, planner_episodes, read_demonstrations
 from splatrl.envs.world import World
 from splatrl.made_with import check_made_with
+from splatrl.physics.robots import mjcf_path
 from splatrl.scenes import write_gaussians
 from splatrl.training import Cloner, load_checkpoint
 from splatrl.training.history import unpacked
@@ -69,13 +71,15 @@ def test_the_working_directory_need_not_be_writable(
 
 
 def test_the_same_frames_are_written_for_lerobot(
-    scene: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scene: list[str], tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     pytest.importorskip("pyarrow", reason="needs the extra lerobot")
     folders = [f"out={tmp_path / 'demos'}", f"lerobot={tmp_path / 'lerobot'}"]
-    call(record, monkeypatch, *scene, "episodes=3", *folders)
+    drive = [*tiny_overrides(tmp_path_factory.mktemp("room"), "drive"), "task.motion.spacing=0.5"]
+    call(record, monkeypatch, *drive, "episodes=3", *folders)
     facts = json.loads((tmp_path / "lerobot" / "meta" / "info.json").read_text())
+    assert facts["features"]["action"]["names"] == ["forward (m/s)", "turn (rad/s)"]
     assert facts["total_frames"] == len(read_demonstrations(tmp_path / "demos"))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["demos", "lerobot"]
     with pytest.raises(SystemExit, match=r"lerobot: expected a new folder, got .* already exists"):
@@ -205,6 +209,23 @@ def test_a_task_that_cannot_be_demonstrated_is_refused_before_the_world_is_built
     monkeypatch.setattr(record, "build_one_world", lambda _: pytest.fail("the world was built"))
     with pytest.raises(SystemExit, match=f"{message}$"):
         call(record, monkeypatch, f"task={task}", f"by={by}", f"out={tmp_path / 'demos'}")
+
+
+@pytest.mark.parametrize("task", ["push", "pointnav"])
+def test_a_teacher_that_cannot_act_is_refused_before_the_world_is_built(
+    task: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(record, "build_one_world", lambda _: pytest.fail("the world was built"))
+    change, message = "transforms/skip=four", "by=teacher: expected transforms/skip=none, .* got actions of 4 steps$"
+    speeds = []
+    if task == "push":  # torques in place of velocities
+        pytest.importorskip("mujoco", reason="needs the extra physics")
+        text = mjcf_path("wheels").read_text()
+        (tmp_path / "torques.xml").write_text(re.sub(r"<velocity ([^>]*)kv=\S+", r"<motor \1", text))
+        change, message = f"robot.path={tmp_path / 'torques.xml'}", "by=teacher: expected a task with a teacher"
+        speeds = ["task.motion.linear=[-0.25,0.5]", "task.motion.angular_deg=90"]
+    with pytest.raises(SystemExit, match=message):
+        call(record, monkeypatch, f"task={task}", "by=teacher", f"out={tmp_path / 'demos'}", change, *speeds)
 
 
 def test_a_recording_whose_folder_was_taken_in_the_meantime_gets_another_folder(

@@ -32,10 +32,15 @@ def shown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     )
 
 
+def controls(shown: Demonstrations) -> list[str]:
+    """Return the names of the numbers of a continuous action."""
+    return ["forward (m/s)", "turn (rad/s)"] if shown.frames["action"].is_floating_point() else []
+
+
 @pytest.fixture(scope="module")
 def folder(shown: Demonstrations, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("lerobot")
-    write_lerobot(path, shown, "Grid in room")
+    write_lerobot(path, shown, "Grid in room", controls=controls(shown))
     return path
 
 
@@ -115,6 +120,7 @@ def test_features_describe_the_columns(shown: Demonstrations, folder: Path) -> N
     assert {KEY, *found.column_names} == facts["features"].keys() == {*json_keys(folder)}
     for key in found.column_names:
         feature = facts["features"][key]
+        assert feature["names"] == (controls(shown) or None if key == "action" else None)
         first = np.atleast_1d(found[key][0].as_py())
         assert feature["shape"] == list(first.shape)
         kind = found.schema.field(key).type

@@ -96,7 +96,7 @@ def test_an_evaluation_shows_some_of_the_episodes_of_a_file_in_the_scenes_that_h
         return td.set("action", torch.ones(len(td), dtype=torch.int64))
 
     monkeypatch.setattr(Pictures, "video", video)
-    checkpoint = {"ppo": {"frames": 8, "env": {"curriculum.progress": [0]}}, "seconds": 1.0, "history": [{"frames": 8}]}
+    checkpoint = {"ppo": {"frames": 8}, "seconds": 1.0, "history": [{"frames": 8}]}
     settings = EvaluationSettings("last", 20, 1, 4, 0, str(tmp_path / "east.json.gz"))
     summary, _ = evaluate(both, ahead, checkpoint, tmp_path, settings, seed=0)
     assert [(row["scene"], row["episodes"]) for row in summary["scenes"]] == [(both.names[1], 7)]

@@ -123,17 +123,23 @@ def test_large_returns_are_written_whole_and_not_as_differences_from_an_offset(d
 
 def test_names_of_scenes_are_shown_as_they_are(drawn: list[Figure]) -> None:
     names = ["cost_$5_or_$6", r"a$\frac{$"]  # between dollars, matplotlib would read mathematics
-    scene_bars(names, [0.5, 0.2], Path("unused.png"))
+    scene_bars(names, [0.5, 0.2], [[0.3, 0.7], [0.1, 0.4]], Path("unused.png"))
     drawn[0].draw_without_rendering()
     labels = drawn[0].axes[0].get_yticklabels()
     assert [label.get_text() for label in labels] == names and not any(label.get_parse_math() for label in labels)
+
+
+def test_bars_of_scenes_have_their_confidence_intervals(drawn: list[Figure]) -> None:
+    scene_bars(["worse", "best"], [0.5, 1.0], [[0.2, 0.8], [0.7, 1.0]], Path("unused.png"))
+    lines = drawn[0].axes[0].collections[0].get_segments()  # type: ignore[attr-defined]
+    assert [[round(float(x), 9) for x in line[:, 0]] for line in lines] == [[0.7, 1.0], [0.2, 0.8]]  # the best is first
 
 
 def test_letters_are_drawn_in_a_font_that_has_them_or_as_escapes_without_warnings(tmp_path: Path) -> None:
     names = ["Größe, сад", "\N{TOP SQUARE BRACKET}", "\U000f1234 a"]  # the second is in another font of matplotlib's
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        scene_bars(names, [0.5, 0.3, 0.2], tmp_path / "bars.png")
+        scene_bars(names, [0.5, 0.3, 0.2], [[0.1, 0.8]] * 3, tmp_path / "bars.png")
     assert [legible(name) for name in names] == [*names[:2], r"\U000f1234 a"]
 
 

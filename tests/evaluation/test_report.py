@@ -33,6 +33,15 @@ def test_rates_are_over_all_episodes_and_each_episode_has_the_shortest_path_of_i
     )
 
 
+def test_the_success_rate_has_the_interval_of_wilson() -> None:
+    some = episodes([Outcome.GOAL] * 8 + [Outcome.TIMEOUT] * 2, [1] * 10)
+    every, none = (episodes([outcome] * 20, [1] * 20) for outcome in (Outcome.GOAL, Outcome.TIMEOUT))
+    found = summarise(some, every, None)
+    assert found["success_interval"] == pytest.approx([0.49016, 0.94331], abs=1e-5)  # Wilson 1927
+    assert found["success_interval_argmax"] == pytest.approx([0.83887, 1.0], abs=1e-5)
+    assert by_scene(["one"], none, some)[0]["success_interval"] == pytest.approx([0.0, 0.16113], abs=1e-5)
+
+
 def test_where_collisions_are_counted_their_rate_is_the_share_of_episodes_with_any() -> None:
     touched = torch.tensor([[0, 3, 1, 0], [0, 0, 0, 2]])
     metres = {key: torch.ones(4) for key in ("distance_to_goal", "start_distance", "path_length")}

@@ -1,12 +1,20 @@
 """Tables and sentences of reports."""
 
 import json
+import warnings
 from pathlib import Path
 
 import pytest
 
-from splatrl.experiments.results import entries
-from splatrl.experiments.tables import main_table, marks_table, scores_sentences, scores_table, verdicts
+from splatrl.experiments.results import Spread, entries
+from splatrl.experiments.tables import (
+    chance_of_difference,
+    main_table,
+    marks_table,
+    scores_sentences,
+    scores_table,
+    verdicts,
+)
 from tests.experiments.made_up import finish, made_up
 
 
@@ -18,14 +26,29 @@ def finished(folder: Path, *success: float) -> list[str]:
     return verdicts(entries(experiment))
 
 
-def test_a_lead_beyond_the_spread_of_seeds_wins(tmp_path: Path) -> None:
+def test_a_lead_that_chance_hardly_explains_wins(tmp_path: Path) -> None:
     first, second = finished(tmp_path, 0.90, 0.5, 0.70, 0.92, 0.5, 0.72)
-    assert first == "- **yard, 430 frames**: with it won with 91.0 ± 1.4 %, against without 71.0 ± 1.4 %."
+    assert first == "- **yard, 430 frames**: with it won with 91.0 ± 1.4 %, against without 71.0 ± 1.4 % (p = 0.005)."
     assert second == "- **hall, 430 frames**: with it reaches 50.0 ± 0.0 %, SPL 0.400 ± 0.000, over 2 seeds."
 
 
-def test_a_lead_within_the_spread_of_seeds_wins_nothing(tmp_path: Path) -> None:
-    assert "no clear winner" in finished(tmp_path, 0.90, 0.5, 0.80, 0.70, 0.5, 0.70)[0]
+def test_a_lead_that_chance_may_explain_wins_nothing_even_if_it_exceeds_the_spread_of_seeds(tmp_path: Path) -> None:
+    assert finished(tmp_path, 0.966, 0.5, 0.893, 0.910, 0.5, 0.891)[0] == (
+        "- **yard, 430 frames**: no clear winner; with it 93.8 ± 4.0 %, without 89.2 ± 0.1 %: chance may explain how "
+        "the first two differ (p = 0.35)."
+    )
+
+
+def test_the_chance_of_a_difference_is_that_of_welchs_t_test() -> None:
+    assert chance_of_difference(Spread((0.1, 0.2, 0.3)), Spread((0.2, 0.4))) == pytest.approx(
+        0.4921, abs=1e-4
+    )  # t = 0.866 with 1.684 degrees of freedom
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # the same values in one arm are no reason for one
+        alike = chance_of_difference(Spread((0.078112, 0.078112)), Spread((0.05, 0.054)))
+    assert alike == pytest.approx(0.0487, abs=1e-4)
+    assert chance_of_difference(Spread((0.5, 0.5)), Spread((0.5, 0.5))) == pytest.approx(1.0)
+    assert chance_of_difference(Spread((0.5, 0.5)), Spread((0.6, 0.6))) == pytest.approx(0.0)
 
 
 def test_a_single_seed_is_not_conclusive(tmp_path: Path) -> None:
@@ -56,7 +79,7 @@ def test_the_main_table_has_one_row_per_arm_and_scene(tmp_path: Path) -> None:
     found = entries(experiment)
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in main_table(found)]
     assert len({len(row) for row in rows}) == 1
-    assert rows[2] == ["yard", "with it", "1", "**80.0 %**", "40.0 %", "0.700", "3.0", "400", "8", "50"]
+    assert rows[2] == ["yard", "with it", "0", "**80.0 %**", "40.0 %", "0.700", "3.0", "400", "8", "50"]
     assert dict(zip(rows[0], rows[3], strict=True))["level"] == "–"  # there is no level without a curriculum
     marks = marks_table(found, experiment)
     assert marks[2] == "| yard | with it | 50.0 % | 95.0 % | 400 | 2.0 | 1 of 1 |"

@@ -39,6 +39,7 @@ KINDS: dict[str, list[str]] = {
         "sensors.lidar.elevation_deg=-5",
         "memory=stack",
         "network.memory=24",
+        "transforms.stack.in_keys=[pixels,depth]",
     ],
     "blind": ["task=pointnav", "sensors=[pointgoal]"],
     "compared": ["task=imagenav", "network.fusion=correlation"],
@@ -49,7 +50,7 @@ OBSERVED = {
     "compared": ["pixels", "imagegoal"],
 }
 
-REMEMBERED = {"drive": ["recurrent_state"], "sensors": ["frames", "recurrent_state"]}
+REMEMBERED = {"drive": ["recurrent_state"], "sensors": ["frames", "depth_frames", "recurrent_state"]}
 
 
 def trained(folder: Path, *overrides: str) -> tuple[World, ActorValueOperator]:
@@ -102,6 +103,8 @@ def test_onnxruntime_computes_what_pytorch_does(kind: str, exported: Callable[[s
     assert json.loads(facts["actions"]) == list(world.task.motion.action_names)
     assert json.loads(facts["left_out"]) == (["PoseNoise", "Appearance"] if kind == "drive" else [])
     assert ("low" in facts) == (kind == "drive")
+    if kind == "drive":
+        assert json.loads(facts["controls"]) == ["forward (m/s)", "turn (rad/s)"]
     sensors = json.loads(facts["sensors"])
     assert list(sensors) == [name for name in observed if name != "pixels"]
     if kind == "sensors":

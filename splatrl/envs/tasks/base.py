@@ -224,8 +224,13 @@ class Task(Protocol):
         """Return the placed models that make up each robot's world, [B, M]; None stands for the scene alone."""
         ...
 
+    @property
+    def teaches(self) -> bool:
+        """Whether the task has a teacher of its own; it is known before the task settles in a scene."""
+        ...
+
     def teach(self, state: Tensor, memory: Memory) -> Tensor | None:
-        """Return the actions [B, ...] of a teacher that knows the state; None defers to the planner.
+        """Return the actions [B, ...] of a teacher that knows the state; None, without one, defers to the planner.
 
         DAgger labels states with them, and demonstrations of the teacher consist of them.
 

@@ -107,6 +107,11 @@ class TaskModule(torch.nn.Module):
         """Return what the motion draws; None stands for the scene alone."""
         return self.motion.parts(state)
 
+    @property
+    def teaches(self) -> bool:
+        """Whether the class has a ``teach`` of its own."""
+        return type(self).teach is not TaskModule.teach
+
     def teach(self, state: Tensor, memory: Memory) -> Tensor | None:
         """Return None: the planner is the teacher."""
         return None

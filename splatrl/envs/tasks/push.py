@@ -205,12 +205,17 @@ class Push(TaskModule):
         memory = {"mark": step.memory["mark"], "ball": ball.float()}
         return Verdict(reward.float().unsqueeze(1), (reached | lost).unsqueeze(1), outcome.unsqueeze(1), memory)
 
+    @property
+    def teaches(self) -> bool:
+        """Whether the robot is driven by velocities."""
+        return bool(self.motion.driven)
+
     def teach(self, state: Tensor, memory: Memory) -> Tensor | None:
         """Return the actions of a teacher that knows where everything is; None for a robot not driven by velocities.
 
         See ``pushing``.
         """
-        if not self.motion.driven:
+        if not self.teaches:
             return None
         mark = memory["mark"][:, :2].to(state)
         action = pushing(self.motion.planar(state), self._ball(state)[:, :2], mark, self.places.room)

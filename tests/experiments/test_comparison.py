@@ -1,0 +1,121 @@
+"""Comparisons of made-up run folders, and ``splatrl-compare``."""
+
+import csv
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from splatrl.commands import compare
+from splatrl.experiments import compared, run_folders
+from splatrl.experiments.results import entries
+
+FRAMES = 80
+
+
+def train(folder: Path, success: float, seed: int, *typed: str, **settings: Any) -> None:
+    """Write what a finished training leaves."""
+    config = {
+        "seed": seed,
+        "device": "auto",
+        "collector": {"total_frames": FRAMES, "frames_per_batch": 40},
+        "curriculum": {"first": None},
+        "logger": {"video": True},
+        "scene": {"typed": [word for word in typed if word.startswith("scene")]},
+        **settings,
+    }
+    for name in ("checkpoints", ".hydra"):
+        (folder / name).mkdir(parents=True)
+    (folder / "config.yaml").write_text(yaml.safe_dump(config))
+    (folder / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump([f"seed={seed}", *typed]))
+    figures = {"success_rate": success, "success_rate_argmax": success, "frames": FRAMES, "wall_seconds": 4.0}
+    (folder / "evaluation.json").write_text(json.dumps(figures))
+    with (folder / "progress.csv").open("w", newline="") as stream:
+        csv.writer(stream).writerows([["frames", "test_success"], [40, 0.5], [FRAMES, success]])
+
+
+@pytest.fixture
+def sweep(tmp_path: Path) -> Path:
+    """Four trainings, as of ``-m seed=0,1 memory=none,gru``."""
+    for number, success in enumerate((0.60, 0.90, 0.62, 0.91)):
+        kind, seed = ("none", "gru")[number % 2], number // 2
+        common = ("task=fps", "collector.total_frames=80", "logger.video=true")
+        train(tmp_path / "sweep" / str(number), success, seed, f"memory={kind}", *common, network={"memory": kind})
+    return tmp_path / "sweep"
+
+
+def told(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
+    monkeypatch.setattr(sys, "argv", ["splatrl-compare", *map(str, arguments)])
+    compare.main()
+
+
+def test_the_trainings_of_a_sweep_are_arms_with_seeds_named_after_what_differs(sweep: Path) -> None:
+    experiment = compared(run_folders([sweep, sweep / "1"]), sweep / "comparison")  # the second is known already
+    found = [(entry.scene, entry.label, entry.seeds()) for entry in entries(experiment)]
+    assert found == [("backyard", "memory=none", "0–1"), ("backyard", "memory=gru", "0–1")]
+    assert list(experiment.marks) == [40, 80] and not experiment.left_out
+
+
+def test_arms_that_were_typed_alike_are_told_apart_by_their_settings(tmp_path: Path) -> None:
+    for number, rate in enumerate((0.1, 0.1, 0.2)):
+        train(tmp_path / str(number), 0.5, number, optim={"lr": rate})
+    train(tmp_path / "3", 0.5, 0, "scene=yard", "scene.seed=7", optim={"lr": 0.1})
+    train(tmp_path / "4", 0.5, 0, "scene=yard", "scene.seed=7", "robot=round", optim={"lr": 0.1}, robot="round")
+    found = [
+        (entry.scene, entry.label, entry.seeds()) for entry in entries(compared(run_folders([tmp_path]), tmp_path))
+    ]
+    assert found == [
+        ("backyard", "optim.lr=0.1", "0–1"),
+        ("backyard", "optim.lr=0.2", "2"),
+        ("yard seed=7", "defaults", "0"),
+        ("yard seed=7", "robot=round", "0"),
+    ]
+
+
+def test_a_training_counts_once_and_only_if_it_is_finished(sweep: Path) -> None:
+    train(sweep / "again", 0.60, 0, network={"memory": "none"}, device="cpu")
+    train(sweep / "begun", 0.60, 2, network={"memory": "none"}, logger={"video": False, "test_interval": 7})
+    (sweep / "begun" / "evaluation.json").unlink()
+    experiment = compared(run_folders([sweep]), sweep / "comparison")
+    assert len(experiment.runs) == 4
+    assert experiment.left_out == (
+        f"{sweep / 'again'} is left out: it is the same training as {sweep / '0'}.",
+        f"{sweep / 'begun'} is left out: it is not finished, or not evaluated.",
+    )
+
+
+@pytest.mark.usefixtures("blank_curves")
+def test_the_command_prints_the_table_and_what_won_and_repeats(
+    sweep: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told(monkeypatch, sweep)
+    told(monkeypatch, sweep)  # a second time
+    printed = capsys.readouterr().out
+    assert "| backyard | memory=gru | 0–1 | **90.5 ± 0.7 %** |" in printed
+    assert (
+        "**backyard, 80 frames**: memory=gru won with 90.5 ± 0.7 %, against memory=none 61.0 ± 1.4 % (p = " in printed
+    )
+    text = (sweep / "comparison" / "report.md").read_text()
+    assert "Question" not in text and "Run on" not in text
+    assert json.loads((sweep / "comparison" / "report.json").read_text())["arms"][1]["seeds"] == [0, 1]
+
+
+def test_what_cannot_be_compared_is_refused_in_one_line(sweep: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(SystemExit, match=r"^splatrl-compare: .*checkpoints: expected a run folder, or a folder that"):
+        told(monkeypatch, sweep / "0" / "checkpoints")
+    with pytest.raises(
+        SystemExit, match=r"^splatrl-compare: .*: expected a new folder, or that of an earlier comparison"
+    ):
+        told(monkeypatch, sweep, "--out", sweep / "0")
+    for number in range(4):
+        (sweep / str(number) / "progress.csv").unlink()
+    with pytest.raises(SystemExit, match="expected at least one finished training, found none"):
+        told(monkeypatch, sweep)
+    assert not (sweep / "comparison").exists()
+    for damaged in ("{seed: 1}", "{seed: me, scene: [], logger: {}, collector: {}}"):
+        (sweep / "2" / "config.yaml").write_text(damaged)
+        with pytest.raises(SystemExit, match=r"config\.yaml: expected the config of a training, got"):
+            told(monkeypatch, sweep)
