@@ -152,7 +152,7 @@ def _check_choice(key: str, choice: str) -> None:
     if group == "scene" and (SEEDED.fullmatch(choice) or Path(choice).exists()):
         kinds = "only names of configs, only existing paths, or only seeds such as yard:1,yard:2"
         raise UserError(f"{key}: expected {kinds}, got {choice} among others")
-    paths = ", or an existing path" if group == "scene" else ""
+    paths = ", one with a seed such as yard:3, or an existing path" if group == "scene" else ""
     raise UserError(f"{key}: expected one of {', '.join(valid)}{paths}, got {choice}{hint}")
 
 
@@ -188,8 +188,9 @@ def parsed(word: str, sweeps: bool) -> Override:
             one = f"{key}={quoted(text)}"
             typed = shlex.quote(one) if set('"$`\\!').intersection(one) else f'"{one}"'
             raise UserError(f"{key}: expected quotes around a path with a comma; type {typed}")
-        several = f"scene=many 'scene.paths=[{text}]' for several" if key == "scene" else f"{key}=[{text}] for a list"
-        raise UserError(f"{key}: expected one value, got {text}; type {several}, or -m for a sweep")
+        several = shlex.quote(f"scene.paths=[{text}]" if key == "scene" else f"{key}=[{text}]")
+        typed = f"scene=many {several} for several" if key == "scene" else f"{several} for a list"
+        raise UserError(f"{key}: expected one value, got {text}; type {typed}, or -m for a sweep")
     return override
 
 

@@ -82,7 +82,14 @@ ERRORS = [
     ("train -seed=3", "-seed=3: expected seed=3, without -"),
     ("train -frob=3", "-frob=3: expected key=value, or an option that --hydra-help lists"),
     ("train landmarks.goal=[0.4,0.4", "landmarks.goal=[0.4,0.4: expected landmarks.goal=value with balanced brackets"),
-    ("train landmarks.goal=0.4,0.4,0", "landmarks.goal: expected one value, got 0.4,0.4,0; type landmarks.goal=[0.4"),
+    (
+        "train 'landmarks.goal=0.4, 0.4, 0'",
+        "landmarks.goal: expected one value, got 0.4, 0.4, 0; type 'landmarks.goal=[0.4, 0.4, 0]' for a list",
+    ),
+    (
+        "train scene=yard:x",
+        "scene: expected one of backyard, file, kitchen, many, town, yard, yards, one with a seed such as yard:3",
+    ),
     ("train -m seed=0,x", "seed: expected a number such as 0, got 'x'"),
     # Values of the wrong type or out of range.
     ("train robot.height=abc", "robot.height: expected a number such as 0.4, got 'abc'"),
