@@ -12,6 +12,12 @@ def test_the_radius_of_a_body_is_that_of_its_bounding_sphere() -> None:
     assert Capsule(0.2, 1.0).radius == 0.7
 
 
+def test_a_body_reaches_as_far_up_as_half_its_height() -> None:
+    assert Box((2.0, 4.0, 3.0)).half_height == 1.5
+    assert Sphere(0.3).half_height == 0.3
+    assert Capsule(0.2, 1.0).half_height == 0.7
+
+
 def test_a_box_made_from_a_list_equals_one_made_from_a_tuple() -> None:
     assert Box([1, 2, 3]) == Box((1.0, 2.0, 3.0))
     assert hash(Box([1, 2, 3])) == hash(Box((1.0, 2.0, 3.0)))

@@ -49,8 +49,6 @@ class FrameSkip(Transform):
         for _ in range(self.steps - 1):
             last, done = next_tensordict, next_tensordict["done"]
             inputs = inputs.clone(False).update(last.exclude("reward")).update(asked)
-            if "level" in inputs.keys():  # noqa: SIM118, a TensorDict is no dict
-                inputs["level"] = torch.where(done, -1, inputs["level"])  # an ended episode counts only once
             following = parent._step(inputs)
             following["reward"] = last["reward"] + following["reward"]
             values = {key: _rows(done, last[key], value) for key, value in following.items(True, True)}
