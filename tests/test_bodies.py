@@ -16,6 +16,12 @@ def test_half_the_width_of_a_body_is_that_of_its_narrower_side() -> None:
     assert [body.half_width for body in (Box((4.0, 2.0, 1.0)), Sphere(0.3), Capsule(0.2, 1.0))] == [1.0, 0.3, 0.2]
 
 
+def test_a_body_reaches_as_far_up_as_half_its_height() -> None:
+    assert Box((2.0, 4.0, 3.0)).half_height == 1.5
+    assert Sphere(0.3).half_height == 0.3
+    assert Capsule(0.2, 1.0).half_height == 0.7
+
+
 def test_a_box_made_from_a_list_equals_one_made_from_a_tuple() -> None:
     assert Box([1, 2, 3]) == Box((1.0, 2.0, 3.0))
     assert hash(Box([1, 2, 3])) == hash(Box((1.0, 2.0, 3.0)))

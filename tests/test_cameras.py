@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from splatrl.cameras import Cameras, intrinsics, look_at
+from splatrl.cameras import Cameras, depths_at, intrinsics, look_at, pixel_places
 
 
 def test_the_edge_of_the_image_is_half_the_field_of_view_from_the_axis() -> None:
@@ -74,3 +74,29 @@ def test_wrong_shapes_are_refused_by_name() -> None:
         Cameras(poses, K.repeat(2, 1, 1), 8, 6)
     with pytest.raises(ValueError, match="height: expected a whole number of pixels from 1 to 65536"):
         Cameras(poses, K, 8, 0)
+
+
+K = torch.tensor([[4.0, 0.0, 2.2], [0.0, 6.0, 1.3], [0.0, 0.0, 1.0]], dtype=torch.float64)
+POSE = look_at([1.0, 2.0, 3.0], [2.0, 5.0, 2.0]).double()
+DEPTH = 1.0 + torch.rand(3, 5, generator=torch.Generator().manual_seed(0))
+
+
+def test_a_pixel_is_unprojected_along_the_ray_through_its_centre() -> None:
+    places = pixel_places(DEPTH, POSE, K).view(3, 5, 3)
+    ray = torch.tensor([(3.5 - 2.2) / 4.0, (1.5 - 1.3) / 6.0, 1.0], dtype=torch.float64)
+    torch.testing.assert_close(places[1, 3], POSE[:3, :3] @ (DEPTH[1, 3] * ray) + POSE[:3, 3])
+
+
+def test_unprojected_pixels_are_as_deep_as_their_image_says() -> None:
+    deep, told = depths_at(pixel_places(DEPTH, POSE, K), DEPTH, POSE, K, 0.0)
+    torch.testing.assert_close(deep, DEPTH.flatten().double(), atol=1e-6, rtol=0)
+    assert torch.equal(told, DEPTH.flatten().double())
+
+
+def test_an_image_tells_nothing_of_points_beyond_its_edges_or_too_near() -> None:
+    pixels = [(-0.1, 1.0), (0.1, 1.0), (4.9, 1.0), (5.1, 1.0), (2.0, -0.1), (2.0, 0.1), (2.0, 2.9), (2.0, 3.1)]
+    rays = torch.tensor([[(u - 2.2) / 4.0, (v - 1.3) / 6.0, 1.0] for u, v in pixels], dtype=torch.float64)
+    for deep, seen in ((2.0, [False, True, True, False] * 2), (0.4, [False] * 8), (-2.0, [False] * 8)):
+        z, told = depths_at(deep * rays @ POSE[:3, :3].T + POSE[:3, 3], DEPTH, POSE, K, 0.5)
+        torch.testing.assert_close(z, torch.full((8,), deep, dtype=torch.float64), atol=1e-6, rtol=0)
+        assert (told > 0).tolist() == seen

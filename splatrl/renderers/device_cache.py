@@ -84,7 +84,6 @@ class DeviceAlbum:
         kept = torch.where(first[asked] == rows, asked, nowhere)
         self.keys[kept], self.images[kept] = keys, images
         self.taken.index_fill_(0, kept, True)  # not an assignment, which would copy True from the host
-        self.taken[-1:].zero_()
 
 
 class DeviceLatticeRenderer(ViewCache[DeviceAlbum]):

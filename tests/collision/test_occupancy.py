@@ -121,6 +121,17 @@ def test_an_occupancy_round_trips_through_arrays_and_pickles(seed, shape, origin
     assert same(pickle.loads(pickle.dumps(occupancy)), occupancy)
 
 
+def test_a_digest_changes_with_every_voxel_its_position_and_the_resolution() -> None:
+    occupied = np.arange(24).reshape(2, 3, 4) % 3 == 0
+    grids = [Occupancy(occupied, origin, 0.1) for origin in ((1, 2, 3), (2, 2, 3), (1, 3, 3), (1, 2, 4))]
+    other = occupied.copy()
+    other[1, 2, 3] ^= True
+    grids += [Occupancy(other, (1, 2, 3), 0.1), Occupancy(occupied, (1, 2, 3), 0.2)]
+    grids += [Occupancy(occupied.reshape(3, 2, 4), (1, 2, 3), 0.1)]
+    assert len({grid.digest for grid in grids}) == len(grids)
+    assert Occupancy(occupied.copy(), (1, 2, 3), 0.1).digest == grids[0].digest
+
+
 def test_arrays_survive_an_npz_file(tmp_path):
     occupancy = Occupancy.from_boxes([[0.0, 0.0, 0.0]], [[0.3, 0.2, 0.5]], 0.1)
     np.savez(tmp_path / "occupancy.npz", **occupancy.to_arrays())
@@ -237,7 +248,7 @@ def test_from_scene_also_extends_a_tenth_beyond_where_robots_are():
 @pytest.mark.parametrize(("resolution", "gone"), [(0.05, 6**3), (0.1, 3**3), (0.2, 1)])
 def test_only_voxels_that_are_entirely_free_are_removed(resolution, gone):
     solid = Occupancy.from_boxes([[0.0, 0.0, 0.0]], [[0.6, 0.6, 0.6]], resolution)
-    free = Occupancy.from_boxes([[0.0, 0.0, 0.0]], [[0.3, 0.3, 0.3]], 0.1)
+    free = Occupancy.from_boxes([[0.1, 0.1, 0.1]], [[0.4, 0.4, 0.4]], 0.1)
     left = solid.without(free)
     assert solid.count - left.count == gone
     assert same(left | solid, solid), "nothing becomes solid"

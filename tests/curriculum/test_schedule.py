@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -86,6 +86,7 @@ def test_advancing_returns_new_tensors_and_leaves_the_given_ones_unchanged() -> 
 
 
 @given(st.integers(1, 200).flatmap(lambda window: st.tuples(st.integers(1, window), st.just(window))))
+@example((7, 100))  # whose quotient times 100 is a little more than 7
 def test_exactly_the_threshold_promotes_and_one_success_less_starts_a_new_cohort(counts: tuple[int, int]) -> None:
     wins, window = counts
     schedule = Schedule(levels=3, threshold=wins / window, window=window)

@@ -31,6 +31,14 @@ def test_a_level_starts_within_its_number_of_steps_from_the_goal(first: int, str
         assert set(steps.tolist()) == set(range(1, min(limit, 9) + 1))
 
 
+def test_a_scene_without_paths_as_short_as_a_level_draws_its_shortest() -> None:
+    plan = tiny_plan()
+    far = replace(plan, start_rows=plan.start_rows[plan.distance[plan.start_rows] >= 5])
+    generator, scene = torch.Generator().manual_seed(0), torch.tensor([0, 1]).repeat(200)
+    steps = distances(Starts([plan, far], first=2).sample(torch.tensor(0), 400, generator, scene))
+    assert set(steps[scene == 0].tolist()) == {1, 2} and set(steps[scene == 1].tolist()) == {5}
+
+
 @pytest.mark.parametrize("first", [None, 9, 50])
 def test_a_first_level_that_covers_all_starts_is_the_only_one(first: int | None) -> None:
     assert Starts(tiny_plan(), first).levels == 1

@@ -97,6 +97,8 @@ def test_starts_have_the_requested_spacing() -> None:
     motion = ForwardMotion(HEIGHT, **SMALL, spacing=0.8)
     torch.testing.assert_close(motion.states()[:, 0].unique(), torch.tensor([-1.0, -0.2, 0.6]))
     assert len(ForwardMotion(HEIGHT).states()) == 21 * 21 * 36
+    rounded = ForwardMotion(HEIGHT, lower=(0.0, 0.0), upper=(0.7, 0.7))  # in float32, 0.7 is a little less
+    torch.testing.assert_close(rounded.states()[:, 0].unique(), torch.linspace(0.0, 0.7, 8))
 
 
 def test_the_body_faces_its_heading_at_its_height() -> None:

@@ -64,8 +64,6 @@ class FrameSkip(Transform):
             if inputs.get(DRAW, None) is not None:
                 needed = asked.get(DRAW, Draw.ALWAYS) if number == self.steps else Draw.AT_END
                 inputs[DRAW] = torch.where(done, Draw.NEVER, needed)
-            if "level" in inputs.keys():  # noqa: SIM118, a TensorDict is no dict
-                inputs["level"] = torch.where(done, -1, inputs["level"])  # an ended episode counts only once
             following = parent._step(inputs)
             following["reward"] = last["reward"] + following["reward"]
             values = {key: _where(done, last[key], value) for key, value in following.items(True, True)}

@@ -167,6 +167,8 @@ def test_lidar_beams_go_counter_clockwise_from_behind() -> None:
     right, ahead, left = half._beams[torch.device("cpu")]
     for beam, way in ((right, [0.0, -1.0, 0.0]), (ahead, [1.0, 0.0, 0.0]), (left, [0.0, 1.0, 0.0])):
         torch.testing.assert_close(beam, torch.tensor(way), atol=1e-6, rtol=0)
+    (raised,) = Lidar(beams=1, field_deg=0.0, elevation_deg=30.0)._beams[torch.device("cpu")]
+    torch.testing.assert_close(raised, torch.tensor([math.sqrt(3) / 2, 0.0, 0.5]), atol=1e-6, rtol=0)
 
 
 @pytest.mark.parametrize("field", [0.0, 90.0, 360.0])
@@ -181,6 +183,8 @@ def test_contact_is_felt_in_the_step_that_touches_and_not_after_a_reset() -> Non
     after = env.step(td.set("action", torch.tensor([1])))["next"]  # towards -x
     assert after["contact"].all() and after["contact"].dtype == torch.bool
     assert not env.reset(env.step_mdp(env.step(td)), set_state=False)["contact"].any()
+    moves = moment([[0.0, 0.0, 0.0]] * 3)._replace(free_fraction=torch.tensor([1.0, 0.999, 0.0]))
+    assert Contact().read(moves).tolist() == [[False], [True], [True]]
 
 
 def test_a_branched_episode_remembers_where_it_began() -> None:

@@ -99,6 +99,10 @@ def test_a_robot_that_lies_on_its_side_ends_its_episode(make: Callable[[], Task]
         assert verdict.memory["collisions"].flatten().tolist() == [1, 0]
         stopped = task.judge(Step(home, torch.zeros(2, 2), move, memory), anywhere)
         assert stopped.outcome.flatten().tolist() == [Outcome.COLLISION, Outcome.STOPPED]
+        task.success_distance = 1e6  # now both stop at their goal
+        stopped = task.judge(Step(home, torch.zeros(2, 2), move, memory, torch.zeros(0)), anywhere)
+        assert stopped.outcome.flatten().tolist() == [Outcome.COLLISION, Outcome.GOAL]
+        assert (stopped.reward - verdict.reward).flatten().tolist() == pytest.approx([0.0, task.rewards.success])
 
 
 def test_a_quadrotor_may_take_any_attitude_in_the_air() -> None:

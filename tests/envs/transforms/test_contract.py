@@ -12,6 +12,17 @@ class TransformedContract(EnvContract):
 
     steps = 16
 
+    def test_a_robot_that_begins_anew_takes_nothing_over_from_its_last_episode(self) -> None:
+        mask, begun = torch.tensor([[True], [False], [True]]), []
+        for hands_over in (True, False):
+            env = self.make((3,))
+            torch.manual_seed(0)
+            last = env.step_mdp(env.rollout(4, break_when_any_done=False)[:, -1].clone())
+            last = last.exclude("camera_offset") if hands_over else last.empty()  # ``PoseNoise`` keeps a given one
+            begun.append(env.reset(last.set("_reset", mask), set_state=False)[mask.flatten()])
+        for key in env.observation_spec.keys(True, True):
+            assert torch.equal(begun[0][key], begun[1][key]), key
+
 
 class TestAllTransforms(TransformedContract):
     """An observation depends on ``camera_offset`` and ``appearance``, and on what the step draws."""
