@@ -21,8 +21,8 @@ LARGEST_TILT = math.radians(10.0)
 """Largest angle between a floor's normal and the cameras' up, twice the error of the latter; beyond it, the plane is a
 slope or no floor."""
 MIN_INLIERS, SURE = 100, 300
-"""Minimum number of points on a floor, and the number from which its normal is off by no more than usual: among fewer,
-with much noise as in dim films, the best plane may pass through other things, too."""
+"""Minimum number of points on a floor, and the number from which its normal is off by no more than usual: the fewer
+there are, with much noise as in dim films, the more likely the best plane passes through other things, too."""
 MIN_WIDTH = 0.15
 """Minimum deviation of a floor's points along its narrower side, in heights of the cameras: a narrower strip says
 little about up."""
@@ -53,6 +53,7 @@ class Ground:
         up_from: source of ``up``.
         error_deg: possible error of ``up``, degrees.
         inliers: number of points on the floor.
+        unsure_deg: by how much more than usual what is perpendicular to ``up`` may lean against the floor, degrees.
         slope_deg: by how much the floor slopes at least, degrees, according to cameras that look all around; 0 where
             up is not its normal.
     """
@@ -63,6 +64,7 @@ class Ground:
     up_from: UpFrom
     error_deg: float
     inliers: int
+    unsure_deg: float = 0.0
     slope_deg: float = 0.0
 
 
@@ -88,10 +90,12 @@ def find_ground(camera_to_world: Floats, points: Floats, recorded_up: Floats | N
         normal, on_floor = found
         level = float(np.median(on_floor @ normal))
         tilt_deg = math.degrees(math.acos(min(1.0, float(normal @ held.up)))) if held.lean < ONE_WAY else 0.0
-        own_deg = 0.0 if len(on_floor) >= SURE else min(math.degrees(held.lean), ERROR_DEG["cameras"])
-        error_deg = max(ERROR_DEG["floor"], tilt_deg + own_deg)
+        lean_deg = math.degrees(held.lean)
+        own_deg = min(lean_deg, ERROR_DEG["cameras"])
+        few = max(0.0, (SURE - len(on_floor)) / (SURE - MIN_INLIERS))  # 1 for the fewest
+        error_deg = max(ERROR_DEG["floor"], tilt_deg + few * own_deg)
         level_there = _ground(points, centers, normal, level, "floor", error_deg, len(on_floor))
-        return replace(level_there, slope_deg=max(0.0, tilt_deg - math.degrees(held.lean)))
+        return replace(level_there, unsure_deg=few * (tilt_deg + own_deg), slope_deg=max(0.0, tilt_deg - lean_deg))
     if clear:
         return _on_level(points, centers, up, "walls")
     return _on_level(points, centers, up, "cameras", math.degrees(held.lean))
@@ -115,7 +119,9 @@ def held_by(camera_to_world: Floats, points: Floats) -> Held:
 def _on_level(points: Floats, centers: Floats, up: Floats, up_from: UpFrom, more_deg: float = 0.0) -> Ground:
     """Return the ground perpendicular to a given up, which may be off by ``more_deg`` more than usual."""
     level, count = lowest_level(_lowest(points, up) @ up, centers @ up)
-    return _ground(points, centers, up, level, up_from, ERROR_DEG[up_from] + more_deg, count)
+    return replace(
+        _ground(points, centers, up, level, up_from, ERROR_DEG[up_from] + more_deg, count), unsure_deg=more_deg
+    )
 
 
 def _ground(
@@ -142,7 +148,7 @@ def leaning(ground: Ground, centers: Floats, points: Floats) -> float:
     if not len(on_floor):
         return 0.0
     ahead = float(np.linalg.norm(np.cross(on_floor.mean(0) - centers.mean(0), ground.up)))
-    return math.tan(math.radians(ground.error_deg - ERROR_DEG[ground.up_from])) * ahead / above
+    return math.tan(math.radians(ground.unsure_deg)) * ahead / above
 
 
 def depth_below(heights: Floats, above: float) -> float:

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from splatrl.capture import world
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.check import Quality
 from splatrl.capture.folder import problems
-from splatrl.capture.ground import MIN_INLIERS, Ground, find_ground, leaning, upside_down
+from splatrl.capture.ground import MIN_INLIERS, SURE, Ground, find_ground, leaning, upside_down
 from splatrl.capture.held import cameras_up, on_its_side
 from splatrl.capture.marker import MarkerScale
 from splatrl.capture.scale import Click, Distance, clicked_point
@@ -237,12 +238,24 @@ def test_a_floor_that_few_points_show_leaves_up_and_the_camera_s_height_less_sur
     points, around, ahead = walk().points.numpy(), walk().camera_to_world.numpy(), one_way(15.0, 0)
     lawn = np.flatnonzero((np.abs(points[:, 2]) < 0.06) & (np.abs(points[:, :2]).max(1) < 2.3))
     few = np.concatenate([points[points[:, 2] > 0.3], np.random.default_rng(0).permutation(points[lawn])[:150]])
-    for poses, least, most in ((around, 3.0, 5.0), (ahead, 5.0, 5.0)):
-        ground, broad = find_ground(poses, few), find_ground(poses, points)
-        assert (ground.up_from, broad.error_deg) == ("floor", 1.5) and least <= ground.error_deg <= most
+    for poses in (around, ahead):
+        broad, ground = find_ground(poses, points), find_ground(poses, few)
+        assert (ground.up_from, broad.error_deg, broad.inliers >= SURE) == ("floor", 1.5, True)
         assert leaning(broad, poses[:, :3, 3], points) == 0.0
+        assert 2.0 <= ground.error_deg < 5.0
+    share = (SURE - ground.inliers) / (SURE - MIN_INLIERS)  # the surer the closer to 300 points: no error leaps there
+    assert ground.error_deg == ground.unsure_deg == pytest.approx(5.0 * share)
     to_the_side = leaning(ground, ahead[:, :3, 3] + [0.0, -1.5, 0.0], few) - leaning(ground, ahead[:, :3, 3], few)
-    assert to_the_side == pytest.approx(math.tan(math.radians(3.5)) * 1.5 / ABOVE, rel=0.1)
+    assert to_the_side == pytest.approx(math.tan(math.radians(5.0 * share)) * 1.5 / ABOVE, rel=0.1)
+
+
+def test_a_floor_that_many_points_show_tells_the_camera_s_height_also_where_it_slopes() -> None:
+    points, poses = walk().points.numpy(), walk().camera_to_world.numpy().copy()
+    slope = Rotation.from_euler("x", 6.0, degrees=True).as_matrix()
+    poses[:, :3, :3] = slope @ poses[:, :3, :3]
+    ground = find_ground(poses, points)
+    assert ground.up_from == "floor" and ground.inliers >= SURE and ground.error_deg > 4.0
+    assert leaning(ground, poses[:, :3, 3] + [0.0, -1.5, 0.0], points) == 0.0
 
 
 def test_walls_determine_up_for_a_camera_that_looks_one_way_and_sees_no_floor() -> None:
