@@ -66,8 +66,8 @@ def write_report(experiment: Experiment, machine: str) -> Path:
     """
     experiment.folder.mkdir(parents=True, exist_ok=True)
     found = entries(experiment)
+    write_json(experiment.folder / "report.json", _numbers(experiment, found, machine))  # first: it names the folder
     curves = _draw(found, experiment.folder)
-    write_json(experiment.folder / "report.json", _numbers(experiment, found, machine))
     path = experiment.folder / "report.md"
     _write(path, [*_section(experiment, found, curves, experiment.folder, "#", machine), ""])
     return path

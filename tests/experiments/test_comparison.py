@@ -50,6 +50,12 @@ def sweep(tmp_path: Path) -> Path:
     return tmp_path / "sweep"
 
 
+def stopped(_: object, path: Path) -> None:
+    """Write half of a figure."""
+    path.touch()
+    raise KeyboardInterrupt
+
+
 def told(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
     monkeypatch.setattr(sys, "argv", ["splatrl-compare", *map(str, arguments)])
     compare.main()
@@ -126,8 +132,11 @@ def test_a_training_counts_once_and_only_if_it_is_finished(sweep: Path) -> None:
 def test_the_command_prints_the_table_and_what_won_and_repeats(
     sweep: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    with monkeypatch.context() as patched, pytest.raises(SystemExit):
+        patched.setattr("splatrl.experiments.report.learning_curves", stopped)
+        told(monkeypatch, sweep)
+    told(monkeypatch, sweep)  # the folder that is there is known to be a comparison's
     told(monkeypatch, sweep)
-    told(monkeypatch, sweep)  # a second time
     printed = capsys.readouterr().out
     assert "| backyard | memory=gru | 0–1 | **90.5 ± 0.7 %** |" in printed
     assert (
