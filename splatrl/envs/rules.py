@@ -16,7 +16,7 @@ from splatrl.envs.tasks.base import NOTHING, Anywhere, Outcome, Step, Task
 
 COUNTED = ("step_count", "episode_return", "level", "goals")
 """Keys of the counters that a step reads and updates."""
-DRAW = "draw"
+DRAW = "_draw"
 """Key of which views are drawn; see ``SplatEnv``."""
 
 

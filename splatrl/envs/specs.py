@@ -6,13 +6,14 @@ from typing import NamedTuple
 import torch
 from torchrl.data import Bounded, Categorical, Composite, TensorSpec, Unbounded
 
+from splatrl.envs.rules import DRAW
 from splatrl.envs.senses import Senses
 from splatrl.envs.sensors.base import check_sensors
 from splatrl.envs.tasks.base import Outcome, Task
 
 RESERVED = {"pixels", "state", "scene", "step_count", "episode_return", "level", "outcome", "goals", "success"}
 RESERVED |= {"free_fraction", "action", "reward", "done", "terminated", "truncated"}
-RESERVED |= {"camera_offset", "appearance", "weather"}  # keys of transforms
+RESERVED |= {"camera_offset", "appearance", "weather", DRAW}  # keys of transforms
 """Keys of the env and its transforms, which neither a task's memory nor a sensor may use."""
 
 

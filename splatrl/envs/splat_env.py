@@ -67,7 +67,7 @@ class SplatEnv(StateWhenAsked):
     Partial steps: with ``_step`` [B, 1] bool, as TorchRL passes it, only the marked robots step and are drawn. For the
         others the result repeats their inputs, and is 0 where there is no input.
     Input: ``camera_offset`` [B, 6] float32, if present, moves the camera but not the robot (``Robot.cameras``). A
-        step may be given ``draw`` [B, 1] int64, a ``Draw``, which says whose view is needed; others are blank.
+        step may be given ``_draw`` [B, 1] int64, a ``Draw``, which says whose view is needed; others are blank.
     Parts: may be replaced only before the first step, since steps on a lattice may be precomputed at that point
         (``lattice_steps``).
     Pickling: a pickle holds the env's state and its parts, or, instead of the parts, ``made_by`` if it is set: a

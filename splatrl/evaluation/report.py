@@ -45,8 +45,10 @@ def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None) -> d
 def success_interval(episodes: Episodes) -> list[float]:
     """Return the lowest and the highest success rate that agree with episodes, at 95 % confidence.
 
-    It is the interval of Wilson (1927), which takes episodes as independent. It covers what the episodes of one policy
-    leave open, not how much policies of other training seeds differ.
+    It is the interval of Wilson (1927), which takes episodes as independent draws. It covers what the episodes of one
+    policy leave open, not how much policies of other training seeds differ. It is wider than need be where every start
+    pose has its episode, since then only actions and transforms are left to chance, and narrower where few start poses
+    have several each.
     """
     from scipy.stats import binomtest  # slow to import
 

@@ -17,6 +17,8 @@ TYPED = Path(".hydra", "overrides.yaml")
 """File of a run folder with the words that were typed for the training."""
 ALIKE = ("seed", "device", "logger.", "checkpoint.")
 """Beginnings of the keys in which trainings of one arm may differ."""
+SCENE = "scene."
+"""Beginning of the keys that say which scene it is."""
 OTHERWISE, ALONE = "defaults", "the only arm"
 """Labels of an arm for which nothing was typed that others lack, and of the only arm in a scene."""
 MARKS, THRESHOLD = 3, 0.95
@@ -57,7 +59,7 @@ def compared(folders: Sequence[Path], out: Path) -> Experiment:
     configs = {folder: read_config(folder / RUN_CONFIG) for folder in folders}
     settings = {folder: _settings(folder, config) for folder, config in configs.items()}
     arms = {folder: str(sorted(map(str, own.items()))) for folder, own in settings.items()}
-    scenes = {folder: _scene(_words(folder)) for folder in folders}
+    scenes = _scene_names(configs, settings)
     labels = _labels(settings, arms, scenes)
     for folder in folders:
         config, arm = configs[folder], arms[folder]
@@ -94,12 +96,31 @@ def _words(folder: Path) -> list[str]:
     return [str(word) for word in words] if isinstance(words, list) else []
 
 
-def _scene(words: Sequence[str]) -> str:
-    """Name the scene of a training from what was typed: the backyard, if nothing was."""
-    typed = dict(word.lstrip("+").partition("=")[::2] for word in words if word.lstrip("+").startswith("scene"))
-    name = typed.pop("scene", "backyard")
-    more = (f"{key.removeprefix('scene.')}={Path(value).name}" for key, value in typed.items() if key != "scene.places")
-    return " ".join([name, *more])
+def _scene_names(configs: Mapping[Path, DictConfig], settings: Mapping[Path, Mapping[str, Any]]) -> dict[Path, str]:
+    """Return the name of each training's scene, which trainings share if and only if they share its settings."""
+    own = {
+        folder: {key.removeprefix(SCENE): value for key, value in each.items() if key.startswith(SCENE)}
+        for folder, each in settings.items()
+    }
+    kinds = {folder: str(sorted(map(str, each.items()))) for folder, each in own.items()}
+    first = {kinds[folder]: folder for folder in reversed(list(kinds))}
+    told = _told_apart(
+        {kind: _scene(folder, configs[folder]) for kind, folder in first.items()},
+        {kind: {key: own[folder][key] for key in own[folder] if key != "places"} for kind, folder in first.items()},
+    )
+    return {folder: told[kind] for folder, kind in kinds.items()}
+
+
+def _scene(folder: Path, config: DictConfig) -> str:
+    """Name a scene by its file or folder or, of a generated one, as it is typed."""
+    with refusing(folder / RUN_CONFIG, "the config of a training"):
+        scene = config.scene
+        if places := scene.get("places"):
+            return f"{len(places)} scenes"
+        if path := scene.get("path"):
+            return Path(str(path)).name
+        name, seed = str(scene["_target_"]).rpartition(".")[2], scene.get("seed")
+        return f"{name}:{seed}" if seed else name
 
 
 def _labels(
@@ -109,18 +130,34 @@ def _labels(
     result = dict[tuple[str, str], str]()
     for scene in dict.fromkeys(scenes.values()):
         first = {arms[folder]: folder for folder in reversed(list(arms)) if scenes[folder] == scene}  # names its arm
+        own = {arm: settings[folder] for arm, folder in first.items()}
         words = {arm: _words(folder) for arm, folder in first.items()}
-        shared = set.intersection(*map(set, words.values()))
+        shared = {word for each in words.values() for word in each if _is_shared(word, list(words.values()), own)}
         typed = {
-            arm: ", ".join(word for word in own if _tells(word) and word not in shared) for arm, own in words.items()
+            arm: ", ".join(word for word in each if _tells(word) and word not in shared) for arm, each in words.items()
         }
-        for arm, text in typed.items():
-            alike = {other: settings[first[other]] for other in first if typed[other] == text}
-            keys = sorted({key for own in alike.values() for key in own})
-            more = [key for key in keys if len({str(own.get(key)) for own in alike.values()}) > 1]
-            names = filter(None, [text, *(f"{key}={alike[arm].get(key)}" for key in more)])
-            result[scene, arm] = ", ".join(names) or (OTHERWISE if len(first) > 1 else ALONE)
+        for arm, label in _told_apart(typed, own).items():
+            result[scene, arm] = label or (OTHERWISE if len(first) > 1 else ALONE)
     return {folder: result[scenes[folder], arm] for folder, arm in arms.items()}
+
+
+def _told_apart(names: Mapping[str, str], settings: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """Return names that all differ: to those that are alike, the settings in which these differ are added."""
+    result = dict[str, str]()
+    for one, name in names.items():
+        alike = [settings[other] for other in names if names[other] == name]
+        keys = sorted({key for own in alike for key in own})
+        more = [key for key in keys if len({str(own.get(key)) for own in alike}) > 1]
+        result[one] = ", ".join(filter(None, [name, *(f"{key}={settings[one].get(key)}" for key in more)]))
+    return result
+
+
+def _is_shared(word: str, words: Sequence[Sequence[str]], settings: Mapping[str, Mapping[str, Any]]) -> bool:
+    """Return whether a word was typed for all arms, or sets a key to the value that it has in all of them."""
+    key = word.lstrip("+~").partition("=")[0]
+    return all(word in each for each in words) or (
+        all(key in own for own in settings.values()) and len({str(own[key]) for own in settings.values()}) == 1
+    )
 
 
 def _tells(word: str) -> bool:

@@ -20,6 +20,8 @@ COLORS = (BLUE, MISSED, REACHED, PARTLY, GOAL)
 MARKERS, DASHES = "osD^v", ("-", "--", ":")
 """Markers used besides colours, so that overlapping curves can be told apart; and the lines of each five curves."""
 
+ROW = 0.2
+"""Height of a row of the legend, inches."""
 LETTERS, HANDLE = 90, 8
 """Number of letters in a row of the legend, and how many of them the line before a label takes."""
 
@@ -33,7 +35,7 @@ def learning_curves(group: Sequence[Entry], path: Path) -> None:
     """
     staged = [entry.has_curriculum for entry in group]
     rows = 3 if any(staged) else 2
-    figure = Figure(figsize=(7.2, 2.2 * rows + 0.6), dpi=DPI, layout="constrained")
+    figure = Figure(figsize=(7.2, 2.2 * rows), dpi=DPI, layout="constrained")
     panels: list[Axes] = list(figure.subplots(rows, 1, sharex=True, height_ratios=(3, 3, 2)[:rows]))
     handles = []
     for number, entry in enumerate(group):
@@ -61,6 +63,7 @@ def learning_curves(group: Sequence[Entry], path: Path) -> None:
     panels[-1].xaxis.set_major_formatter(EngFormatter(sep=""))
     figure.align_ylabels(panels)
     columns = max(1, min(len(handles), 3, LETTERS // (HANDLE + max(len(str(line.get_label())) for line in handles))))
+    figure.set_figheight(2.2 * rows + 0.4 + ROW * math.ceil(len(handles) / columns))  # else many arms leave no panels
     legend = figure.legend(handles=handles, loc="outside upper center", ncols=columns, frameon=False, handlelength=3.5)
     for words in legend.get_texts():
         words.set_parse_math(False)

@@ -1,5 +1,6 @@
 """Report of an experiment from its finished runs: ``report.md``, ``report.json`` and figures."""
 
+import itertools
 import json
 import os
 import re
@@ -29,6 +30,8 @@ from splatrl.files import replacing
 SCORES, MACHINE, FIGURES, VIEWS = "scores.json", "machine.json", "capture.json", "views.png"
 MAPS = {START_MAP: "start poses by success", SUCCESS_MAP: "success by start position"}
 """Pictures of a run that are shown side by side, with their captions."""
+LETTERS = 40
+"""Number of letters of a scene's name in the name of a file; a letter may take four of 255 bytes."""
 EXPLANATION = (
     "Success is measured over the start set (if it has more than `evaluation.starts` poses, over that many, evenly "
     "spaced) with actions sampled from the policy; argmax takes the most likely action instead. "
@@ -63,8 +66,8 @@ def write_report(experiment: Experiment, machine: str) -> Path:
     """
     experiment.folder.mkdir(parents=True, exist_ok=True)
     found = entries(experiment)
+    write_json(experiment.folder / "report.json", _numbers(experiment, found, machine))  # first: it names the folder
     curves = _draw(found, experiment.folder)
-    write_json(experiment.folder / "report.json", _numbers(experiment, found, machine))
     path = experiment.folder / "report.md"
     _write(path, [*_section(experiment, found, curves, experiment.folder, "#", machine), ""])
     return path
@@ -172,13 +175,16 @@ def _pictures(entry: Entry, base: Path) -> list[str]:
 
 
 def _curves(found: Sequence[Entry], folder: Path) -> list[Curve]:
-    return [
-        Curve(
-            f"{group[0].scene}, {group[0].budget:,} frames",
-            folder / re.sub(r"[^\w.=-]+", "-", f"curves-{group[0].scene}-{group[0].budget}.png"),
-        )
-        for group in comparable(found)
-    ]
+    """Return the figure of each comparison; file names are short enough for every file system, and all differ."""
+    curves = dict[Path, Curve]()
+    for group in comparable(found):
+        scene, budget = group[0].scene, group[0].budget
+        place = re.sub(r"[^\w.=-]+", "-", scene)[:LETTERS]
+        path, others = folder / f"curves-{place}-{budget}.png", itertools.count(2)
+        while path in curves:
+            path = folder / f"curves-{place}-{budget}-{next(others)}.png"
+        curves[path] = Curve(f"{scene}, {budget:,} frames", path)
+    return list(curves.values())
 
 
 def _draw(found: Sequence[Entry], folder: Path) -> list[Curve]:

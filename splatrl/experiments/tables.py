@@ -1,5 +1,6 @@
 """Markdown tables and sentences for a report."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -104,10 +105,12 @@ def chance_of_difference(first: Spread, second: Spread) -> float:
 
     It is the two-sided p-value of Welch's t-test over the seeds, at least two of each, which does not assume that both
     vary as much (Colas et al. 2019, "A Hitchhiker's Guide to Statistical Comparisons of Reinforcement Learning
-    Algorithms").
+    Algorithms"). That is undefined where no seed differs from another of its arm, as at a success of 100 %; then it is
+    the p-value of the permutation test, which two or three seeds per arm cannot bring below 0.05.
     """
     if first.deviation == second.deviation == 0.0:
-        return float(first.mean == second.mean)
+        seeds = len(first.values), len(second.values)
+        return 1.0 if first.mean == second.mean else 2.0 / math.comb(sum(seeds), seeds[0])
     from scipy.stats import ttest_ind_from_stats  # slow to import
 
     summaries = (value for each in (first, second) for value in (each.mean, each.deviation, len(each.values)))

@@ -261,10 +261,10 @@ def test_a_batch_that_is_not_one_positive_number_is_refused(batch_size: list[int
 
 
 def test_a_memory_that_uses_the_envs_own_keys_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    taken = {"level": Unbounded(shape=(1,)), "mine": Unbounded(shape=(1,)), "pixels": Unbounded(shape=(1,))}
+    taken = dict.fromkeys(("_draw", "level", "mine", "pixels"), Unbounded(shape=(1,)))
     monkeypatch.setattr(Grid, "memory_spec", taken)
     with pytest.raises(
-        ValueError, match=r"task\.memory_spec: expected keys that the env does not use, got level, pixels"
+        ValueError, match=r"task\.memory_spec: expected keys that the env does not use, got _draw, level, pixels"
     ):
         tiny_env((2,))
 

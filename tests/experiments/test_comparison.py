@@ -11,6 +11,7 @@ import yaml
 
 from splatrl.commands import compare
 from splatrl.experiments import compared, run_folders
+from splatrl.experiments.report import _curves
 from splatrl.experiments.results import entries
 
 FRAMES = 80
@@ -18,13 +19,15 @@ FRAMES = 80
 
 def train(folder: Path, success: float, seed: int, *typed: str, **settings: Any) -> None:
     """Write what a finished training leaves."""
+    given = dict(word.split("=", 1) for word in typed if word.startswith("scene"))
+    name, number = given.get("scene", "backyard"), int(given.get("scene.seed", 0))
     config = {
         "seed": seed,
         "device": "auto",
         "collector": {"total_frames": FRAMES, "frames_per_batch": 40},
         "curriculum": {"first": None},
         "logger": {"video": True},
-        "scene": {"typed": [word for word in typed if word.startswith("scene")]},
+        "scene": {"_target_": f"splatrl.{name}", "seed": number},
         **settings,
     }
     for name in ("checkpoints", ".hydra"):
@@ -45,6 +48,12 @@ def sweep(tmp_path: Path) -> Path:
         common = ("task=fps", "collector.total_frames=80", "logger.video=true")
         train(tmp_path / "sweep" / str(number), success, seed, f"memory={kind}", *common, network={"memory": kind})
     return tmp_path / "sweep"
+
+
+def stopped(_: object, path: Path) -> None:
+    """Write half of a figure."""
+    path.touch()
+    raise KeyboardInterrupt
 
 
 def told(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
@@ -70,9 +79,41 @@ def test_arms_that_were_typed_alike_are_told_apart_by_their_settings(tmp_path: P
     assert found == [
         ("backyard", "optim.lr=0.1", "0–1"),
         ("backyard", "optim.lr=0.2", "2"),
-        ("yard seed=7", "defaults", "0"),
-        ("yard seed=7", "robot=round", "0"),
+        ("yard:7", "defaults", "0"),
+        ("yard:7", "robot=round", "0"),
     ]
+
+
+def test_scenes_are_told_apart_by_their_settings_and_not_by_what_was_typed(tmp_path: Path) -> None:
+    def scene(path: str) -> dict[str, Any]:
+        return {"_target_": "splatrl.read_scene", "path": path}
+
+    long = "あ" * 80
+    train(tmp_path / "0", 0.5, 0, "scene=file", "scene.path='/a/garden'", scene=scene("/a/garden"))
+    train(tmp_path / "1", 0.5, 1, "robot.height=0.4", "scene=file", "scene.path='garden'", scene=scene("/a/garden"))
+    train(tmp_path / "2", 0.5, 0, scene=scene("/b/garden"))  # from a folder without what was typed
+    train(tmp_path / "3", 0.5, 0, "scene=many", "scene.paths=[x/,y/]", scene={"places": [1, 2], "paths": ["/x", "/y"]})
+    train(tmp_path / "4", 0.5, 0, scene=scene(f"/a/{long}1"))
+    train(tmp_path / "5", 0.5, 0, scene=scene(f"/a/{long}2"))
+    experiment = compared(run_folders([tmp_path]), tmp_path)
+    found = entries(experiment)
+    gardens = [(f"garden, path=/{folder}/garden", "the only arm") for folder in "ab"]
+    assert [(entry.scene, entry.label) for entry in found] == [
+        ("2 scenes", "the only arm"),
+        *gardens,
+        *((f"{long}{number}", "the only arm") for number in (1, 2)),
+    ]
+    assert [len(entry.runs) for entry in found] == [1, 2, 1, 1, 1]
+    names = [curve.path.name for curve in _curves(found, tmp_path)]
+    assert len({*names}) == len(names) and max(len(name.encode()) for name in names) < 255
+
+
+def test_a_word_that_sets_what_all_arms_have_does_not_name_an_arm(tmp_path: Path) -> None:
+    height = {"robot": {"height": 0.4}}
+    train(tmp_path / "0", 0.5, 0, "curriculum=none", network={"memory": 0}, **height)  # a sweep's words lack proposals
+    train(tmp_path / "1", 0.5, 0, "robot.height=0.4", "memory=gru", network={"memory": 8}, **height)
+    found = entries(compared(run_folders([tmp_path]), tmp_path))
+    assert [entry.label for entry in found] == ["curriculum=none", "memory=gru"]
 
 
 def test_a_training_counts_once_and_only_if_it_is_finished(sweep: Path) -> None:
@@ -91,8 +132,11 @@ def test_a_training_counts_once_and_only_if_it_is_finished(sweep: Path) -> None:
 def test_the_command_prints_the_table_and_what_won_and_repeats(
     sweep: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    with monkeypatch.context() as patched, pytest.raises(SystemExit):
+        patched.setattr("splatrl.experiments.report.learning_curves", stopped)
+        told(monkeypatch, sweep)
+    told(monkeypatch, sweep)  # the folder that is there is known to be a comparison's
     told(monkeypatch, sweep)
-    told(monkeypatch, sweep)  # a second time
     printed = capsys.readouterr().out
     assert "| backyard | memory=gru | 0–1 | **90.5 ± 0.7 %** |" in printed
     assert (

@@ -6,11 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
 from splatrl.experiments import Experiment
-from splatrl.experiments.curves import look
+from splatrl.experiments.curves import learning_curves, look
 from splatrl.experiments.report import write_joint_report, write_report
+from splatrl.experiments.results import entries
 from tests.experiments.made_up import finish, made_up
 
 
@@ -70,6 +72,18 @@ def test_there_is_one_figure_per_comparison(report: Path) -> None:
     figures = {path.name: Image.open(path).size for path in report.parent.glob("*.png")}
     assert figures.keys() == {"curves-yard-430.png", "curves-hall-430.png"}
     assert all(min(size) > 400 for size in figures.values())
+
+
+def test_a_legend_of_many_arms_leaves_the_panels_their_height(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = list[Figure]()
+    monkeypatch.setattr("splatrl.experiments.curves.save_figure", lambda figure, _: drawn.append(figure))
+    found = entries(reported(tmp_path))[:1]
+    learning_curves(
+        [replace(found[0], label=f"an arm with a long label, number {number}") for number in range(25)], tmp_path
+    )
+    drawn[0].draw_without_rendering()
+    height = min(axes.get_window_extent().height for axes in drawn[0].axes) / drawn[0].dpi
+    assert height > 1.0  # inch
 
 
 def test_the_numbers_of_a_report_are_also_written_as_json(report: Path) -> None:

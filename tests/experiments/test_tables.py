@@ -48,7 +48,8 @@ def test_the_chance_of_a_difference_is_that_of_welchs_t_test() -> None:
         alike = chance_of_difference(Spread((0.078112, 0.078112)), Spread((0.05, 0.054)))
     assert alike == pytest.approx(0.0487, abs=1e-4)
     assert chance_of_difference(Spread((0.5, 0.5)), Spread((0.5, 0.5))) == pytest.approx(1.0)
-    assert chance_of_difference(Spread((0.5, 0.5)), Spread((0.6, 0.6))) == pytest.approx(0.0)
+    assert chance_of_difference(Spread((0.5,) * 2), Spread((0.6,) * 2)) == pytest.approx(1 / 3)  # of the permutation
+    assert chance_of_difference(Spread((0.5,) * 5), Spread((0.6,) * 4)) == pytest.approx(1 / 63)  # test, where t is 0/0
 
 
 def test_a_single_seed_is_not_conclusive(tmp_path: Path) -> None:

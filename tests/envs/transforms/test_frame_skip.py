@@ -94,6 +94,13 @@ def test_only_views_that_somebody_sees_are_drawn() -> None:
     assert views_drawn(StatefulEnv(tiny_env((3,)), Latency((2, 2), (0, 0)), FrameSkip(4)), states, actions) == 4 * 3
 
 
+def test_an_entry_called_draw_that_a_policy_writes_changes_no_view() -> None:
+    env = skipping(4, 2)
+    td = placed(env, [[1, 5, 0], [0, 0, 0]]).set("action", torch.tensor([FORWARD_X, SPIN]))
+    seen, also = (env.step(each)["next", "pixels"] for each in (td.clone(), td.clone().set("draw", torch.zeros(2, 1))))
+    assert torch.equal(seen, also)
+
+
 def test_every_view_is_drawn_for_a_task_that_judges_by_it() -> None:
     env = StatefulEnv(painted_env(coarse_apple(), 2), FrameSkip(3))
     assert views_drawn(env, [[0.0, 0.0, 0.0], [0.0, 0.5, 0.0]], [2, 3]) == 3 * 2
