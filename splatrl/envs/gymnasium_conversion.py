@@ -130,9 +130,10 @@ def _observed_keys(env: EnvBase) -> list[str]:
     return ["pixels", *(key for key in layers(env)[0].sensors if key != "pixels")]
 
 
-def observed(env: EnvBase, td: TensorDictBase) -> Observation:
-    """Return copies of the observations of a batch of robots: clients may edit what they are given."""
-    arrays = {key: td[key].to("cpu", copy=True).numpy() for key in _observed_keys(env)}
+def observed(env: EnvBase, td: TensorDictBase, rows: Tensor | None = None) -> Observation:
+    """Return copies of the observations of all robots, or of some, [N] int64: clients may edit what they are given."""
+    found = {key: td[key] if rows is None else td[key].index_select(0, rows) for key in _observed_keys(env)}
+    arrays = {key: each.to("cpu", copy=True).numpy() for key, each in found.items()}
     if len(arrays) == 1:
         return arrays["pixels"]
     return {key: each.astype(np.int8) if each.dtype == bool else each for key, each in arrays.items()}

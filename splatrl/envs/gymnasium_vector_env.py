@@ -147,9 +147,10 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
         after = step["next"]
         infos, ended = self._told(), column(after, "done")
         if same and ended.any():
-            last, seen = np.full(self.num_envs, None, dtype=object), observed(self.env, after)
-            for row in ended.nonzero()[0].tolist():
-                last[row] = seen_by(seen, row)
+            last, rows = np.full(self.num_envs, None, dtype=object), ended.nonzero()[0]
+            seen = observed(self.env, after, torch.as_tensor(rows, device=self.env.device))
+            for number, row in enumerate(rows.tolist()):
+                last[row] = seen_by(seen, number)
             infos |= masked({"final_obs": last, "final_info": masked(infos_of(self.env, after), ended)}, ended)
         if not same:
             self._over = ended

@@ -98,6 +98,18 @@ class StateWhenAsked(EnvBase):
     ) -> bool | None:
         return super()._resolve_set_state(bool(set_state), tensordict, select_reset_only)
 
+    def _reset_proc_data(self, tensordict: TensorDictBase | None, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        """Merge new episodes into the given rows; images with ``where_marked``, since TorchRL takes byte after byte."""
+        if tensordict is None or "_reset" not in tensordict:
+            return super()._reset_proc_data(tensordict, tensordict_reset)
+        only, images = tensordict["_reset"].flatten(), dict[str, Tensor]()
+        for key, fresh in tensordict_reset.items():
+            old = tensordict.get(key, None)
+            if isinstance(old, Tensor) and fresh.dtype is torch.uint8 is old.dtype and fresh.shape == old.shape:
+                images[key] = where_marked(only, fresh, old)
+        rest = super()._reset_proc_data(tensordict.exclude(*images, inplace=True), tensordict_reset.exclude(*images))
+        return rest.update(images)
+
 
 def _reset_where(env: EnvBase, mask: Tensor, given: Mapping[str, Tensor] | None = None) -> TensorDictBase:
     """Reset the rows of an env that a mask selects, [B, 1] bool; in other rows the result [B] may hold anything."""

@@ -8,6 +8,7 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
 from splatrl.envs.drawing.depth_drawing import VIEW_DEPTH
+from splatrl.envs.restart import where_marked
 from splatrl.envs.transforms.randomness import RandomTransform
 from splatrl.values import are_numbers, require_number
 
@@ -87,8 +88,7 @@ class Latency(RandomTransform):
         for key in values:
             given = tensordict.get(key, None)
             if given is not None:
-                mask = goes_on.view(-1, *[1] * (values[key].ndim - 1))
-                values[key] = torch.where(mask, given, values[key])
+                values[key] = where_marked(goes_on.flatten(), given, values[key])
         tensordict_reset.set("late_action", values["late_action"]).set("latency", values["latency"])
         return self._shown(tensordict_reset, {key: values[_late(key)] for key in viewed}, values["latency"])
 
@@ -141,4 +141,5 @@ def _none_of(dtype: torch.dtype) -> float | int:
 
 def _taken(chain: Tensor, late: Tensor) -> Tensor:
     """Select each row's entry that lies ``late`` steps before its last: [B, K, ...], [B] -> [B, ...]."""
-    return chain[torch.arange(len(chain), device=chain.device), chain.shape[1] - 1 - late]
+    last = torch.arange(1, len(chain) + 1, device=chain.device) * chain.shape[1] - 1
+    return chain.flatten(0, 1).index_select(0, last - late)  # copies whole views, where chain[rows, late] takes bytes

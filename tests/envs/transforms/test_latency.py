@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 import torch
 from tensordict import TensorDict
+from torch.utils._python_dispatch import TorchDispatchMode
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 
 from splatrl.building import build_one_world
@@ -21,6 +22,16 @@ from tests.tiny import BlockChecker, tiny_overrides, tiny_plan, tiny_robot, tiny
 
 def late(camera: tuple[int, int], action: tuple[int, int], batch: int = 3, seed: int = 0) -> TransformedEnv:
     return TransformedEnv(seeing_env((batch,), seed), Compose(Latency(camera, action)))
+
+
+class WholeViews(TorchDispatchMode):
+    """Refuses operations that select the bytes of images one by one."""
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        out = func(*args, **(kwargs or {}))
+        one_by_one = func.overloadpacket in (torch.ops.aten.where, torch.ops.aten.index)
+        assert not (one_by_one and isinstance(out, torch.Tensor) and out.dtype is torch.uint8 and out.ndim > 2), func
+        return out
 
 
 class TestLatency(TransformedContract):
@@ -46,6 +57,21 @@ class TestLatency(TransformedContract):
         given = env.reset().select("state", "pixels").clone()
         again = env.reset(given.select("state"), set_state=True)
         assert torch.equal(again["state"], given["state"]) and torch.equal(again["pixels"], given["pixels"])
+
+
+@pytest.mark.parametrize("delayed", [False, True])
+def test_steps_and_resets_of_some_robots_move_views_as_a_whole(delayed: bool) -> None:
+    env = seeing_env((3,), 0)
+    env = env.append_transform(Latency((0, 2), (0, 2))) if delayed else env
+    td, only = env.reset(), torch.tensor([[True], [False], [True]])
+    for given in (False, True):
+        with WholeViews():
+            td = env.step_mdp(env.step(env.rand_action(td)))
+            before = td.clone()
+            begun = env.reset(td.set("_reset", only), set_state=given)
+        assert begun is td and "_reset" not in td
+        kept = [torch.equal(td[key][1], before[key][1]) for key in env.observation_spec.keys(True, True)]
+        assert all(kept) and not td["step_count"][only].any()
 
 
 def test_views_are_those_of_earlier_steps_and_at_first_the_first_view() -> None:
