@@ -68,7 +68,7 @@ class Area:
 
     def ground(self, path: Floats | None = None) -> Ground:
         """Return the free ground around the floor's voxels, or around the path [N, 2] of a capture's cameras."""
-        known = path if self.floor is None else self.floor.centers()[:, :2]
+        known = path if self.floor is None else self.floor.centers()[:, :2].astype(np.float64)
         assert known is not None, "expected the path of the cameras, since no floor is known"
         return free_ground(self.occupancy, self.robot_height, self.walk, known)
 
