@@ -18,7 +18,7 @@ from splatrl.curriculum import Plan
 from splatrl.envs.sensors import GoalSensor, Sensor
 from splatrl.envs.tasks.base import Task
 from splatrl.envs.transforms import FrameStack
-from splatrl.motions import OrbitMotion
+from splatrl.motions import LatticeMotion, OrbitMotion
 from splatrl.scenes.scene import Bounds, Scene
 
 CUT_OFF = 0.1
@@ -133,7 +133,8 @@ def warn_of_cut_off(scene: Scene, paths: Plan) -> None:
     """
     cut_off, free = int(paths.cut_off.sum()), int(paths.free.sum())
     if cut_off > CUT_OFF * free and not isinstance(paths.motion, OrbitMotion):
-        body = "a narrower robot.body may pass, or narrower task.motion.lower and upper leave them out"
+        finer = f"task.motion.step={0.5 * paths.motion.step:g} or " if isinstance(paths.motion, LatticeMotion) else ""
+        body = f"{finer}a narrower robot.body may pass, or narrower task.motion.lower and upper leave them out"
         way_out = body if paths.moves.repeats == 1 else "fewer transforms.skip.steps may lead out of there"
         warnings.warn(
             f"{scene.name}: {cut_off:,} of {free:,} free poses cannot reach the goal, and episodes never begin there; "

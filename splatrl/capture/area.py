@@ -1,15 +1,15 @@
 """Survey of a captured place: its bounds, the area where people walked, and what is solid there."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.bodies import Sphere
 from splatrl.capture.floaters import hazy_voxels
+from splatrl.capture.lattice import Floats, Ground, Walk, aligned, free_ground
 from splatrl.capture.world import Placed
 from splatrl.collision import NativeChecker
 from splatrl.collision.density import DensitySettings
@@ -18,9 +18,6 @@ from splatrl.collision.voxels import Voxels
 from splatrl.geometry import rigid
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Bounds
-
-Floats = NDArray[np.float64]
-Walk = tuple[tuple[float, float], tuple[float, float]]
 
 GRID = 0.2
 """Spacing of the robots' lattice, metres; the sides of the walkable area are whole multiples of it."""
@@ -64,6 +61,17 @@ class Area:
     free: Voxels
     floor: Voxels | None = None
 
+    @property
+    def spacing(self) -> float:
+        """Length of a robot's step, metres, also where it is the usual one."""
+        return self.step or GRID
+
+    def ground(self, path: Floats | None = None) -> Ground:
+        """Return the free ground around the floor's voxels, or around the path [N, 2] of a capture's cameras."""
+        known = path if self.floor is None else self.floor.centers()[:, :2].astype(np.float64)
+        assert known is not None, "expected the path of the cameras, since no floor is known"
+        return free_ground(self.occupancy, self.robot_height, self.walk, known)
+
 
 def survey_area(gaussians: Gaussians, placed: Placed, known: Tensor | None = None) -> Area:
     """Find the bounds and the walkable area of a placed capture, and what is solid in it.
@@ -80,7 +88,9 @@ def survey_area(gaussians: Gaussians, placed: Placed, known: Tensor | None = Non
     free = Voxels(hazy, dense.origin_key, dense.resolution)
     solid = dense.without(free)
     height = round(float(np.median(poses[:, 2, 3])), 2)
-    return Area(_bounds(placed, walk), walk, step, height, solid, free)
+    area = Area(_bounds(placed, walk), walk, step, height, solid, free)
+    walk = aligned(area.ground(poses[:, :2, 3]), walk, area.spacing)
+    return replace(area, bounds=_bounds(placed, walk), walk=walk)
 
 
 def dense_voxels(gaussians: Gaussians, placed: Placed) -> Occupancy:

@@ -10,6 +10,7 @@ from torch import Tensor
 from splatrl.capture.area import SOLID, Area, survey_area
 from splatrl.capture.check import COMPARISON, MAP, Quality, check
 from splatrl.capture.drift import below_floor, leap, lost_scale, weak_scale
+from splatrl.capture.lattice import remarks
 from splatrl.capture.masks import much_moves
 from splatrl.capture.page import report_page
 from splatrl.capture.pictures import GOALS, draw_cameras, draw_goals, draw_moving
@@ -77,9 +78,11 @@ def write_scene(
         write_gaussians(fresh / splat, gaussians, antialiased=True)
         gaussians = read_gaussians(fresh / splat)  # check exactly what was written
         area = survey_area(gaussians, placed, known)
-        found = suggest(seen_by_cameras(placed), area)
+        seen = seen_by_cameras(placed)
+        found = suggest(seen, area)
         quality = check(gaussians, placed, held_out, fresh, area, found, progress)
-        quality = replace(quality, problems=tuple(problems(placed, found, quality, moving)))
+        missed = remarks(area.ground(seen.path), area.walk, area.spacing)
+        quality = replace(quality, problems=(*problems(placed, found, quality, moving), *missed))
         draw_cameras(placed, area, fresh / CAMERAS)
         if found.goals:
             draw_goals(gaussians, found.goals, area.robot_height, fresh / GOALS)

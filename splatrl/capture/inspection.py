@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from splatrl.capture.area import GRID
+from splatrl.capture.lattice import remarks
 from splatrl.capture.pictures import GOALS, draw_goals
 from splatrl.capture.suggestions import Goal, place_proposals, seen_in_splat, suggest
 from splatrl.capture.walkable import walkable_area
@@ -147,7 +147,8 @@ def propose(scene: Scene, occupancy: Occupancy, floor: float, height: float, pic
         lines.append(f"goal {number}      {list(goal)}" + (", written as the scene's goal" if number == 1 else ""))
     lines += inspect_terrain(replace(scene, bounds=area.bounds), area.occupancy, area.walk, height, pictures)
     (left, bottom), (right, top) = area.walk
-    lines.append(f"walk        x {left:g} to {right:g}, y {bottom:g} to {top:g} m, steps of {area.step or GRID:g} m")
+    lines.append(f"walk        x {left:g} to {right:g}, y {bottom:g} to {top:g} m, steps of {area.spacing:g} m")
+    lines += [f"            {said}" for said in remarks(area.ground(), area.walk, area.spacing)]
     return Proposed(area.bounds, place_proposals(area, found), lines)
 
 

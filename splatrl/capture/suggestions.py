@@ -99,7 +99,7 @@ def suggest(seen: Seen, area: Area) -> Suggestions:
     if seen.path is not None:
         away = np.linalg.norm(places[:, None] - seen.path, axis=2).min(1)
         candidates = np.flatnonzero(away <= max(0.4, float(np.sort(away)[min(ENOUGH, len(away) - 1)])))
-    wider = max(1.0, (area.step or GRID) / GRID)
+    wider = max(1.0, area.spacing / GRID)
     varied = seen.colors.std(1)
     scores = np.stack([_scores(seen, varied, places[row], area.robot_height, wider) for row in candidates])
     goals: list[Goal] = []
@@ -137,7 +137,7 @@ def place_proposals(area: Area, found: Suggestions) -> dict[str, Any]:
 
 def _free_places(area: Area) -> tuple[Floats, Floats]:
     """Return the free and connected places [F, 2] of the robot's lattice, and the clearance around each, metres."""
-    edge = area.step or GRID
+    edge = area.spacing
     lower, upper = np.array(area.walk)
     axes = [low + edge * np.arange(round((high - low) / edge) + 1) for low, high in zip(lower, upper, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from splatrl.capture.area import BESIDE, VOXEL, Area, whole_steps
+from splatrl.capture.lattice import Walk, aligned
 from splatrl.collision.occupancy import Occupancy
 from splatrl.collision.voxel_grid import within
 from splatrl.collision.voxels import Voxels
@@ -68,6 +69,14 @@ def walkable_area(scene: Scene, occupancy: Occupancy, floor: float, height: floa
     middle = (np.array(np.unravel_index(int(room.argmax()), room.shape)) + origin + 0.5) * edge
     near = places[(np.abs(places - middle) <= REACH).all(1)]
     walk, step = whole_steps(near)
+    ground = Voxels(part[:, :, None], (*occupancy.origin_key[:2], math.floor(floor / edge)), edge)
+    area = _around(scene, walk, step, ground, floor, height)
+    shifted = aligned(area.ground(), walk, area.spacing)
+    return area if shifted == walk else _around(scene, shifted, step, ground, floor, height)
+
+
+def _around(scene: Scene, walk: Walk, step: float | None, ground: Voxels, floor: float, height: float) -> Area:
+    """Return the bounds around where robots walk on some ground, and what is solid within them."""
     lower, upper = scene.bounds
     low = [max(walk[0][axis] - VIEW, min(lower[axis], walk[0][axis] - BESIDE)) for axis in range(2)]
     high = [min(walk[1][axis] + VIEW, max(upper[axis], walk[1][axis] + BESIDE)) for axis in range(2)]
@@ -78,7 +87,6 @@ def walkable_area(scene: Scene, occupancy: Occupancy, floor: float, height: floa
     voxel = float(f"{max(VOXEL, diagonal / MOST_VOXELS):.2g}")
     solid = Occupancy.from_gaussians(scene.gaussians, voxel, crop=bounds)
     nothing = Voxels(np.zeros((0, 0, 0), bool), (0, 0, 0), voxel)
-    ground = Voxels(part[:, :, None], (*occupancy.origin_key[:2], math.floor(floor / edge)), edge)
     return Area(bounds, walk, step, round(floor + height, 3), solid, nothing, ground)
 
 

@@ -68,7 +68,7 @@ def test_a_tenth_of_the_free_poses_may_be_cut_off_from_the_goal_and_more_are_war
 
 
 def test_building_warns_of_free_poses_behind_a_gap_too_narrow_for_the_body(tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match="tiny: 24 of 48 free poses cannot reach the goal, .* a narrower robot.body"):
+    with pytest.warns(UserWarning, match="24 of 48 .* goal, .*; task.motion.step=0.25 or a narrower"):
         build_one_world(load_config([*tiny_overrides(tmp_path), "robot.body.size=[0.9,0.9,0.2]"]))
 
 

@@ -265,3 +265,12 @@ def test_in_a_splat_without_cameras_robots_walk_around_the_most_open_place(tmp_p
     for x, y, _ in found.goals:
         assert (lower <= [x, y]).all() and (upper >= [x, y]).all()
     assert walkable_area(scene, Occupancy.empty(0.25), 0.0, 1.2) is None  # no floor
+
+
+def test_the_report_says_how_much_of_the_floor_steps_do_not_reach(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("splatrl.capture.lattice.FEW", -1.0)  # even nothing is much
+    quality = write_scene(tmp_path / "garden", tiny_gaussians(), tiny_capture(tmp_path / "images"))
+    assert quality.problems[-1].startswith("0 % of the free floor cannot be reached in steps of 0.2 m")
+    assert quality.problems[-1] in (tmp_path / "garden" / "report.html").read_text(encoding="utf-8")

@@ -60,7 +60,9 @@ def test_a_sky_far_above_a_place_does_not_count_for_the_boxes_in_it(
 ) -> None:
     for name in ("of_goals", "of_terrain"):
         monkeypatch.setattr(inspection.ScenePictures, name, lambda *_: [])
+    monkeypatch.setattr("splatrl.capture.lattice.FEW", -1.0)  # says how much of the floor is out of reach at any rate
     gaussians = room(2.5, sky=True)
     everything, place = (Scene("room", gaussians, of(gaussians)) for of in (robust_bounds, captured_bounds))
     proposed = inspection.propose(everything, survey_occupancy(place), 0.0, 0.4, inspection.ScenePictures(tmp_path))
     assert any(line.startswith("boxes") for line in proposed.lines) and "goal" in proposed.settings
+    assert proposed.lines[-1].strip().startswith("0 % of the free floor cannot be reached in steps of")
