@@ -73,7 +73,7 @@ def continuation_of_sweep(ended: BaseException) -> str | None:
 
 def crashed(ended: BaseException) -> bool:
     """Whether Hydra ended the program after a traceback, as when memory ran out or a launcher's process was killed."""
-    error = ended.__context__ if isinstance(ended, SystemExit) else None
+    error = ended.__context__ if isinstance(ended, SystemExit) and ended.code == 1 else None  # others end with a line
     return isinstance(error, Exception) and not isinstance(error, CompactHydraException)
 
 

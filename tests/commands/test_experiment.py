@@ -122,7 +122,7 @@ def test_a_training_is_run_reported_and_not_run_again(
     figures = json.loads((run / "evaluation.json").read_text())
     assert (figures["frames"], figures["seed"]) == (256, 3)
     report = (folder / "grid" / "report.md").read_text()
-    assert "| backyard | with curriculum | 1 |" in report
+    assert "| backyard | with curriculum | 3 |" in report
     assert "backyard-distance-s3/starts.png" in report
     written = (run / "evaluation.json").stat().st_mtime_ns
     command(*words, "frames=300", "jobs=2")

@@ -195,10 +195,10 @@ def test_a_config_without_its_sections_is_refused(folder: Path) -> None:
 def test_a_name_cannot_point_outside_its_folder(name: str, tmp_path: Path) -> None:
     tiny_overrides(tmp_path)
     (tmp_path / "scene.yaml").write_text(f'splat: tiny.ply\nname: "{name}"\n')
-    with pytest.raises(ValueError, match=r"scene\.yaml: name: expected a name, without slashes"):
+    with pytest.raises(ValueError, match=r"scene\.yaml: name: expected a name"):
         read_scene(tmp_path)
     (tmp_path / "scene.yaml").write_text(f'splat: "{name}"\n')
-    with pytest.raises(ValueError, match=r"scene\.yaml: splat: expected a name, without slashes"):
+    with pytest.raises(ValueError, match=r"scene\.yaml: splat: expected a name"):
         read_scene(tmp_path)
 
 

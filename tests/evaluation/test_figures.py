@@ -145,7 +145,7 @@ def test_letters_are_drawn_in_a_font_that_has_them_or_as_escapes_without_warning
 
 def test_long_names_leave_room_for_the_bars(drawn: list[Figure]) -> None:
     names = [f"{'a corner of the garden, ' * 8}{number}" for number in range(2)]
-    scene_bars(names, [0.5, 0.2], Path("unused.png"))
+    scene_bars(names, [0.5, 0.2], [(0.4, 0.6), (0.1, 0.3)], Path("unused.png"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         drawn[0].draw_without_rendering()
