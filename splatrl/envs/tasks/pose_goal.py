@@ -41,7 +41,9 @@ class PoseGoal(OutcomeTask):
     ):
         super().__init__(motion, rewards, max_steps)
         if not are_numbers(goal, 3):
-            raise ValueError(f"task.goal: expected finite x, y (metres) and yaw (degrees), got {goal}")
+            raise ValueError(
+                f"task.goal: expected finite x, y (metres) and yaw (degrees), got {goal}; type another landmarks.goal"
+            )
         tolerance = torch.tensor([motion.step, motion.step, motion.angle_step], dtype=torch.float64)
         self.register_buffer("tolerance", tolerance * (1 + SLACK), persistent=False)
         x, y, yaw_deg = goal

@@ -78,7 +78,7 @@ def test_the_published_rewards_are_the_defaults() -> None:
     ("change", "message"),
     [
         ({"goal": (0.0, 1.0)}, r"task\.goal: expected finite x, y \(metres\) and yaw \(degrees\), got \(0\.0, 1\.0\)"),
-        ({"goal": 5}, r"task\.goal: expected finite .* got 5"),
+        ({"goal": 5}, r"task\.goal: expected finite .* got 5; type another landmarks\.goal"),
         ({"goal": (".nan", 0.4, 0.0)}, r"task\.goal: expected finite .* got \('\.nan', 0\.4, 0\.0\)"),
         ({"goal": (0.0, math.inf, 0.0)}, r"task\.goal"),
         ({"max_steps": 0}, r"task\.max_steps: expected a whole number of at least 1, got 0"),
