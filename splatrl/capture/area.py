@@ -9,7 +9,7 @@ from torch import Tensor
 
 from splatrl.bodies import Sphere
 from splatrl.capture.floaters import hazy_voxels
-from splatrl.capture.lattice import Floats, Ground, Walk, aligned, free_ground
+from splatrl.capture.lattice import Floats, FreeGround, Walk, aligned, free_ground
 from splatrl.capture.world import Placed
 from splatrl.collision import NativeChecker
 from splatrl.collision.density import DensitySettings
@@ -66,7 +66,7 @@ class Area:
         """Length of a robot's step, metres, also where it is the usual one."""
         return self.step or GRID
 
-    def ground(self, path: Floats | None = None) -> Ground:
+    def ground(self, path: Floats | None = None) -> FreeGround:
         """Return the free ground around the floor's voxels, or around the path [N, 2] of a capture's cameras."""
         known = path if self.floor is None else self.floor.centers()[:, :2].astype(np.float64)
         assert known is not None, "expected the path of the cameras, since no floor is known"

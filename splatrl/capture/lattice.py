@@ -27,7 +27,7 @@ TOUCH = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class FreeGround:
     """The free ground of an area, on which the body of ``task=grid`` fits.
 
     Attributes:
@@ -84,7 +84,7 @@ class Ground:
         return empty
 
 
-def free_ground(solid: Voxels, height: float, walk: Walk, known: Floats) -> Ground:
+def free_ground(solid: Voxels, height: float, walk: Walk, known: Floats) -> FreeGround:
     """Find the free ground of an area.
 
     Args:
@@ -100,24 +100,25 @@ def free_ground(solid: Voxels, height: float, walk: Walk, known: Floats) -> Grou
     before = np.pad(columns, ((1, 0), (1, 0))).cumsum(0, dtype=np.int64).cumsum(1)
     first, last = np.floor(np.array(walk) / edge + TOUCH).astype(np.int64)
     x, y = ((np.arange(start, end + 1) + 0.5) * edge for start, end in zip(first, last, strict=True))
-    anywhere = Ground(before, np.array(solid.origin_key[:2]), edge, np.ones((len(x), len(y)), bool), first)
+    anywhere = FreeGround(before, np.array(solid.origin_key[:2]), edge, np.ones((len(x), len(y)), bool), first)
     labels = ndimage.label(anywhere.fits(x, x, y, y))[0]
     index = np.floor(known / edge).astype(np.int64) - first
     index = index[((index >= 0) & (index < labels.shape)).all(1)]
     return replace(anywhere, part=(labels > 0) & np.isin(labels, labels[tuple(index.T)]))
 
 
-def aligned(ground: Ground, walk: Walk, step: float) -> Walk:
+def aligned(ground: FreeGround, walk: Walk, step: float) -> Walk:
     """Shift an area by a fraction of a step if its lattice then reaches considerably more, as through a doorway."""
     missed = ground.out_of_reach(walk, step)
     if missed <= FEW:
         return walk
     shifts = sorted(product(SHIFTS, SHIFTS), key=lambda by: (math.hypot(*by), by))
-    best = min((_shifted(walk, x * step, y * step) for x, y in shifts), key=lambda to: ground.out_of_reach(to, step))
-    return best if ground.out_of_reach(best, step) < missed - FEW else walk
+    shifted = [_shifted(walk, x * step, y * step) for x, y in shifts]
+    shares = [ground.out_of_reach(each, step) for each in shifted]
+    return shifted[int(np.argmin(shares))] if min(shares) < missed - FEW else walk
 
 
-def remarks(ground: Ground, walk: Walk, step: float) -> list[str]:
+def remarks(ground: FreeGround, walk: Walk, step: float) -> list[str]:
     """Say how much of the ground is out of reach and what to type, in one sentence; in none where it is little."""
     share = ground.out_of_reach(walk, step)
     if share <= FEW:

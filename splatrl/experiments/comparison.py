@@ -7,14 +7,13 @@ from typing import Any
 from omegaconf import DictConfig
 
 from splatrl.configuration import RUN_CONFIG, settings_of
+from splatrl.configuration.elsewhere import TYPED
 from splatrl.documents import read_config, read_yaml
 from splatrl.experiments.experiment import Experiment, Run
 from splatrl.experiments.folders import finished, history
 from splatrl.experiments.results import success_in_tests
 from splatrl.files import refusing
 
-TYPED = Path(".hydra", "overrides.yaml")
-"""File of a run folder with the words that were typed for the training."""
 ALIKE = ("seed", "device", "logger.", "checkpoint.")
 """Beginnings of the keys in which trainings of one arm may differ."""
 SCENE = "scene."

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from splatrl.capture.area import survey_area
-from splatrl.capture.lattice import Ground, Walk, aligned, free_ground, remarks
+from splatrl.capture.lattice import FreeGround, Walk, aligned, free_ground, remarks
 from splatrl.capture.walkable import walkable_area
 from splatrl.collision.occupancy import Occupancy
 from splatrl.evaluation.scene_pictures import survey_occupancy
@@ -29,7 +29,7 @@ def rooms(door: float, width: float, x: float = 5.0) -> Boxes:
     return [*outer, (wall[0], 0.0, 0.0, wall[1], door, 2.0), (wall[0], door + width, 0.0, wall[1], 4.0, 2.0)]
 
 
-def ground_of(boxes: Boxes, known: Sequence[tuple[float, float]]) -> Ground:
+def ground_of(boxes: Boxes, known: Sequence[tuple[float, float]]) -> FreeGround:
     sides = torch.tensor(boxes)
     solid = Occupancy.empty(0.05).with_boxes(sides[:, :3], sides[:, 3:])
     return free_ground(solid, 0.4, WALK, np.array(known))
